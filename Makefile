@@ -1,0 +1,37 @@
+# Everything a person types: `make demo` and `make test` set up what they need.
+VENV := .venv
+PY := $(VENV)/bin/python
+STAMP := $(VENV)/.installed
+NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
+
+.PHONY: install demo test test-slow check bench serve clean
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt $(NATIVE)
+	test -x $(PY) || python3 -m venv $(VENV)
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[reconstruction,server,dev]'
+	touch $@
+
+demo: install
+	$(VENV)/bin/spike4dgs demo
+
+test: install
+	$(PY) -m pytest -m "not slow and not gpu and not benchmark"
+
+test-slow: install
+	$(PY) -m pytest -m "slow and not gpu"
+
+check: install
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/lint-imports
+	$(VENV)/bin/pyright
+
+bench: install
+	$(PY) -m pytest -m benchmark -s
+
+serve: install
+	$(VENV)/bin/spike4dgs serve --with-worker
+
+clean:
+	rm -rf $(VENV) .build

@@ -1,0 +1,1 @@
+"""Light to verified bytes on disk: spikes, scenes, devices, recordings, sessions."""

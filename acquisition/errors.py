@@ -1,0 +1,23 @@
+"""Errors of capture, recordings and spike streams."""
+
+from rigs.errors import Spike4dgsError
+
+
+class AcquisitionError(Spike4dgsError):
+    """Root of the errors raised by `acquisition`."""
+
+
+class BadRecordingError(AcquisitionError):
+    """A stream, file or argument that does not describe a usable recording."""
+
+    exit_code = 2
+
+
+class DeviceError(AcquisitionError):
+    """A camera that did not do what it was told."""
+
+
+class DiskError(AcquisitionError):
+    """The disk refused what a recording needs; nothing was left under its final name."""
+
+    exit_code = 2

@@ -1,0 +1,1 @@
+"""Ground truth: the analytic ray caster, motions, textures and the named scenes."""

@@ -1,0 +1,1 @@
+"""One armed run of a whole rig: arm, trigger, record, close."""

@@ -1,0 +1,1 @@
+"""Spike planes: layout, packing, memory-mapped streams and the integrate-and-fire sensor."""

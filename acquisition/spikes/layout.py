@@ -1,0 +1,37 @@
+"""How one spike plane lies in bytes: nothing of it is in a `.dat`, so all of it is named here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from acquisition.errors import BadRecordingError
+
+BitOrder = Literal["lsb", "msb"]
+RowOrder = Literal["bottom", "top"]
+
+
+@dataclass(frozen=True)
+class PlaneLayout:
+    """One bit a pixel, row-major, each plane padded with zero bits to whole bytes.
+
+    `bit_order`: which bit of a byte is the first pixel; `row_order`: which row is stored first.
+    """
+
+    width: int
+    height: int
+    bit_order: BitOrder = "lsb"
+    row_order: RowOrder = "bottom"
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise BadRecordingError(f"found the size {self.width}x{self.height}, expected at least 1x1")
+        if self.bit_order not in ("lsb", "msb") or self.row_order not in ("bottom", "top"):
+            raise BadRecordingError(
+                f"found bit order {self.bit_order!r}, row order {self.row_order!r}; expected lsb or msb, bottom or top"
+            )
+
+    @property
+    def plane_bytes(self) -> int:
+        """Bytes of one plane."""
+        return (self.width * self.height + 7) // 8

@@ -1,0 +1,68 @@
+"""Spike planes to bytes and back, and counts over them; the fast kernels and their readable reference.
+
+Letters: T planes, H rows (row 0 at the top), W columns, B bytes of a plane.
+"""
+
+import ctypes
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import BadRecordingError
+from acquisition.native import load_library
+from acquisition.spikes.layout import PlaneLayout
+
+Bytes = NDArray[np.uint8]
+
+
+def pack(planes: NDArray, layout: PlaneLayout) -> Bytes:
+    """Planes [T, H, W] (non-zero is a spike) to packed bytes [T, B]."""
+    if planes.ndim != 3 or planes.shape[1:] != (layout.height, layout.width):
+        raise BadRecordingError(f"found planes {planes.shape}, expected (T, {layout.height}, {layout.width})")
+    rows = planes[:, ::-1] if layout.row_order == "bottom" else planes
+    bits = np.ascontiguousarray(rows != 0).reshape(len(planes), -1)
+    return np.packbits(bits, axis=1, bitorder="little" if layout.bit_order == "lsb" else "big")
+
+
+def unpack_reference(packed: Bytes, layout: PlaneLayout) -> Bytes:
+    """Packed bytes [T, B] to planes [T, H, W] of 0 and 1: the definition of the format, in NumPy."""
+    bits = np.unpackbits(packed, axis=1, bitorder="little" if layout.bit_order == "lsb" else "big")
+    planes = bits[:, : layout.height * layout.width].reshape(len(packed), layout.height, layout.width)
+    return np.ascontiguousarray(planes[:, ::-1] if layout.row_order == "bottom" else planes)
+
+
+def counts_reference(packed: Bytes, layout: PlaneLayout) -> NDArray[np.uint32]:
+    """Spikes of each pixel [H, W] over packed planes [T, B], in NumPy."""
+    return unpack_reference(packed, layout).sum(axis=0, dtype=np.uint32)
+
+
+def unpack(packed: Bytes, layout: PlaneLayout) -> Bytes:
+    """Packed bytes [T, B] to planes [T, H, W] of 0 and 1; native twin of `unpack_reference`."""
+    out = np.empty((len(packed), layout.height, layout.width), dtype=np.uint8)
+    load_library("acquisition").unpack_planes(*_native_arguments(packed, layout), _pointer(out))
+    return out
+
+
+def counts(packed: Bytes, layout: PlaneLayout) -> NDArray[np.uint32]:
+    """Spikes of each pixel [H, W] over packed planes [T, B]; native twin of `counts_reference`."""
+    out = np.empty((layout.height, layout.width), dtype=np.uint32)
+    load_library("acquisition").count_planes(*_native_arguments(packed, layout), _pointer(out))
+    return out
+
+
+def _pointer(array: NDArray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _native_arguments(packed: Bytes, layout: PlaneLayout) -> tuple:
+    if packed.dtype != np.uint8 or packed.ndim != 2 or packed.shape[1] != layout.plane_bytes:
+        raise BadRecordingError(f"found packed planes {packed.shape}, expected (T, {layout.plane_bytes}) bytes")
+    contiguous = np.ascontiguousarray(packed)
+    return (
+        _pointer(contiguous),
+        ctypes.c_int64(len(packed)),
+        ctypes.c_int32(layout.width),
+        ctypes.c_int32(layout.height),
+        ctypes.c_int32(layout.bit_order == "msb"),
+        ctypes.c_int32(layout.row_order == "bottom"),
+    )

@@ -1,0 +1,65 @@
+"""A `.dat` on disk, memory-mapped; only the window asked for is ever unpacked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import BadRecordingError
+from acquisition.spikes import packing
+from acquisition.spikes.layout import PlaneLayout
+
+
+class SpikeStream:
+    """Planes [first, last) of one camera, by index from 0; `tick_rate_hz` turns counts into light.
+
+    Build with `open`. `partial_bytes` is what a tolerated truncated file held beyond its last whole plane.
+    """
+
+    def __init__(self, packed: NDArray[np.uint8], layout: PlaneLayout, tick_rate_hz: float, partial_bytes: int = 0):
+        self.packed = packed  # [T, B]
+        self.layout = layout
+        self.tick_rate_hz = tick_rate_hz
+        self.partial_bytes = partial_bytes
+
+    @classmethod
+    def open(
+        cls, path: Path, layout: PlaneLayout, tick_rate_hz: float, *, allow_partial: bool = False
+    ) -> SpikeStream:
+        """Map `path`; raises BadRecordingError when it is missing, empty, or (unless allowed) ends inside a plane."""
+        if not tick_rate_hz > 0:
+            raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz, expected a positive number")
+        try:
+            size = path.stat().st_size
+        except OSError as error:
+            raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); give an existing .dat") from error
+        planes, partial = divmod(size, layout.plane_bytes)
+        expected = f"{layout.plane_bytes} bytes a plane of {layout.width}x{layout.height}"
+        if partial and not allow_partial:
+            raise BadRecordingError(
+                f"{path}: found {size} bytes, {partial} more than {planes} whole planes ({expected}); "
+                "give the right size, or allow a partial last plane"
+            )
+        if planes == 0:
+            raise BadRecordingError(f"{path}: found {size} bytes, expected at least one plane ({expected})")
+        mapped = np.memmap(path, dtype=np.uint8, mode="r", shape=(planes, layout.plane_bytes))
+        return cls(mapped, layout, tick_rate_hz, partial)
+
+    def __len__(self) -> int:
+        return len(self.packed)
+
+    def window(self, first: int, last: int) -> NDArray[np.uint8]:
+        """Packed planes [last - first, B]; raises BadRecordingError outside the stream."""
+        if not 0 <= first <= last <= len(self):
+            raise BadRecordingError(f"found planes {first}:{last}, expected a window inside 0:{len(self)}")
+        return self.packed[first:last]
+
+    def planes(self, first: int, last: int) -> NDArray[np.uint8]:
+        """Unpacked planes [last - first, H, W] of 0 and 1, row 0 at the top."""
+        return packing.unpack(self.window(first, last), self.layout)
+
+    def counts(self, first: int, last: int) -> NDArray[np.uint32]:
+        """Spikes of each pixel [H, W] over planes [first, last)."""
+        return packing.counts(self.window(first, last), self.layout)

@@ -1,0 +1,17 @@
+"""Errors of image formation, initialisation, training and rendering."""
+
+from rigs.errors import Spike4dgsError
+
+
+class ReconstructionError(Spike4dgsError):
+    """Root of the errors raised by `reconstruction`."""
+
+
+class BadRunError(ReconstructionError):
+    """A run folder, configuration or request that cannot be used."""
+
+    exit_code = 2
+
+
+class StereoError(ReconstructionError):
+    """Too few points survived initialisation; training would not recover."""

@@ -1,0 +1,1 @@
+"""The cloud and how it moves."""

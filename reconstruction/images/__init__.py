@@ -1,0 +1,1 @@
+"""Spikes to images, one file a method."""

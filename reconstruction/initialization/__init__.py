@@ -1,0 +1,1 @@
+"""Recording and rig to points with confidence."""

@@ -1,0 +1,1 @@
+"""Image and depth metrics, and the floors a reconstruction must beat."""

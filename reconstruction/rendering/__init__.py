@@ -1,0 +1,1 @@
+"""Gaussians to images: the public renderer, its torch reference, the native kernels."""

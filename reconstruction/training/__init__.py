@@ -1,0 +1,1 @@
+"""Configuration, the plan, the trainer, checkpoints."""

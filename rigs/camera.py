@@ -1,0 +1,56 @@
+"""One camera of a rig. OpenCV axes (x right, y down, z forward); the first pixel's centre is (0.5, 0.5)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rigs.errors import RigError
+from rigs.transform import Floats, Transform
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera with OpenCV distortion (k1, k2, p1, p2); lengths in pixels, `cam_from_rig` in metres.
+
+    Raises RigError, naming the camera, for a size or focal length that is not positive or a number that is not finite.
+    """
+
+    id: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    cam_from_rig: Transform
+    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    serial: str = ""
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not all(math.isfinite(n) for n in numbers):
+            raise RigError(f"{self.id}: found intrinsics with NaN or infinity, expected finite numbers")
+        if self.fx <= 0 or self.fy <= 0:
+            raise RigError(f"{self.id}: found focal lengths {self.fx}, {self.fy}, expected positive pixels")
+        if self.width < 1 or self.height < 1:
+            raise RigError(f"{self.id}: found the size {self.width}x{self.height}, expected at least 1x1")
+
+    @property
+    def K(self) -> Floats:  # noqa: N802
+        """The calibration matrix [3, 3] in pixels."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    @property
+    def center(self) -> Floats:
+        """The camera centre in the rig frame [3], metres."""
+        return self.cam_from_rig.center
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """The same lens over a sensor sampled at another size."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )

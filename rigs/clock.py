@@ -1,0 +1,25 @@
+"""The rig clock: plane k integrates light over [k, k + 1) / rate, so an image at plane k is the instant (k + 0.5) / rate."""
+
+import math
+from dataclasses import dataclass
+
+from rigs.errors import RigError
+
+
+@dataclass(frozen=True)
+class RigClock:
+    """Ticks to seconds and back; zero is the first recorded plane of the trigger."""
+
+    tick_rate_hz: float
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.tick_rate_hz) or self.tick_rate_hz <= 0:
+            raise RigError(f"found the tick rate {self.tick_rate_hz} Hz, expected a positive number")
+
+    def instant_s(self, plane: float) -> float:
+        """The middle of plane `plane`, in seconds."""
+        return (plane + 0.5) / self.tick_rate_hz
+
+    def plane(self, instant_s: float) -> int:
+        """The plane whose exposure holds `instant_s`."""
+        return math.floor(instant_s * self.tick_rate_hz + 1e-9)

@@ -1,0 +1,71 @@
+"""A rig: cameras fixed to one another on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from rigs.camera import Camera
+from rigs.clock import RigClock
+from rigs.errors import RigError
+
+Poses = Literal["calibrated", "nominal"]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Where calibrated poses came from: an ISO date, the residual in pixels, the rotation's standard deviation."""
+
+    date: str
+    residual_px: float
+    rotation_sd_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras in row-major order, their tick rate in Hz, and whether their poses are calibrated or nominal.
+
+    Raises RigError for no cameras, a repeated id, or a tick rate that is not positive.
+    """
+
+    name: str
+    tick_rate_hz: float
+    cameras: tuple[Camera, ...]
+    poses: Poses = "calibrated"
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        RigClock(self.tick_rate_hz)
+        if not self.cameras:
+            raise RigError(f"rig {self.name}: found no cameras, expected at least one")
+        repeated = {c for c in self.ids if self.ids.count(c) > 1}
+        if repeated:
+            raise RigError(f"rig {self.name}: found {', '.join(sorted(repeated))} more than once; name each camera once")
+        if self.poses not in ("calibrated", "nominal"):
+            raise RigError(f"rig {self.name}: found poses {self.poses!r}, expected calibrated or nominal")
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The cameras' ids, in order."""
+        return tuple(camera.id for camera in self.cameras)
+
+    @property
+    def clock(self) -> RigClock:
+        """The clock all cameras are stated on."""
+        return RigClock(self.tick_rate_hz)
+
+    def camera(self, camera_id: str) -> Camera:
+        """The camera named `camera_id`; raises RigError listing the known ones."""
+        for camera in self.cameras:
+            if camera.id == camera_id:
+                return camera
+        raise RigError(f"found no camera {camera_id} in rig {self.name}, expected one of {', '.join(self.ids)}")
+
+    def only(self, camera_ids: Iterable[str]) -> Rig:
+        """The rig with just these cameras, in the order given."""
+        return replace(self, cameras=tuple(self.camera(c) for c in camera_ids))
+
+    def scaled(self, width: int, height: int) -> Rig:
+        """The rig with every sensor sampled at another size."""
+        return replace(self, cameras=tuple(c.scaled(width, height) for c in self.cameras))

@@ -1,0 +1,121 @@
+"""Rigid transforms between frames. `target_from_source` names compose and cancel: `c_from_w = c_from_r @ r_from_w`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigs.errors import RigError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """`x_in_target = rotation @ x_in_source + translation`; rotation [3, 3], translation [3] in metres.
+
+    Raises RigError for values that are not finite or a matrix that is not a rotation (1e-6).
+    """
+
+    rotation: Floats
+    translation: Floats
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        translation = np.asarray(self.translation, dtype=np.float64)
+        if rotation.shape != (3, 3) or translation.shape != (3,):
+            raise RigError(f"found a pose of shapes {rotation.shape} and {translation.shape}, expected (3, 3) and (3,)")
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise RigError("found a pose with NaN or infinity, expected finite numbers; mend the pose")
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+            raise RigError("found a matrix that is not a rotation, expected orthonormal with determinant +1")
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+
+    @classmethod
+    def identity(cls) -> Transform:
+        """The transform that changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quat_wxyz(cls, quat_wxyz: ArrayLike, translation: ArrayLike) -> Transform:
+        """From a quaternion (w, x, y, z) of any non-zero length and a translation [3] in metres."""
+        q = np.asarray(quat_wxyz, dtype=np.float64)
+        length = np.linalg.norm(q)
+        if q.shape != (4,) or not np.isfinite(length) or length == 0:
+            raise RigError(f"found the quaternion {q.tolist()}, expected four finite numbers, not all zero")
+        w, x, y, z = q / length
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return cls(rotation, np.asarray(translation, dtype=np.float64))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> Transform:
+        """From a homogeneous matrix [4, 4] or its upper [3, 4]."""
+        m = np.asarray(matrix, dtype=np.float64)
+        if m.shape not in ((4, 4), (3, 4)):
+            raise RigError(f"found a matrix of shape {m.shape}, expected (4, 4) or (3, 4)")
+        return cls(m[:3, :3], m[:3, 3])
+
+    @classmethod
+    def looking_at(cls, center: ArrayLike, target: ArrayLike, down: ArrayLike = (0.0, 1.0, 0.0)) -> Transform:
+        """`cam_from_world` of a camera at `center` whose +z meets `target` and whose +y leans towards `down`."""
+        origin = np.asarray(center, dtype=np.float64)
+        forward = np.asarray(target, dtype=np.float64) - origin
+        right = np.cross(np.asarray(down, dtype=np.float64), forward)
+        if np.linalg.norm(right) < 1e-12:
+            raise RigError("found a camera that looks along its own vertical, expected another direction")
+        forward = forward / np.linalg.norm(forward)
+        right = right / np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        return cls(rotation, -rotation @ origin)
+
+    def __matmul__(self, other: Transform) -> Transform:
+        return Transform(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+
+    def inverse(self) -> Transform:
+        """`source_from_target`."""
+        return Transform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points: ArrayLike) -> Floats:
+        """Points [..., 3] in the source frame to the target frame."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+
+    @property
+    def matrix(self) -> Floats:
+        """The homogeneous matrix [4, 4]."""
+        m = np.eye(4)
+        m[:3, :3] = self.rotation
+        m[:3, 3] = self.translation
+        return m
+
+    @property
+    def center(self) -> Floats:
+        """Where the target frame's origin lies in the source frame [3]; for `cam_from_world`, the camera centre."""
+        return -self.rotation.T @ self.translation
+
+    @property
+    def quat_wxyz(self) -> Floats:
+        """Unit quaternion (w, x, y, z) with w >= 0 (Shepperd's method: the largest component first)."""
+        r = self.rotation
+        trace = np.trace(r)
+        diagonal = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
+        k = int(np.argmax(diagonal))
+        if k == 0:
+            q = np.array([1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+        else:
+            i, j, l = [(0, 1, 2), (1, 2, 0), (2, 0, 1)][k - 1]  # noqa: E741
+            q = np.empty(4)
+            q[0] = r[l, j] - r[j, l]
+            q[1 + i] = 1 + r[i, i] - r[j, j] - r[l, l]
+            q[1 + j] = r[j, i] + r[i, j]
+            q[1 + l] = r[l, i] + r[i, l]
+        q = q / np.linalg.norm(q)
+        return q if q[0] >= 0 else -q
