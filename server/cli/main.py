@@ -1,2 +1,62 @@
-"""Entry."""
-def main() -> None: ...
+"""`spike4dgs`: the command line. Each command is imported only when it is called, so a capture host needs no torch."""
+
+import importlib
+import os
+import sys
+
+import click
+
+from rigs.errors import Spike4dgsError
+
+COMMANDS = {
+    "simulate": "server.cli.acquire",
+    "record": "server.cli.acquire",
+    "import": "server.cli.acquire",
+    "verify": "server.cli.acquire",
+    "images": "server.cli.reconstruct",
+    "reconstruct": "server.cli.reconstruct",
+    "render": "server.cli.reconstruct",
+    "evaluate": "server.cli.reconstruct",
+    "bench": "server.cli.bench",
+    "demo": "server.cli.demo",
+    "serve": "server.cli.serve",
+    "worker": "server.cli.serve",
+}
+
+
+class LazyGroup(click.Group):
+    """Finds a command by name and imports its module on first use."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        try:
+            module = importlib.import_module(COMMANDS[cmd_name])
+        except ModuleNotFoundError as error:
+            raise click.ClickException(
+                f"{cmd_name}: found no package {error.name}, expected it installed; "
+                "run pip install 'spike4dgs[reconstruction,server]'"
+            ) from error
+        return getattr(module, f"{cmd_name}_command")
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="spike4dgs")
+def cli() -> None:
+    """From a 3x3 array of spike cameras to a 4D scene one can fly through."""
+
+
+def main() -> None:
+    """Console entry: expected errors become one line and an exit code, never a traceback."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # a spinning barrier costs a scheduler slice on a shared core
+    try:
+        cli(standalone_mode=True)
+    except Spike4dgsError as error:
+        click.echo(f"spike4dgs: {error}", err=True)
+        sys.exit(error.exit_code)
+    except OSError as error:
+        click.echo(f"spike4dgs: {error.filename or 'system'}: {error.strerror or error}", err=True)
+        sys.exit(2)

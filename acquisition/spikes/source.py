@@ -1,0 +1,18 @@
+"""Where a camera's planes come from when no hardware stands behind it."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.spikes.layout import PlaneLayout
+
+
+class PlaneSource(Protocol):
+    """Yields one camera's planes in order; exhausted when fewer come back than were asked for."""
+
+    layout: PlaneLayout
+
+    def next_planes(self, count: int) -> NDArray[np.uint8]:
+        """The next packed planes [n, B] with n <= count."""
+        ...

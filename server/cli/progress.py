@@ -1,0 +1,56 @@
+"""Progress on standard error: a bar on a terminal, a line every two seconds elsewhere, JSON lines for a supervisor."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+
+from tqdm import tqdm
+
+from acquisition.progress import Progress
+
+JSON_PROGRESS = "SPIKE4DGS_PROGRESS"  # set to "json" by the service around a stage's process
+
+
+def progress_of(name: str) -> Progress:
+    """A reporter for the work called `name`, in the form that suits where standard error goes."""
+    if os.environ.get(JSON_PROGRESS) == "json":
+        return _json_lines(name)
+    return _bar(name) if sys.stderr.isatty() else _lines(name)
+
+
+def _json_lines(name: str) -> Progress:
+    return _throttled(
+        lambda f, m: print(json.dumps({"event": "progress", "stage": name, "fraction": f, "message": m}), file=sys.stderr, flush=True),  # noqa: T201
+        every_s=0.2,
+    )
+
+
+def _lines(name: str) -> Progress:
+    return _throttled(lambda f, m: print(f"{name} {f:4.0%} {m}", file=sys.stderr, flush=True), every_s=2.0)  # noqa: T201
+
+
+def _bar(name: str) -> Progress:
+    bar = tqdm(total=1.0, desc=name, bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed} {postfix}", leave=True)
+
+    def report(fraction: float, message: str) -> None:
+        bar.set_postfix_str(message, refresh=False)
+        bar.update(min(fraction, 1.0) - bar.n)
+        if fraction >= 1:
+            bar.close()
+
+    return report
+
+
+def _throttled(emit: Callable[[float, str], None], every_s: float) -> Progress:
+    last = -float("inf")
+
+    def report(fraction: float, message: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= every_s or fraction >= 1:
+            last = now
+            emit(fraction, message)
+
+    return report
