@@ -1,0 +1,58 @@
+"""What an operator may choose about a reconstruction."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Literal, get_args
+
+from reconstruction.errors import BadRunError
+
+Model = Literal["auto", "static", "linear"]
+Init = Literal["auto", "sweep"]
+ImageSource = Literal["auto", "tfi", "tfp"]
+Supervision = Literal["auto", "pixels", "variation"]
+
+DEFAULT_BUDGET_S = 120.0
+
+
+@dataclass(frozen=True)
+class ReconstructionConfig:
+    """Closed lists of names as the command line knows them; exactly one of `budget_s` and `steps` rules.
+
+    `views`: training cameras by id (empty: all but the held-out one). Raises BadRunError naming the field.
+    """
+
+    model: Model = "auto"
+    init: Init = "auto"
+    images: ImageSource = "auto"
+    supervision: Supervision = "auto"
+    holdout: str | None = None
+    views: tuple[str, ...] = ()
+    budget_s: float | None = DEFAULT_BUDGET_S
+    steps: int | None = None
+    seed: int = 0
+    gaussians: int = field(default=24_000)
+
+    def __post_init__(self) -> None:
+        for name, names in (("model", Model), ("init", Init), ("images", ImageSource), ("supervision", Supervision)):
+            if getattr(self, name) not in get_args(names):
+                raise BadRunError(f"found {name} {getattr(self, name)!r}, expected one of {', '.join(get_args(names))}")
+        if (self.budget_s is None) == (self.steps is None):
+            raise BadRunError("found both or neither of a budget in seconds and a number of steps, expected one of them")
+        if self.budget_s is not None and not self.budget_s > 0:
+            raise BadRunError(f"found the budget {self.budget_s} s, expected a positive number")
+        if self.steps is not None and self.steps < 1:
+            raise BadRunError(f"found {self.steps} steps, expected at least 1")
+        if self.gaussians < 1:
+            raise BadRunError(f"found a cap of {self.gaussians} Gaussians, expected at least 1")
+        if self.holdout is not None and self.holdout in self.views:
+            raise BadRunError(f"found {self.holdout} both held out and among the training views; leave it out of one")
+
+    def to_json(self) -> dict:
+        """Plain values, as kept in `run.json`."""
+        return asdict(self) | {"views": list(self.views)}
+
+    @classmethod
+    def from_json(cls, document: dict) -> ReconstructionConfig:
+        """The inverse of `to_json`."""
+        return cls(**(document | {"views": tuple(document["views"])}))
