@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,8 @@ from rigs.transform import Floats, Transform
 class Camera:
     """A pinhole camera with OpenCV distortion (k1, k2, p1, p2); lengths in pixels, `cam_from_rig` in metres.
 
-    Raises RigError, naming the camera, for a size or focal length that is not positive or a number that is not finite.
+    The id names files: letters, digits, `_` and `-`. Raises RigError, naming the camera, for another id, a size or
+    focal length that is not positive, or a number that is not finite.
     """
 
     id: str
@@ -30,6 +32,8 @@ class Camera:
     serial: str = ""
 
     def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.id):
+            raise RigError(f"found the camera id {self.id!r}, expected letters, digits, _ and -, such as cam01")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(n) for n in numbers):
             raise RigError(f"{self.id}: found intrinsics with NaN or infinity, expected finite numbers")

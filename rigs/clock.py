@@ -1,4 +1,4 @@
-"""The rig clock: plane k integrates light over [k, k + 1) / rate, so an image at plane k is the instant (k + 0.5) / rate."""
+"""The rig clock: plane k integrates light over [k, k + 1) / rate; its image is the instant (k + 0.5) / rate."""
 
 import math
 from dataclasses import dataclass

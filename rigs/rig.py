@@ -41,7 +41,7 @@ class Rig:
             raise RigError(f"rig {self.name}: found no cameras, expected at least one")
         repeated = {c for c in self.ids if self.ids.count(c) > 1}
         if repeated:
-            raise RigError(f"rig {self.name}: found {', '.join(sorted(repeated))} more than once; name each camera once")
+            raise RigError(f"rig {self.name}: found {', '.join(sorted(repeated))} twice or more; name each camera once")
         if self.poses not in ("calibrated", "nominal"):
             raise RigError(f"rig {self.name}: found poses {self.poses!r}, expected calibrated or nominal")
 

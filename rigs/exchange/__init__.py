@@ -1,0 +1,1 @@
+"""Rigs in the formats of other tools: nerfstudio's transforms.json and COLMAP model folders."""

@@ -1,0 +1,140 @@
+"""COLMAP model folders: `cameras` and `images`, as text or binary; image names are camera ids (camRC or camRC.png)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
+
+from rigs.camera import Camera
+from rigs.errors import RigError
+from rigs.fields import located
+from rigs.transform import Transform
+
+# model -> its number in binary files and where fx fy cx cy k1 k2 p1 p2 stand in its parameters (None: zero)
+MODELS: dict[str, tuple[int, tuple[int | None, ...]]] = {
+    "SIMPLE_PINHOLE": (0, (0, 0, 1, 2, None, None, None, None)),
+    "PINHOLE": (1, (0, 1, 2, 3, None, None, None, None)),
+    "SIMPLE_RADIAL": (2, (0, 0, 1, 2, 3, None, None, None)),
+    "RADIAL": (3, (0, 0, 1, 2, 3, 4, None, None)),
+    "OPENCV": (4, (0, 1, 2, 3, 4, 5, 6, 7)),
+}
+NUMBERED_MODELS = {number: model for model, (number, _) in MODELS.items()}
+PARAMETERS = {model: 1 + max(p for p in places if p is not None) for model, (_, places) in MODELS.items()}
+
+Lens = tuple[str, int, int, tuple[float, ...]]  # model, width, height, parameters
+Pose = tuple[str, int, tuple[float, ...]]  # image name, camera number, qw qx qy qz tx ty tz
+Parsed = TypeVar("Parsed")
+
+
+def load_model(folder: Path) -> tuple[Camera, ...]:
+    """The cameras of a COLMAP model, one an image, by image number; the model's world becomes the rig frame.
+
+    Reads `.bin` where it is there, else `.txt`. Raises RigError naming the file or the camera.
+    """
+    suffix = ".bin" if (folder / "cameras.bin").exists() else ".txt"
+    cameras_file, images_file = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    read_lenses, read_poses = (_binary_lenses, _binary_poses) if suffix == ".bin" else (_text_lenses, _text_poses)
+    lenses = _read(cameras_file, read_lenses)
+    poses = _read(images_file, read_poses)
+    if not poses:
+        raise RigError(f"{images_file}: found no images, expected one a camera")
+    return tuple(_camera(poses[number], lenses, folder) for number in sorted(poses))
+
+
+def dump_model(cameras: Sequence[Camera]) -> dict[str, str]:
+    """The text files of a COLMAP model by file name: cameras.txt, images.txt and an empty points3D.txt."""
+    lenses, images = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS"], ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"]
+    for number, camera in enumerate(cameras, start=1):
+        parameters = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+        lenses.append(f"{number} OPENCV {camera.width} {camera.height} {_digits(parameters)}")
+        pose = (*camera.cam_from_rig.quat_wxyz, *camera.cam_from_rig.translation)
+        images += [f"{number} {_digits(pose)} {number} {camera.id}.png", ""]
+    return {"cameras.txt": "\n".join(lenses) + "\n", "images.txt": "\n".join(images) + "\n", "points3D.txt": ""}
+
+
+def _read(path: Path, parse: Callable[[bytes], dict[int, Parsed]]) -> dict[int, Parsed]:
+    try:
+        return parse(path.read_bytes())
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}); give the folder of a COLMAP model") from error
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from error
+    except (ValueError, IndexError, struct.error) as error:
+        raise RigError(f"{path}: found contents that do not parse ({error}), expected COLMAP's {path.name}") from error
+
+
+def _camera(pose: Pose, lenses: dict[int, Lens], folder: Path) -> Camera:
+    name, lens_number, numbers = pose
+    path = PurePosixPath(name)
+    camera_id = path.stem if path.suffix.lower() in (".png", ".jpg", ".jpeg", ".npy") else path.name
+    where = f"{folder}: {camera_id}"
+    if lens_number not in lenses:
+        raise RigError(f"{where}: found no camera {lens_number}, expected one of {', '.join(map(str, lenses))}")
+    model, width, height, parameters = lenses[lens_number]
+    fx, fy, cx, cy, k1, k2, p1, p2 = (0.0 if at is None else parameters[at] for at in MODELS[model][1])
+    if not all(map(math.isfinite, numbers)):
+        raise RigError(f"{where}: found a pose with NaN or infinity, expected finite numbers; mend the pose")
+    with located(where):
+        cam_from_rig = Transform.from_quat_wxyz(numbers[:4], numbers[4:])
+    with located(str(folder)):
+        return Camera(camera_id, width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2))
+
+
+def _lens(model: str | int, width: int, height: int, parameters: Sequence[float]) -> Lens:
+    if model not in MODELS:
+        raise RigError(f"found the camera model {model}, expected one of {', '.join(MODELS)}; undistort the pictures")
+    if len(parameters) != PARAMETERS[model]:
+        raise RigError(f"found {len(parameters)} parameters of {model}, expected {PARAMETERS[model]}")
+    return model, width, height, tuple(parameters)
+
+
+def _text_lenses(data: bytes) -> dict[int, Lens]:
+    lenses = {}
+    for line in data.decode().splitlines():
+        words = line.split()
+        if words and not words[0].startswith("#"):
+            lenses[int(words[0])] = _lens(words[1], int(words[2]), int(words[3]), [float(w) for w in words[4:]])
+    return lenses
+
+
+def _text_poses(data: bytes) -> dict[int, Pose]:
+    poses = {}
+    lines = iter(data.decode().splitlines())
+    for line in lines:
+        words = line.split(maxsplit=9)
+        if not words or words[0].startswith("#"):
+            continue
+        poses[int(words[0])] = (words[9].strip(), int(words[8]), tuple(float(w) for w in words[1:8]))
+        next(lines, None)  # the image's 2D points, an empty line where there are none
+    return poses
+
+
+def _binary_lenses(data: bytes) -> dict[int, Lens]:
+    (count,), at, lenses = struct.unpack_from("<Q", data), 8, {}
+    for _ in range(count):
+        number, model_number, width, height = struct.unpack_from("<IiQQ", data, at)
+        model = NUMBERED_MODELS.get(model_number, "")
+        if not model:
+            raise RigError(f"found the camera model number {model_number}, expected one of {', '.join(MODELS)}")
+        parameters = struct.unpack_from(f"<{PARAMETERS[model]}d", data, at + 24)
+        lenses[number] = _lens(model, width, height, parameters)
+        at += 24 + 8 * len(parameters)
+    return lenses
+
+
+def _binary_poses(data: bytes) -> dict[int, Pose]:
+    (count,), at, poses = struct.unpack_from("<Q", data), 8, {}
+    for _ in range(count):
+        number, *numbers, lens_number = struct.unpack_from("<I7dI", data, at)
+        end = data.index(b"\0", at + 64)
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        poses[number] = (data[at + 64 : end].decode(), lens_number, tuple(numbers))
+        at = end + 9 + 24 * points  # a 2D point is two doubles and the number of its 3D point
+    return poses
+
+
+def _digits(numbers: Sequence[float]) -> str:
+    return " ".join(repr(float(n)) for n in numbers)

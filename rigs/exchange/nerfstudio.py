@@ -1,0 +1,134 @@
+"""nerfstudio's `transforms.json`: camera-to-world matrices in OpenGL axes (x right, y up, z backward)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rigs.camera import Camera
+from rigs.errors import RigError
+from rigs.fields import Fields, located
+from rigs.transform import Floats, Transform
+
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
+MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+Size = tuple[int, int]  # width, height
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A camera (its `cam_from_rig` is `cam_from_world`) and the instant it looks at, seconds on the rig clock."""
+
+    camera: Camera
+    instant_s: float
+
+
+def load_transforms(path: Path, *, size: Size | None = None, ids: Sequence[str] | None = None) -> tuple[Camera, ...]:
+    """The cameras of a `transforms.json`, in its order; the world becomes the rig frame.
+
+    Frames without `camera_id` take `ids` in order, or camRC row by row where they fill a square grid. `size` stands in
+    for a missing `w` and `h`. Raises RigError naming the file, the camera and the field.
+    """
+    frames = _frames(path)
+    names = tuple(ids) if ids is not None else _square_grid(len(frames))
+    cameras = []
+    for number, frame in enumerate(frames):
+        if "camera_id" not in frame.table and number >= len(names):
+            raise RigError(f"{frame.where}: found no camera_id for one of {len(frames)} frames; name every camera")
+        default = names[number] if number < len(names) else None
+        cameras.append(_camera(frame, frame.word("camera_id", default), path, size))
+    return tuple(cameras)
+
+
+def load_frames(path: Path) -> list[Frame]:
+    """The cameras of a `transforms.json` with the `time` of each, in its order; any number, ids may repeat.
+
+    Raises RigError naming the file, the frame and the field, `time` included.
+    """
+    return [
+        Frame(_camera(frame, frame.word("camera_id", f"frame{number}"), path, None), frame.number("time"))
+        for number, frame in enumerate(_frames(path))
+    ]
+
+
+def dump_transforms(cameras: Sequence[Camera]) -> str:
+    """The cameras as the text of a `transforms.json`; reading it back gives the same numbers."""
+    return (
+        json.dumps({"camera_model": "OPENCV", "frames": [_frame_table(camera) for camera in cameras]}, indent=1) + "\n"
+    )
+
+
+def _frames(path: Path) -> list[Fields]:
+    """Each frame over the file's own defaults: intrinsics in a frame win over those at the top."""
+    try:
+        document = json.loads(path.read_bytes())
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}); give an existing transforms.json") from error
+    except (ValueError, RecursionError) as error:
+        raise RigError(
+            f"{path}: found text that is not JSON ({error}), expected nerfstudio's transforms.json"
+        ) from error
+    top = Fields(document, str(path))
+    entries = [Fields(entry, f"{path}: frame {number}") for number, entry in enumerate(top.list_at("frames"))]
+    defaults = {key: value for key, value in top.table.items() if key not in ("frames", "camera_id", "time")}
+    return [Fields({**defaults, **entry.table}, entry.where) for entry in entries]
+
+
+def _square_grid(count: int) -> tuple[str, ...]:
+    side = math.isqrt(count)
+    if side * side != count or side > 10:
+        return ()
+    return tuple(f"cam{row}{column}" for row in range(side) for column in range(side))
+
+
+def _camera(frame: Fields, camera_id: str, path: Path, size: Size | None) -> Camera:
+    fields = Fields(frame.table, f"{path}: {camera_id}")
+    model = fields.word("camera_model", "OPENCV")
+    if model not in MODELS:
+        raise RigError(f"{fields.where}: found camera_model {model!r}, expected one of {', '.join(MODELS)}")
+    if fields.number("k3", 0.0) or fields.number("k4", 0.0):
+        raise RigError(f"{fields.where}: found a lens with k3 or k4, expected k1 k2 p1 p2 only; undistort the pictures")
+    width, height = (fields.whole(key, size[axis] if size else None) for axis, key in enumerate("wh"))
+    fx = fields.number("fl_x")
+    matrix = fields.numbers("transform_matrix", (4, 4))
+    with located(f"{fields.where}: transform_matrix"):
+        world_from_cam = Transform(_nearest_rotation(matrix[:3, :3]) @ OPENCV_FROM_OPENGL, matrix[:3, 3])
+    k1, k2, p1, p2 = (fields.number(key, 0.0) for key in ("k1", "k2", "p1", "p2"))
+    with located(str(path)):
+        return Camera(
+            id=camera_id,
+            width=width,
+            height=height,
+            fx=fx,
+            fy=fields.number("fl_y", fx),
+            cx=fields.number("cx", width / 2),
+            cy=fields.number("cy", height / 2),
+            cam_from_rig=world_from_cam.inverse(),
+            distortion=(k1, k2, p1, p2),
+        )
+
+
+def _nearest_rotation(matrix: Floats) -> Floats:
+    """Undo the rounding of files written with few digits; what is no rotation to 1e-3 is returned as it is."""
+    if not 1e-9 < np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-3:
+        return matrix
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
+
+
+def _frame_table(camera: Camera) -> dict[str, object]:
+    world_from_cam = camera.cam_from_rig.inverse().matrix
+    world_from_cam[:3, :3] = world_from_cam[:3, :3] @ OPENCV_FROM_OPENGL
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    return {
+        "camera_id": camera.id,
+        "w": camera.width,
+        "h": camera.height,
+        **{key: float(n) for key, n in zip(("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"), numbers, strict=True)},
+        "transform_matrix": world_from_cam.tolist(),
+    }

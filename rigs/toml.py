@@ -1,0 +1,137 @@
+"""Rigs as TOML files, and the catalog of rigs that comes with the package."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.resources
+import re
+import tomllib
+from collections.abc import Iterable
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import cast
+
+import tomli_w
+
+from rigs.camera import Camera
+from rigs.errors import RigError
+from rigs.fields import Fields, located
+from rigs.rig import Calibration, Poses, Rig
+from rigs.transform import Transform
+
+RIG_FIELDS = ("name", "tick_rate_hz", "poses", "calibration", "camera")
+CALIBRATION_FIELDS = ("date", "residual_px", "rotation_sd_deg")
+CAMERA_FIELDS = ("id", "serial", "width", "height", "fx", "fy", "cx", "cy", "distortion", "cam_from_rig")
+POSE_FIELDS = ("quat_wxyz", "translation_m")
+GRID_ID = re.compile(r"cam(\d)(\d)")
+
+
+def load_rig(path: Path) -> Rig:
+    """Read a rig; raises RigError naming the file, the camera and the field that is missing, unknown or wrong."""
+    try:
+        text = path.read_bytes().decode()
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}); give an existing rig file") from error
+    except UnicodeDecodeError as error:
+        raise RigError(f"{path}: found bytes that are not UTF-8, expected a rig in TOML") from error
+    return _parse(text, str(path))
+
+
+def dump_rig(rig: Rig) -> str:
+    """The rig as TOML text; `load_rig` of it gives the same numbers back."""
+    document: dict[str, object] = {"name": rig.name, "tick_rate_hz": float(rig.tick_rate_hz), "poses": rig.poses}
+    if rig.calibration:
+        document["calibration"] = {
+            "date": rig.calibration.date,
+            "residual_px": float(rig.calibration.residual_px),
+            "rotation_sd_deg": float(rig.calibration.rotation_sd_deg),
+        }
+    document["camera"] = [_camera_table(camera) for camera in rig.cameras]
+    return tomli_w.dumps(document)
+
+
+def catalog_names() -> tuple[str, ...]:
+    """The names of the rigs that come with the package."""
+    return tuple(sorted(f.name.removesuffix(".toml") for f in _catalog().iterdir() if f.name.endswith(".toml")))
+
+
+def catalog_rig(name: str) -> Rig:
+    """A rig that comes with the package; raises RigError listing the known names."""
+    if name not in catalog_names():
+        raise RigError(f"found no rig {name!r} in the catalog, expected one of {', '.join(catalog_names())}")
+    return _parse((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml")
+
+
+def refuse_holes(camera_ids: Iterable[str], where: str) -> None:
+    """Raise RigError naming the cameras that are missing from the smallest grid that holds all `camRC` ids."""
+    ids = set(camera_ids)
+    cells = [(int(m[1]), int(m[2])) for m in map(GRID_ID.fullmatch, ids) if m]
+    rows, columns = (1 + max((cell[axis] for cell in cells), default=-1) for axis in (0, 1))
+    missing = [c for c in (f"cam{row}{column}" for row in range(rows) for column in range(columns)) if c not in ids]
+    if missing:
+        raise RigError(
+            f"{where}: found {len(cells)} cameras of a {rows}x{columns} grid, expected also {', '.join(missing)}; "
+            "add what is missing or name the cameras as a full grid"
+        )
+
+
+def _catalog() -> Traversable:
+    return importlib.resources.files("rigs") / "catalog"
+
+
+def _parse(text: str, where: str) -> Rig:
+    try:
+        fields = Fields(tomllib.loads(text), where)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RigError(f"{where}: found text that is not TOML ({error}), expected a rig file") from error
+    fields.refuse_others(RIG_FIELDS)
+    cameras = tuple(_camera(entry, where, number) for number, entry in enumerate(fields.list_at("camera")))
+    refuse_holes((camera.id for camera in cameras), where)
+    calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
+    name, rate_hz, poses = fields.word("name"), fields.number("tick_rate_hz"), fields.word("poses")
+    with located(where):
+        return Rig(name, rate_hz, cameras, cast(Poses, poses), calibration)
+
+
+def _calibration(fields: Fields) -> Calibration:
+    fields.refuse_others(CALIBRATION_FIELDS)
+    date = fields.word("date")
+    try:
+        datetime.datetime.fromisoformat(date)
+    except ValueError as error:
+        raise RigError(f"{fields.where}: found date = {date!r}, expected an ISO date such as 2025-03-09") from error
+    return Calibration(date, fields.number("residual_px"), fields.number("rotation_sd_deg"))
+
+
+def _camera(entry: object, where: str, number: int) -> Camera:
+    fields = Fields(entry, f"{where}: {Fields(entry, f'{where}: camera {number}').word('id')}")
+    fields.refuse_others(CAMERA_FIELDS)
+    pose = fields.table_at("cam_from_rig")
+    pose.refuse_others(POSE_FIELDS)
+    width, height = fields.whole("width"), fields.whole("height")
+    fx, fy, cx, cy = (fields.number(name) for name in ("fx", "fy", "cx", "cy"))
+    k1, k2, p1, p2 = fields.numbers("distortion", (4,), (0.0, 0.0, 0.0, 0.0)).tolist()
+    quat_wxyz, translation_m = pose.numbers("quat_wxyz", (4,)), pose.numbers("translation_m", (3,))
+    serial = fields.word("serial", "")
+    with located(pose.where):
+        cam_from_rig = Transform.from_quat_wxyz(quat_wxyz, translation_m)
+    with located(where):
+        return Camera(
+            fields.word("id"), width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2), serial=serial
+        )
+
+
+def _camera_table(camera: Camera) -> dict[str, object]:
+    table: dict[str, object] = {
+        "id": camera.id,
+        "serial": camera.serial,
+        "width": camera.width,
+        "height": camera.height,
+    }
+    table |= {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
+    table["distortion"] = [float(k) for k in camera.distortion]
+    table["cam_from_rig"] = {
+        "quat_wxyz": camera.cam_from_rig.quat_wxyz.tolist(),
+        "translation_m": camera.cam_from_rig.translation.tolist(),
+    }
+    return table
