@@ -1,0 +1,54 @@
+// The C interface: one frame is rendered, perhaps differentiated, and given back for its memory to be used again.
+#include "frame.h"
+
+#include <algorithm>
+#include <memory>
+#include <mutex>
+
+#include "native.h"
+
+namespace {
+
+constexpr size_t kIdleFrames = 4;
+std::mutex idle_mutex;
+std::vector<std::unique_ptr<s4::Frame>> idle;
+
+std::unique_ptr<s4::Frame> take_frame() {
+    const std::lock_guard<std::mutex> lock(idle_mutex);
+    if (idle.empty()) return std::make_unique<s4::Frame>();
+    std::unique_ptr<s4::Frame> frame = std::move(idle.back());
+    idle.pop_back();
+    return frame;
+}
+
+}  // namespace
+
+// Renders `cloud` into `image` and `radii` [N]; returns the frame that backward and release want.
+S4_API void *render_forward(const s4::Pinhole *camera, const s4::Cloud *cloud, const s4::Image *image, int32_t *radii,
+                            int32_t threads) {
+    std::unique_ptr<s4::Frame> frame = take_frame();
+    frame->camera = *camera;
+    frame->tiles_x = (camera->width + s4::kTile - 1) / s4::kTile;
+    frame->tiles_y = (camera->height + s4::kTile - 1) / s4::kTile;
+    threads = std::max(threads, 1);
+    s4::project(*frame, *cloud, radii, threads);
+    s4::sort_by_depth(*frame);
+    s4::bin(*frame, threads);
+    s4::rasterize(*frame, *image, threads);
+    return frame.release();
+}
+
+// Fills `out`, zero where a Gaussian was culled; the caller hands in zeroed memory.
+S4_API void render_backward(void *handle, const s4::Cloud *cloud, const s4::ImageGradient *gradient,
+                            const s4::CloudGradient *out, int32_t threads) {
+    s4::Frame &frame = *static_cast<s4::Frame *>(handle);
+    threads = std::max(threads, 1);
+    s4::rasterize_backward(frame, *gradient, threads);
+    s4::project_backward(frame, *cloud, *out, threads);
+}
+
+S4_API void render_release(void *handle) {
+    std::unique_ptr<s4::Frame> frame(static_cast<s4::Frame *>(handle));
+    const std::lock_guard<std::mutex> lock(idle_mutex);
+    if (idle.size() < kIdleFrames) idle.push_back(std::move(frame));
+}

@@ -1,0 +1,96 @@
+"""The C++ renderer as a torch function: float32 on the CPU, one channel, torch's number of threads."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
+
+from reconstruction.native import library
+from reconstruction.rendering.pinhole import Pinhole
+
+
+class _Camera(ctypes.Structure):
+    _fields_ = (("numbers", ctypes.c_double * 17), ("width", ctypes.c_int32), ("height", ctypes.c_int32))
+
+
+class _Cloud(ctypes.Structure):
+    _fields_ = (("tensors", ctypes.c_void_p * 5), ("count", ctypes.c_int64))
+
+
+@functools.cache
+def _kernels() -> ctypes.CDLL:
+    kernels = library()
+    kernels.render_forward.restype = ctypes.c_void_p
+    kernels.render_release.argtypes = (ctypes.c_void_p,)
+    return kernels
+
+
+class _Frame:
+    """Holds what the kernels keep between forward and backward; gives it back when nobody can ask for it."""
+
+    def __init__(self, pointer: int) -> None:
+        self.pointer = pointer
+
+    def __del__(self) -> None:
+        _kernels().render_release(self.pointer)
+
+
+def _pointers(*tensors: Tensor | None) -> ctypes.Array:
+    return (ctypes.c_void_p * len(tensors))(*(None if t is None else t.data_ptr() for t in tensors))
+
+
+def _cloud(tensors: tuple[Tensor, ...]) -> _Cloud:
+    return _Cloud(_pointers(*tensors), len(tensors[0]))
+
+
+class _Render(Function):
+    @staticmethod
+    def forward(ctx: Any, camera: Pinhole, *cloud: Tensor) -> tuple[Tensor, ...]:
+        cloud = tuple(t.contiguous() for t in cloud)
+        intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
+        radii = torch.empty(len(cloud[0]), dtype=torch.int32)
+        numbers = (*camera.rotation, *camera.translation, *camera.focal, *camera.principal, camera.near_m)
+        ctx.frame = _Frame(
+            _kernels().render_forward(
+                ctypes.byref(_Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)),
+                ctypes.byref(_cloud(cloud)),
+                _pointers(intensity, depth, alpha),
+                ctypes.c_void_p(radii.data_ptr()),
+                torch.get_num_threads(),
+            )
+        )
+        ctx.save_for_backward(*cloud)
+        ctx.mark_non_differentiable(radii)
+        ctx.set_materialize_grads(False)
+        return intensity, depth, alpha, radii
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        cloud = ctx.saved_tensors
+        wanted = [None if g is None else g.contiguous() for g in gradients[:3]]
+        out = tuple(torch.zeros_like(t) for t in cloud)
+        _kernels().render_backward(
+            ctypes.c_void_p(ctx.frame.pointer),
+            ctypes.byref(_cloud(cloud)),
+            _pointers(*wanted),
+            _pointers(*out),
+            torch.get_num_threads(),
+        )
+        return (None, *out)
+
+
+def render_native(
+    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor, camera: Pinhole
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Native twin of `render_reference`, for one channel of float32 on the CPU."""
+    intensity, depth, alpha, radii = _Render.apply(
+        camera, means, quats_wxyz, log_scales, opacities, intensities.squeeze(-1)
+    )
+    return intensity[..., None], depth, alpha, radii

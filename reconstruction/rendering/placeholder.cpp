@@ -1,2 +1,0 @@
-#include "native.h"
-S4_API int reconstruction_native() { return 1; }
