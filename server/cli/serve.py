@@ -1,0 +1,115 @@
+"""`spike4dgs serve` and `spike4dgs worker`."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+import click
+
+from rigs.errors import Spike4dgsError
+
+
+class PortError(Spike4dgsError):
+    """An address the service cannot listen on."""
+
+    exit_code = 2
+
+
+def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that the service and its worker share."""
+    options = (
+        click.option("--data", type=click.Path(path_type=Path), help="Data folder.  [default: .spike4dgs]"),
+        click.option("--rig", help="A rig's name in the catalogue or a RIG.toml.  [default: lab3x3]"),
+        click.option("--devices", help="Where the cameras are, such as usb: or mock:SCENE.  [default: usb:]"),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.option("--host", help="A loopback address.  [default: 127.0.0.1]")
+@click.option("--port", type=click.IntRange(0, 65535), help="0 takes any free one.  [default: 8000]")
+@_rig_options
+@click.option("--with-worker", is_flag=True, help="Run a worker too, and stop it with the service.")
+def serve_command(
+    host: str | None, port: int | None, data: Path | None, rig: str | None, devices: str | None, with_worker: bool
+) -> None:
+    """Serve the page and REST on loopback; the address is printed first."""
+    import uvicorn
+
+    from server.app import create_app
+    from server.settings import settings_of
+
+    settings = settings_of(rig=rig, devices=devices, host=host, port=port, data=data)
+    with listening(settings.host, settings.port) as listener:
+        app = create_app(settings)
+        flags = [("--data", str(settings.data)), ("--rig", rig), ("--devices", devices)]
+        arguments = [text for name, value in flags if value is not None for text in (name, value)]
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+        with _worker(arguments, settings.grace_s) if with_worker else nullcontext():
+            address = f"[{settings.host}]" if ":" in settings.host else settings.host
+            click.echo(f"http://{address}:{listener.getsockname()[1]}")
+            sys.stdout.flush()
+            uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
+
+
+@click.command()
+@_rig_options
+def worker_command(data: Path | None, rig: str | None, devices: str | None) -> None:
+    """Run captures and jobs of a data folder until stopped."""
+    from server.settings import settings_of
+    from server.worker import run_worker
+
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    run_worker(settings_of(rig=rig, devices=devices, data=data), stop)
+
+
+@contextmanager
+def listening(host: str, port: int) -> Iterator[socket.socket]:
+    """A socket that listens already, so that nobody is refused between now and the first request.
+
+    Raises PortError where the port is taken.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, port))
+        except OSError as error:
+            reason = (error.strerror or "refused").lower()
+            raise PortError(f"found port {port} on {host}: {reason}; stop what uses it or pass --port") from error
+        listener.listen(128)
+        yield listener
+
+
+@contextmanager
+def _worker(arguments: list[str], grace_s: float) -> Iterator[None]:
+    from server.leash import leashed
+
+    command = [sys.executable, "-P", "-m", "server.cli", "worker", *arguments]
+    # Its own session: Ctrl-C reaches this process alone, which then stops the worker in order.
+    worker = subprocess.Popen(leashed(command, "SIGTERM"), start_new_session=True)
+    try:
+        yield
+    finally:
+        stop_process(worker, grace_s + 5)
+
+
+def stop_process(process: subprocess.Popen[bytes], patience_s: float) -> None:
+    """SIGTERM, then SIGKILL after `patience_s`; returns when the process is gone."""
+    process.terminate()
+    try:
+        process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

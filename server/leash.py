@@ -1,0 +1,30 @@
+"""Runs a command that cannot outlive its parent: `python -m server.leash SIGNAL PARENT_PID COMMAND...`.
+
+The kernel sends SIGNAL when the parent dies, even by kill -9. The setting survives the exec below, and asking for it
+here rather than between fork and exec keeps the parent free of code that is unsafe beside its threads.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+
+_PR_SET_PDEATHSIG = 1
+
+
+def leashed(command: list[str], signal_name: str) -> list[str]:
+    """`command`, to be started by this very process, which then takes it along when it dies."""
+    return [sys.executable, "-P", "-m", "server.leash", signal_name, str(os.getpid()), *command]
+
+
+def main() -> None:
+    """Ask for the signal, check that the parent still lives, and become the command."""
+    signal_name, parent, *command = sys.argv[1:]
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.Signals[signal_name], 0, 0, 0)
+    if os.getppid() != int(parent):  # it died before the kernel was asked
+        sys.exit(1)
+    os.execvp(command[0], command)
+
+
+if __name__ == "__main__":
+    main()

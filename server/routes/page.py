@@ -1,0 +1,28 @@
+"""The page: three files, served as they are."""
+
+from pathlib import Path
+
+from fastapi import APIRouter
+from fastapi.responses import FileResponse
+
+router = APIRouter(include_in_schema=False)
+_FOLDER = Path(__file__).parents[1] / "page"
+_HEADERS = {"Content-Security-Policy": "default-src 'self'", "X-Content-Type-Options": "nosniff"}
+
+
+@router.get("/")
+def index() -> FileResponse:
+    """The page itself."""
+    return FileResponse(_FOLDER / "index.html", headers=_HEADERS)
+
+
+@router.get("/page.css")
+def style() -> FileResponse:
+    """Its style."""
+    return FileResponse(_FOLDER / "page.css", headers=_HEADERS)
+
+
+@router.get("/page.js")
+def script() -> FileResponse:
+    """Its script."""
+    return FileResponse(_FOLDER / "page.js", headers=_HEADERS)

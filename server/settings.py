@@ -1,0 +1,89 @@
+"""Settings of the service: flags first, then environment variables that begin with SPIKE4DGS_."""
+
+from __future__ import annotations
+
+import ipaddress
+import sys
+from pathlib import Path
+
+from pydantic import BaseModel, ValidationError, field_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from rigs.errors import Spike4dgsError
+from rigs.rig import Rig
+from rigs.toml import catalog_rig, load_rig
+
+
+class SettingsError(Spike4dgsError):
+    """A flag or environment variable the service cannot run with."""
+
+    exit_code = 2
+
+
+class RigSource(BaseModel):
+    """Where a rig is described (a name in the catalogue or a RIG.toml) and where its cameras are (a device URI)."""
+
+    rig: str
+    devices: str
+
+    def load(self) -> Rig:
+        """The rig itself; raises RigError where it is not in the catalogue or its file cannot be used."""
+        return load_rig(Path(self.rig)) if self.rig.endswith(".toml") else catalog_rig(self.rig)
+
+
+class ServiceSettings(BaseSettings):
+    """What the web process and the worker share: the data folder, the rigs, and how a stage is run.
+
+    `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
+    """
+
+    model_config = SettingsConfigDict(env_prefix="SPIKE4DGS_", frozen=True)
+
+    data: Path = Path(".spike4dgs")
+    host: str = "127.0.0.1"
+    port: int = 8000
+    rigs: dict[str, RigSource] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
+    stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
+    grace_s: float = 8.0
+
+    @field_validator("data")
+    @classmethod
+    def _absolute(cls, data: Path) -> Path:
+        return data.absolute()
+
+    @field_validator("host")
+    @classmethod
+    def _loopback(cls, host: str) -> str:
+        if host == "localhost":
+            return "127.0.0.1"
+        try:
+            loopback = ipaddress.ip_address(host).is_loopback
+        except ValueError:
+            loopback = False
+        if not loopback:
+            raise ValueError(f"found {host}, expected a loopback address such as 127.0.0.1: the service has no login")
+        return host
+
+    @property
+    def database_url(self) -> str:
+        """The job engine's database."""
+        return f"sqlite:///{self.data / 'dbos.sqlite'}"
+
+
+def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> ServiceSettings:
+    """Settings from flags (None means not given) over the environment; raises SettingsError in one line.
+
+    `rig` and `devices` describe one rig, which is then the only one.
+    """
+    given = {name: value for name, value in flags.items() if value is not None}
+    if rig is not None or devices is not None:
+        source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")
+        given["rigs"] = {source.load().name: source}
+    try:
+        return ServiceSettings(**given)  # pyright: ignore[reportArgumentType]
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise SettingsError(
+            f"{where}: {first['msg'].removeprefix('Value error, ')}; mend the flag or SPIKE4DGS_{where.upper()}"
+        ) from error

@@ -1,0 +1,90 @@
+"""Stands in for `spike4dgs record` and `spike4dgs reconstruct --stage`: counts steps, checkpoints, obeys SIGTERM.
+
+FAKE_STEPS and FAKE_STEP_S set the length of the train stage, FAKE_FAIL a stage that fails while a file of that name
+lies beside the run folder.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+METRICS = {
+    "psnr_db": 32.5,
+    "ssim": 0.95,
+    "abs_rel": 0.012,
+    "delta_1_25": 0.99,
+    "nearest_view.psnr_db": 17.0,
+    "nearest_view.ssim": 0.4,
+    "nearest_view.abs_rel": 0.1,
+    "nearest_view.delta_1_25": 0.9,
+    "depth_blend.psnr_db": 30.0,
+    "depth_blend.ssim": 0.9,
+    "depth_blend.abs_rel": 0.03,
+    "depth_blend.delta_1_25": 0.97,
+}
+
+
+def report(fraction: float, message: str) -> None:
+    print(
+        json.dumps({"event": "progress", "stage": "x", "fraction": fraction, "message": message}),
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def record(out: Path, ticks: int) -> None:
+    if ticks == 13:
+        sys.exit("spike4dgs: cam11: found no answer, expected a camera; plug it in")
+    aside = out.with_name(f".{out.name}.aside")
+    aside.mkdir(exist_ok=True)
+    report(0.5, "recording")
+    time.sleep(0.4 if ticks < 1000 else 30)
+    (aside / "recording.json").write_text(json.dumps({"ticks": ticks}))
+    aside.rename(out)
+
+
+def train(run: Path, steps: int, step_s: float) -> None:
+    told = []
+    signal.signal(signal.SIGTERM, lambda *_: told.append(True))
+    checkpoint = run / "checkpoint.json"
+    done = json.loads(checkpoint.read_text())["done"] if checkpoint.exists() else 0
+    with (run / "attempts.txt").open("a") as attempts:
+        print(f"{os.getpid()} {done}", file=attempts)
+    while done < steps:
+        time.sleep(step_s)
+        done += 1
+        aside = checkpoint.with_suffix(".aside")
+        aside.write_text(json.dumps({"done": done}))
+        aside.replace(checkpoint)
+        report(done / steps, f"step {done}")
+        if told:
+            print("stopped with a checkpoint", file=sys.stderr, flush=True)
+            sys.exit(143)
+
+
+def main() -> None:
+    command, *arguments = sys.argv[1:]
+    flags = dict(
+        zip(arguments[command == "reconstruct" :][::2], arguments[command == "reconstruct" :][1::2], strict=True)
+    )
+    if command == "record":
+        return record(Path(flags["--out"]), int(flags["--ticks"]))
+    run, stage = Path(flags["--out"]), flags["--stage"]
+    run.mkdir(exist_ok=True)
+    print(f"arguments {' '.join(arguments[3:])}", file=sys.stderr)
+    if (run.parent / f"fail-{stage}").exists():
+        sys.exit(f"spike4dgs: {stage}: found a fault, expected none; mend it")
+    if stage == "train":
+        train(run, int(os.environ.get("FAKE_STEPS", "10")), float(os.environ.get("FAKE_STEP_S", "0.02")))
+    if stage == "report":
+        (run / "metrics.json").write_text(json.dumps(METRICS))
+        (run / "report.html").write_text("<title>report</title>")
+        (run / "run.json").write_text("{}")
+    (run / f"{stage}.done").write_text("")
+    return None
+
+
+main()
