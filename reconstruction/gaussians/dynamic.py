@@ -1,7 +1,7 @@
 """Still Gaussians beside Gaussians that move in a straight line and live for a while.
 
-Letters: N still, M moving. Time is in clips: 0 at the clip's start, 1 at its end, so that one learning rate fits clips of
-any length. A moving Gaussian is at `means + velocities * (u - instants)` and its opacity is gated by
+Letters: N still, M moving. Time is in clips: 0 at the clip's start, 1 at its end, so that one learning rate fits
+clips of any length. A moving Gaussian is at `means + velocities * (u - instants)` and its opacity is gated by
 exp(-((u - instants) / durations)^2 / 2). Source: Yang et al., "FreeTimeGS", CVPR 2025.
 """
 
@@ -41,7 +41,9 @@ class Clip:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.first_s) and self.last_s > self.first_s):
-            raise ReconstructionError(f"found a clip from {self.first_s} to {self.last_s} s, expected a positive length")
+            raise ReconstructionError(
+                f"found a clip from {self.first_s} to {self.last_s} s, expected a positive length"
+            )
 
     def fraction(self, instant_s: float) -> float:
         """The instant in clips."""

@@ -75,7 +75,9 @@ def neighbours(camera: Camera, others: Sequence[Camera], count: int = SOURCES) -
     return sorted(np.argsort(gaps, kind="stable")[:count].tolist())
 
 
-def sweep_view(reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], options: SweepOptions) -> DepthMap:
+def sweep_view(
+    reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], options: SweepOptions
+) -> DepthMap:
     """Depth of every pixel of the reference view, unchecked; all images linear, one size among the sources."""
     camera, image = reference
     stack = np.ascontiguousarray(np.stack([s for _, s in sources]), dtype=np.float32)

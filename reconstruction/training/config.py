@@ -38,7 +38,9 @@ class ReconstructionConfig:
             if getattr(self, name) not in get_args(names):
                 raise BadRunError(f"found {name} {getattr(self, name)!r}, expected one of {', '.join(get_args(names))}")
         if (self.budget_s is None) == (self.steps is None):
-            raise BadRunError("found both or neither of a budget in seconds and a number of steps, expected one of them")
+            raise BadRunError(
+                "found both or neither of a budget in seconds and a number of steps, expected one of them"
+            )
         if self.budget_s is not None and not self.budget_s > 0:
             raise BadRunError(f"found the budget {self.budget_s} s, expected a positive number")
         if self.steps is not None and self.steps < 1:

@@ -22,7 +22,9 @@ def progress_of(name: str) -> Progress:
 
 def _json_lines(name: str) -> Progress:
     return _throttled(
-        lambda f, m: print(json.dumps({"event": "progress", "stage": name, "fraction": f, "message": m}), file=sys.stderr, flush=True),  # noqa: T201
+        lambda f, m: print(
+            json.dumps({"event": "progress", "stage": name, "fraction": f, "message": m}), file=sys.stderr, flush=True
+        ),  # noqa: T201
         every_s=0.2,
     )
 

@@ -1,0 +1,116 @@
+"""Scores a run on the camera nobody trained on: against truth, beside the floors, or against its own spike counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.progress import Progress, silent
+from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError
+from reconstruction.evaluation.floors import depth_blend, nearest_view
+from reconstruction.evaluation.truth import Truth, TruthFrame, spread
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.images.composite import CompositeSource
+from reconstruction.metrics.depth import abs_rel, delta_1_25
+from reconstruction.metrics.image import psnr_db, ssim
+from reconstruction.rendering.view import View, look
+from rigs.camera import Camera
+
+INSTANTS = 8  # truth instants a run is scored on
+COUNT_WINDOW = 32  # planes a count error is taken over
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The camera that is scored and the recording it belongs to."""
+
+    camera: Camera
+    recording: Recording
+
+
+def score_against_truth(
+    cloud: DynamicCloud, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
+) -> dict[str, float]:
+    """Means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
+    return _mean_scores(_frames(held_out, truth, instants), truth.white, lambda f: _look(cloud, held_out, f))
+
+
+def score_floors(
+    held_out: HeldOut, truth: Truth, sources: Mapping[str, CompositeSource], progress: Progress = silent
+) -> dict[str, float]:
+    """The same metrics of both floors, named nearest_view.* and depth_blend.*, on the same instants."""
+    frames = _frames(held_out, truth, INSTANTS)
+    rig = held_out.recording.rig
+    scores: dict[str, list[dict[str, float]]] = {"nearest_view": [], "depth_blend": []}
+    for i, frame in enumerate(frames):
+        views = [(rig.camera(c), source.at(frame.plane)) for c, source in sources.items()]
+        blend = depth_blend(held_out.camera, views)
+        nearest = View(nearest_view(held_out.camera, views), np.full_like(blend.depth, np.nan))
+        scores["nearest_view"].append(_score(nearest, frame, truth.white))
+        scores["depth_blend"].append(_score(blend, frame, truth.white))
+        progress((i + 1) / len(frames), f"floors at instant {i + 1} of {len(frames)}")
+    return {f"{name}.{key}": value for name, rows in scores.items() for key, value in _mean(rows).items()}
+
+
+def score_against_counts(cloud: DynamicCloud, held_out: HeldOut) -> dict[str, float]:
+    """Where no truth exists: errors of spike counts over 32-plane windows of the held-out camera, in spikes."""
+    stream = held_out.recording.stream(held_out.camera.id)
+    window = min(COUNT_WINDOW, len(stream))
+    errors = []
+    for first in spread(list(range(0, len(stream) - window + 1, window)), INSTANTS):
+        middle = held_out.recording.rig.clock.instant_s(first + (window - 1) / 2)
+        expected = look(cloud, held_out.camera, middle).intensity * window
+        errors.append(expected - stream.counts(first, first + window))
+    gaps = np.stack(errors)
+    return {"counts.mae": float(np.abs(gaps).mean()), "counts.rmse": float(np.sqrt((gaps**2).mean()))}
+
+
+def require_held_out(recording: Recording, camera_id: str | None) -> HeldOut:
+    """The held-out camera of a run; raises BadRunError for a run that trained on all cameras."""
+    if camera_id is None:
+        raise BadRunError("found a run without a held-out camera, expected one to score; reconstruct with --holdout")
+    return HeldOut(recording.rig.camera(camera_id), recording)
+
+
+def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
+    camera_id = held_out.camera.id
+    frames = [truth.frame(camera_id, plane) for plane in spread(truth.planes(camera_id), instants)]
+    expected = (held_out.camera.height, held_out.camera.width)
+    if frames[0].intensity.shape != expected:
+        raise BadRunError(
+            f"found truth of shape {frames[0].intensity.shape}, expected {expected} as {camera_id} records"
+        )
+    return frames
+
+
+def _look(cloud: DynamicCloud, held_out: HeldOut, frame: TruthFrame) -> View:
+    return look(cloud, held_out.camera, held_out.recording.rig.clock.instant_s(frame.plane))
+
+
+def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[TruthFrame], View]) -> dict[str, float]:
+    return _mean([_score(view_of(frame), frame, white) for frame in frames])
+
+
+def _score(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
+    scores: dict[str, float] = {}
+    masks: dict[str, NDArray[np.bool_] | None] = {"": None, "dynamic_": frame.moving}
+    for prefix, mask in masks.items():
+        scores[f"{prefix}psnr_db"] = psnr_db(view.intensity, frame.intensity, white, mask)
+        scores[f"{prefix}ssim"] = ssim(view.intensity, frame.intensity, white, mask)
+        scores[f"{prefix}abs_rel"] = abs_rel(view.depth, frame.depth, mask)
+        scores[f"{prefix}delta_1_25"] = delta_1_25(view.depth, frame.depth, mask)
+    return scores
+
+
+def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Mean of each score over the instants that have it; a score no instant has is left out (JSON knows no NaN)."""
+    means = {}
+    for key in rows[0]:
+        values = [row[key] for row in rows if np.isfinite(row[key])]
+        if values:
+            means[key] = float(np.mean(values))
+    return means

@@ -1,0 +1,97 @@
+"""What a reconstruction must beat: views made without any training, from the same spikes at the same instants.
+
+`nearest_view` is the closest training camera's image as it is. `depth_blend` sweeps depth in the four nearest training
+views, carries it into the wanted view, and blends the neighbours' pixels found along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.initialization.sweep import (
+    DepthMap,
+    SweepOptions,
+    back_project,
+    consistent,
+    depth_range_m,
+    neighbours,
+    sweep_view,
+)
+from reconstruction.rendering.view import View
+from rigs.camera import Camera
+
+Image = NDArray[np.float32]
+Posed = tuple[Camera, Image]
+VISIBLE = 0.02  # relative depth difference up to which a neighbour sees the same surface
+
+
+def nearest_view(wanted: Camera, views: Sequence[Posed]) -> Image:
+    """The image of the training camera nearest to `wanted`, resized to its size where they differ."""
+    (nearest,) = neighbours(wanted, [camera for camera, _ in views], 1)
+    return cv2.resize(views[nearest][1], (wanted.width, wanted.height), interpolation=cv2.INTER_AREA)
+
+
+def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
+    """A blend of the four nearest views, warped by their swept depth; holes are closed from their surroundings."""
+    chosen = [views[i] for i in neighbours(wanted, [camera for camera, _ in views])]
+    options = SweepOptions(*depth_range_m([camera for camera, _ in views]))
+    swept = [sweep_view(view, [other for other in chosen if other is not view], options) for view in chosen]
+    maps = consistent(swept, options, agreeing=1)
+    depth = _close_holes(_carry(wanted, maps))
+    samples, weights = zip(
+        *(_sample(wanted, depth, view, m) for view, m in zip(chosen, maps, strict=True)), strict=True
+    )
+    total = np.sum(weights, axis=0)
+    blend = np.sum([s * w for s, w in zip(samples, weights, strict=True)], axis=0) / np.maximum(total, 1e-9)
+    plain = np.mean(samples, axis=0)
+    return View(np.where(total > 0, blend, plain).astype(np.float32), depth)
+
+
+def _carry(wanted: Camera, maps: Sequence[DepthMap]) -> Image:
+    """The nearest surface of all maps as `wanted` sees it [H, W], NaN where none falls."""
+    nearest = np.full(wanted.height * wanted.width, np.inf)
+    for depth_map in maps:
+        points = back_project(depth_map.camera, depth_map.depth)
+        seen = wanted.cam_from_rig.apply(points[np.isfinite(depth_map.depth)])
+        seen = seen[seen[:, 2] > 1e-3]
+        x = seen[:, 0] / seen[:, 2] * wanted.fx + wanted.cx - 0.5
+        y = seen[:, 1] / seen[:, 2] * wanted.fy + wanted.cy - 0.5
+        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):  # a point covers the four pixels around it
+            column, row = np.floor(x).astype(int) + dx, np.floor(y).astype(int) + dy
+            inside = (column >= 0) & (column < wanted.width) & (row >= 0) & (row < wanted.height)
+            np.minimum.at(nearest, row[inside] * wanted.width + column[inside], seen[inside, 2])
+    nearest[~np.isfinite(nearest)] = np.nan
+    return nearest.reshape(wanted.height, wanted.width).astype(np.float32)
+
+
+def _close_holes(depth: Image) -> Image:
+    """Fill missing depths from the nearest known ones, farthest surface first."""
+    filled = depth.copy()
+    kernel = np.ones((3, 3), np.uint8)
+    for _ in range(max(depth.shape)):
+        missing = ~np.isfinite(filled)
+        if not missing.any() or missing.all():
+            return filled
+        grown = cv2.dilate(np.where(missing, -1, filled).astype(np.float32), kernel)
+        filled[missing & (grown > 0)] = grown[missing & (grown > 0)]
+    return filled
+
+
+def _sample(wanted: Camera, depth: Image, view: Posed, depth_map: DepthMap) -> tuple[Image, Image]:
+    """The neighbour's pixels along `depth` [H, W] and their weights: 1 where it sees that surface, else 0."""
+    camera, image = view
+    seen = camera.cam_from_rig.apply(back_project(wanted, np.nan_to_num(depth, nan=1.0)))
+    z = np.maximum(seen[..., 2], 1e-6)
+    x = (seen[..., 0] / z * camera.fx + camera.cx - 0.5).astype(np.float32)
+    y = (seen[..., 1] / z * camera.fy + camera.cy - 0.5).astype(np.float32)
+    sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    there = cv2.remap(
+        depth_map.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+    )
+    with np.errstate(invalid="ignore"):
+        visible = np.abs(there / z - 1) < VISIBLE
+    return sampled, (visible & np.isfinite(depth)).astype(np.float32)

@@ -1,0 +1,65 @@
+"""Reads `truth/` of a simulated recording."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import BadRunError
+
+
+@dataclass(frozen=True, eq=False)
+class TruthFrame:
+    """Linear intensity [H, W] in spikes per tick, depth [H, W] in m (NaN where nothing is), moving pixels [H, W]."""
+
+    plane: int
+    intensity: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    moving: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A truth folder; `white` is the data range of every metric, `movers` the object ids that move."""
+
+    path: Path
+    white: float
+    movers: tuple[int, ...]
+
+    @classmethod
+    def open(cls, path: Path) -> Truth:
+        """Raises BadRunError where `path` is no truth folder."""
+        try:
+            scene = json.loads((path / "scene.json").read_text())
+            return cls(path, float(scene["white"]), tuple(int(m["id"]) for m in scene["movers"]))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise BadRunError(
+                f"{path}: found no usable scene.json, expected the truth/ of a simulated recording"
+            ) from error
+
+    def planes(self, camera_id: str) -> list[int]:
+        """The planes a camera has truth for; raises BadRunError where it has none."""
+        planes = sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
+        if not planes:
+            raise BadRunError(f"{self.path}: found no truth of {camera_id}, expected {camera_id}/000000.npy and so on")
+        return planes
+
+    def frame(self, camera_id: str, plane: int) -> TruthFrame:
+        """The truth of one camera at one plane."""
+        folder = self.path / camera_id
+        try:
+            intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
+        except (OSError, ValueError) as error:
+            raise BadRunError(f"{folder}: found no readable truth at plane {plane}, expected it whole") from error
+        return TruthFrame(plane, intensity, depth, np.isin(ids, self.movers))
+
+
+def spread(planes: list[int], count: int) -> list[int]:
+    """At most `count` of the planes, evenly spread, the first and last included."""
+    if len(planes) <= count:
+        return planes
+    return [planes[i] for i in np.linspace(0, len(planes) - 1, count).round().astype(int)]

@@ -1,0 +1,152 @@
+"""The report stage: metrics, the error-against-time curve, pictures, the orbit, the page."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acquisition.durable import write_durably, write_json
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.evaluation.evaluate import (
+    HeldOut,
+    score_against_counts,
+    score_against_truth,
+    score_floors,
+)
+from reconstruction.evaluation.truth import Truth, spread
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.pipeline.stages import composite_sources
+from reconstruction.rendering.view import look
+from reconstruction.report.curve import draw_curve
+from reconstruction.report.html import embed, report_html
+from reconstruction.report.orbit import write_orbit
+from reconstruction.report.pictures import depth_colours, depth_span_m, difference, encode_png, grey, write_png
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from reconstruction.training.run import RunFolder
+
+CURVE_INSTANTS = 4  # truth instants behind each point of the curve
+SHOWN_INSTANTS = 3
+COLUMNS = {
+    "psnr_db": ("PSNR / dB", "{:.2f}"),
+    "ssim": ("SSIM", "{:.3f}"),
+    "dynamic_psnr_db": ("PSNR of movers / dB", "{:.2f}"),
+    "abs_rel": ("depth Abs Rel", "{:.4f}"),
+    "delta_1_25": ("depth delta < 1.25", "{:.3f}"),
+    "counts.mae": ("count error, mean / spikes", "{:.3f}"),
+    "counts.rmse": ("count error, RMS / spikes", "{:.3f}"),
+}
+LINES = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest view": "nearest_view."}
+
+
+def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Score the run on its held-out camera and write everything a person looks at."""
+    cloud = load_cloud(run.checkpoint)
+    truth = Truth.open(recording.truth) if recording.truth and run.config.holdout else None
+    held_out = HeldOut(recording.rig.camera(run.config.holdout), recording) if run.config.holdout else None
+    progress(0.0, "metrics")
+    metrics = evaluate_run(run, recording, truth, lambda f, m: progress(0.4 * f, m))
+    write_json(run.path / "metrics.json", metrics)
+    progress(0.4, "error against run time")
+    _write_curve(run, held_out, truth, metrics)
+    centre = held_out.camera if held_out else recording.rig.cameras[len(recording.rig.cameras) // 2]
+    white = truth.white if truth else _white(run)
+    write_orbit(run.path / "orbit.mp4", cloud, recording.rig, centre, white, lambda f, m: progress(0.5 + 0.4 * f, m))
+    _write_page(run, recording, cloud, truth, metrics)
+    progress(1.0, f"{run.path / 'report.html'}")
+
+
+def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, progress: Progress) -> dict:
+    """The document of `evaluate`: metrics on the held-out camera, or a note that there is none."""
+    if run.config.holdout is None:
+        return {"note": "no camera was held out: nothing to score"}
+    cloud = load_cloud(run.checkpoint)
+    held_out = HeldOut(recording.rig.camera(run.config.holdout), recording)
+    if truth is None:
+        note = "no truth: errors of spike counts over 32-plane windows of the held-out camera"
+        return {"held_out": run.config.holdout, "note": note, **score_against_counts(cloud, held_out)}
+    return {
+        "held_out": run.config.holdout,
+        "white": truth.white,
+        **score_against_truth(cloud, held_out, truth),
+        **score_floors(held_out, truth, composite_sources(run, recording), progress),
+    }
+
+
+def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, metrics: dict) -> None:
+    rows = []
+    for path in run.snapshots():
+        state = load_checkpoint(path)
+        cloud = DynamicCloud.from_state(state["cloud"])
+        if held_out is None:
+            scores = {}
+        elif truth is None:
+            scores = score_against_counts(cloud, held_out)
+        else:
+            scores = score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)
+        rows.append({"seconds": round(state["seconds"], 3), "steps": state["steps"], **scores})
+    write_json(run.path / "error_vs_time.json", {"held_out": run.config.holdout, "rows": rows})
+    metric = "psnr_db" if truth else "counts.rmse"
+    if held_out is not None:
+        floors = {n: metrics[f"{n}.psnr_db"] for n in ("nearest_view", "depth_blend")} if truth else {}
+        caption = f"{run.config.holdout}, held out; {len(rows)} states of one run, scored after it"
+        draw_curve(run.path / "error_vs_time.png", rows, metric, floors, caption)
+
+
+def _white(run: RunFolder) -> float:
+    return float(np.mean([np.percentile(run.read_array(f"images/still_{v}"), 99.9) for v in run.plan.views]))
+
+
+def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None, metrics: dict) -> None:
+    curve = run.path / "error_vs_time.png"
+    document = {
+        "title": f"Reconstruction of {recording.path.name}",
+        "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at {recording.rig.tick_rate_hz:g} Hz; "
+        f"{run.document.get('steps', 0)} steps, {len(cloud)} Gaussians, revision {run.document['revision']}",
+        "camera": run.config.holdout or "No camera held out",
+        "rows": _pictures(run, recording, cloud, truth),
+        "table": _table(metrics),
+        "curve": embed(curve.read_bytes()) if curve.exists() else "",
+        "seconds": run.document["seconds"],
+        "decisions": run.document["plan"]["decisions"],
+        "configuration": run.document["configuration"],
+    }
+    write_durably(run.path / "report.html", report_html(document))
+
+
+def _table(metrics: dict) -> dict:
+    columns = {key: spec for key, spec in COLUMNS.items() if key in metrics}
+    lines = []
+    for name, prefix in LINES.items():
+        cells = [
+            spec[1].format(metrics[prefix + key]) if prefix + key in metrics else "" for key, spec in columns.items()
+        ]
+        if any(cells):
+            lines.append({"name": name, "cells": cells})
+    note = metrics.get(
+        "note", f"Linear intensity, data range {metrics.get('white')} spikes per tick, mean over instants."
+    )
+    return {"headings": [spec[0] for spec in columns.values()], "lines": lines, "note": note}
+
+
+def _pictures(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None) -> list[list[dict]]:
+    camera = recording.rig.camera(run.config.holdout) if run.config.holdout else recording.rig.cameras[0]
+    planes = truth.planes(camera.id) if truth else list(range(recording.planes))
+    white = truth.white if truth else _white(run)
+    (run.path / "thumbnails").mkdir(exist_ok=True)
+    rows = []
+    for plane in spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]:
+        view = look(cloud, camera, recording.rig.clock.instant_s(plane))
+        near, far = depth_span_m(view.depth)
+        shown = {"render": grey(view.intensity, white), "depth": depth_colours(view.depth, near, far)}
+        if truth:
+            frame = truth.frame(camera.id, plane)
+            shown = {
+                "truth": grey(frame.intensity, white),
+                "render": shown["render"],
+                "difference x5": difference(view.intensity, frame.intensity, white),
+                f"depth, {near:.2f} to {far:.2f} m": shown["depth"],
+                "true depth": depth_colours(frame.depth, near, far),
+            }
+        write_png(run.path / "thumbnails" / f"render_{plane:06d}.png", grey(view.intensity, white))
+        rows.append([{"source": embed(encode_png(p)), "caption": f"{k}, plane {plane}"} for k, p in shown.items()])
+    return rows

@@ -1,0 +1,92 @@
+"""`reconstruct`: the stages in order, each timed, each skipped where its artefacts are already there."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError
+from reconstruction.pipeline.report import report_stage
+from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
+from reconstruction.pipeline.training import StoppedError, process_budget, train_stage
+from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.run import RunFolder
+
+STAGES = ("plan", "images", "points", "train", "report")
+
+
+def reconstruct(
+    recording_path: Path,
+    out: Path,
+    config: ReconstructionConfig,
+    progress_of: Callable[[str], Progress],
+    *,
+    stage: str | None = None,
+    started: float | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> RunFolder:
+    """Run every stage that is still due, or just `stage`; `started` is the process's start on the monotonic clock.
+
+    Raises BadRunError for a finished run, another configuration, or a stage whose predecessors are missing.
+    """
+    began = time.monotonic() if started is None else started
+    recording = Recording.open(recording_path)
+    if config.holdout is not None:
+        recording.rig.camera(config.holdout)
+    run = RunFolder.start(out, config, recording_path, {"revision": _revision(), "backend": "native"})
+
+    def stoppable(progress: Progress) -> Progress:
+        """Stages without a checkpoint of their own stop wherever they report; their artefacts are whole or absent."""
+
+        def report(fraction: float, message: str) -> None:
+            if should_stop():
+                raise StoppedError(f"{run.path}: stopped; the same command resumes it")
+            progress(fraction, message)
+
+        return report
+
+    with run.locked():
+        budget = process_budget(run, began)
+        work: dict[str, Callable[[Progress], None]] = {
+            "plan": lambda p: plan_stage(run, recording, stoppable(p)),
+            "images": lambda p: images_stage(run, recording, stoppable(p)),
+            "points": lambda p: points_stage(run, recording, stoppable(p)),
+            "train": lambda p: train_stage(run, recording, p, budget, should_stop),
+            "report": lambda p: report_stage(run, recording, stoppable(p)),
+        }
+        for name in _due(run, stage):
+            work[name](progress_of(name))
+            now = time.monotonic()
+            run.finish_stage(
+                name, budget.elapsed_s() - sum(run.document["seconds"].values()) if name == "train" else now - began
+            )
+            began = now
+        if all(run.has(name) for name in STAGES):
+            run.document["status"] = "finished"
+            run.save()
+    return run
+
+
+def _due(run: RunFolder, stage: str | None) -> list[str]:
+    if stage is None:
+        return [name for name in STAGES if not run.has(name)]
+    missing = [name for name in STAGES[: STAGES.index(stage)] if not run.has(name)]
+    if missing:
+        raise BadRunError(f"{run.path}: found no finished stage {missing[0]}, expected it before {stage}; run it first")
+    return [] if run.has(stage) else [stage]
+
+
+def _revision() -> str:
+    """The commit the code stands at, or the installed version outside a checkout."""
+    here = Path(__file__).resolve().parent
+    found = subprocess.run(
+        ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    if found.returncode == 0:
+        return found.stdout.strip()
+    return version("spike4dgs")

@@ -1,0 +1,144 @@
+"""What each stage reads and writes.
+
+plan -> plan/moving_camRC.npy; images -> images/still_camRC.npy; points -> points/{still,moving}_*.npy;
+train -> checkpoint.pt, snapshots/; report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.errors import StereoError
+from reconstruction.images.composite import CompositeSource, long_mean
+from reconstruction.images.methods import method
+from reconstruction.initialization.points import Points, sample_points
+from reconstruction.initialization.sweep import (
+    DepthMap,
+    SweepOptions,
+    consistent,
+    depth_range_m,
+    neighbours,
+    sweep_view,
+)
+from reconstruction.training.plan import make_plan
+from reconstruction.training.run import RunFolder
+from rigs.camera import Camera
+
+INSTANTS = 8  # at which movers are swept
+LEAST_POINTS = 200
+LEAST_SHARE = 0.05  # of the pixels that must find a depth
+MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
+
+Image = NDArray[np.float32]
+
+
+def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Decide what this scene needs and keep each view's moving pixels."""
+    streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
+    plan, masks = make_plan(run.config, recording.rig, streams)
+    for view, mask in masks.items():
+        run.write_array(f"plan/moving_{view}", mask)
+    run.document["plan"] = plan.to_json()
+    progress(1.0, "; ".join(f"{d.about}: {d.choice}" for d in plan.decisions))
+
+
+def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Keep the mean of the whole clip of every training view."""
+    views = run.plan.views
+    for i, view in enumerate(views):
+        run.write_array(f"images/still_{view}", long_mean(recording.stream(view)))
+        progress((i + 1) / len(views), f"mean image of {view}")
+
+
+def composite_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
+    """The target images of every training view, from the artefacts of the plan and images stages."""
+    plan = run.plan
+    return {
+        view: CompositeSource(
+            recording.stream(view),
+            run.read_array(f"images/still_{view}"),
+            run.read_array(f"plan/moving_{view}"),
+            method(plan.images),
+        )
+        for view in plan.views
+    }
+
+
+def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Sweep the still scene once and the movers at several instants; raises StereoError when too little agrees."""
+    plan, rig = run.plan, recording.rig
+    sources = composite_sources(run, recording)
+    rng = np.random.default_rng(run.config.seed)
+    cameras = [rig.camera(view) for view in plan.views]
+    options = SweepOptions(*depth_range_m(cameras))
+    rounds = 1 + (INSTANTS if plan.moving_gaussians else 0)
+    stills = [sources[view].still for view in plan.views]
+    maps = swept_maps(cameras, stills, options)
+    share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
+    progress(1 / rounds, f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
+    masks = [~sources[view].moving for view in plan.views]
+    _write_points(run, "still", sample_points(maps, stills, masks, plan.still_gaussians, 0.0, rng), share)
+    parts = []
+    for i, plane in enumerate(moving_planes(recording.planes) if rounds > 1 else []):
+        parts.append(_moving_points(sources, cameras, plane, recording, plan.moving_gaussians // INSTANTS, rng))
+        progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
+    _write_points(run, "moving", Points.joined(parts), 1.0)
+
+
+def moving_planes(planes: int) -> list[int]:
+    """The planes at which movers are swept: the middles of equal parts of the clip."""
+    return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
+
+
+def read_points(run: RunFolder, kind: str) -> Points:
+    """The points of kind `still` or `moving`."""
+    return Points(*(run.read_array(f"points/{kind}_{f.name}") for f in fields(Points)))
+
+
+def swept_maps(cameras: list[Camera], images: list[Image], options: SweepOptions) -> list[DepthMap]:
+    """Depth of every view against its nearest neighbours, checked for consistency."""
+    maps = []
+    for i, camera in enumerate(cameras):
+        others = [(c, images[j]) for j, c in enumerate(cameras) if j != i]
+        near = [others[j] for j in neighbours(camera, [c for c, _ in others])]
+        maps.append(sweep_view((camera, images[i]), near, options))
+    return consistent(maps, options)
+
+
+def _moving_points(
+    sources: dict[str, CompositeSource],
+    cameras: list[Camera],
+    plane: int,
+    recording: Recording,
+    count: int,
+    rng: np.random.Generator,
+) -> Points:
+    """Points of the moving pixels at one plane, swept at half resolution."""
+    half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
+    size = [(c.width, c.height) for c in half]
+    images = [
+        cv2.resize(s.at(plane), z, interpolation=cv2.INTER_AREA) for s, z in zip(sources.values(), size, strict=True)
+    ]
+    masks = [
+        cv2.resize(s.moving.astype(np.uint8), z, interpolation=cv2.INTER_NEAREST) > 0
+        for s, z in zip(sources.values(), size, strict=True)
+    ]
+    near, far = depth_range_m(cameras)
+    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
+    return sample_points(maps, images, masks, count, recording.rig.clock.instant_s(plane), rng)
+
+
+def _write_points(run: RunFolder, kind: str, points: Points, share: float) -> None:
+    if kind == "still" and (len(points) < LEAST_POINTS or share < LEAST_SHARE):
+        raise StereoError(
+            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels, expected {LEAST_POINTS} and "
+            f"{LEAST_SHARE:.0%}; check that the poses belong to this recording and that the scene has texture and light"
+        )
+    for f in fields(Points):
+        run.write_array(f"points/{kind}_{f.name}", getattr(points, f.name))

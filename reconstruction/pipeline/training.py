@@ -1,0 +1,131 @@
+"""The train stage: budget, checkpoints, snapshots, and a clean stop on request."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.errors import ReconstructionError
+from reconstruction.gaussians.dynamic import Clip
+from reconstruction.pipeline.stages import INSTANTS, composite_sources, read_points
+from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.run import RunFolder
+from reconstruction.training.seed import seed_cloud
+from reconstruction.training.trainer import Trainer, TrainerSettings, TrainingView, train
+
+CHECKPOINT_EVERY_S = 10.0
+SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
+
+
+class StoppedError(ReconstructionError):
+    """Training was asked to stop; its checkpoint is written and the same command resumes it."""
+
+    exit_code = 143
+
+
+@dataclass
+class Budget:
+    """How much of a training is done: by seconds since the run began, or by steps. `spent_s` lies before this process."""
+
+    clock: Callable[[], float]
+    started: float
+    spent_s: float
+    budget_s: float | None
+    steps: int | None
+    before_training_s: float = field(default=0.0)
+
+    def elapsed_s(self) -> float:
+        """Wall seconds of the run so far, earlier stages and processes included."""
+        return self.spent_s + self.clock() - self.started
+
+    def done(self, steps: int) -> float:
+        """The share of the training that lies behind, 0 to 1."""
+        if self.steps is not None:
+            return min(1.0, steps / self.steps)
+        assert self.budget_s is not None
+        room = self.budget_s - self.before_training_s
+        return 1.0 if room <= 0 else min(1.0, max(0.0, self.elapsed_s() - self.before_training_s) / room)
+
+
+def train_stage(
+    run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
+) -> None:
+    """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
+    trainer = _trainer(run, recording)
+    budget.before_training_s = budget.elapsed_s()
+    if run.checkpoint.exists():
+        saved = load_checkpoint(run.checkpoint)
+        trainer.restore(saved["trainer"])
+        budget.before_training_s = saved["before_training_s"]
+        budget.spent_s = saved["elapsed_s"]
+        budget.started = budget.clock()
+    saver = _Saver(run, trainer, budget)
+
+    def on_step(done: float, loss: float) -> None:
+        saver.keep(done)
+        if trainer.steps % 10 == 0 or done >= 1:
+            progress(done, f"step {trainer.steps}, loss {loss:.4f}, {len(trainer.cloud)} Gaussians")
+        if should_stop() and done < 1:
+            saver.checkpoint()
+            raise StoppedError(f"{run.path}: stopped at step {trainer.steps}; the same command resumes it")
+
+    train(trainer, lambda: budget.done(trainer.steps), on_step)
+    saver.checkpoint()
+    run.document["steps"] = trainer.steps
+    run.document["gaussians"] = {"still": len(trainer.cloud.still), "moving": len(trainer.cloud.moving)}
+
+
+class _Saver:
+    """Writes the checkpoint every few seconds and a snapshot at each share of the training."""
+
+    def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget):
+        self.run, self.trainer, self.budget = run, trainer, budget
+        self.last = budget.clock()
+        self.due = [s for s in SNAPSHOT_AT if s > budget.done(trainer.steps)]
+
+    def keep(self, done: float) -> None:
+        """Write what is due at this share of the training."""
+        if self.due and done >= self.due[0]:
+            while self.due and done >= self.due[0]:
+                self.due.pop(0)
+            state = {
+                "cloud": self.trainer.cloud.state(),
+                "seconds": self.budget.elapsed_s(),
+                "steps": self.trainer.steps,
+            }
+            save_checkpoint(self.run.path / "snapshots" / f"{self.trainer.steps:07d}.pt", state)
+        if self.budget.clock() - self.last >= CHECKPOINT_EVERY_S:
+            self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Write the state a resumed training continues from."""
+        state = {
+            "cloud": self.trainer.cloud.state(),
+            "trainer": self.trainer.state(),
+            "elapsed_s": self.budget.elapsed_s(),
+            "before_training_s": self.budget.before_training_s,
+        }
+        save_checkpoint(self.run.checkpoint, state)
+        self.last = self.budget.clock()
+
+
+def _trainer(run: RunFolder, recording: Recording) -> Trainer:
+    rig, plan = recording.rig, run.plan
+    clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
+    cloud = seed_cloud(read_points(run, "still"), read_points(run, "moving"), clip, INSTANTS)
+    sources = composite_sources(run, recording)
+    views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
+    white = float(np.mean([np.percentile(source.still, 99.9) for source in sources.values()]))
+    settings = TrainerSettings(variation=plan.supervision == "variation", white=max(white, 1e-6))
+    return Trainer(cloud, views, settings, rig.clock, run.config.seed)
+
+
+def process_budget(run: RunFolder, started: float, clock: Callable[[], float] = time.monotonic) -> Budget:
+    """The budget of this process: stages finished by earlier processes count as spent."""
+    config = run.config
+    return Budget(clock, started, float(sum(run.document["seconds"].values())), config.budget_s, config.steps)

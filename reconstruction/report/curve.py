@@ -1,0 +1,31 @@
+"""Error against run time, as JSON rows and a picture."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from acquisition.durable import write_durably
+
+LABELS = {"psnr_db": "PSNR / dB", "counts.rmse": "count error / spikes"}
+
+
+def draw_curve(path: Path, rows: Sequence[dict], metric: str, floors: dict[str, float], caption: str) -> None:
+    """Plot `metric` of the rows against their seconds (log), with a dashed line for each floor."""
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot([r["seconds"] for r in rows], [r[metric] for r in rows], "o-", label="reconstruction", color="#1f5fa8")
+    for (name, value), colour in zip(floors.items(), ("#888888", "#c26a1b"), strict=False):
+        axes.axhline(value, linestyle="--", color=colour, label=name.replace("_", " "))
+    axes.set_xscale("log")
+    axes.set_xlabel("wall seconds since the start, images and initialisation included")
+    axes.set_ylabel(LABELS[metric])
+    axes.set_title(caption, fontsize=9)
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    write_durably(path, buffer.getvalue())

@@ -1,0 +1,21 @@
+"""The report an operator reads: one self-contained HTML file."""
+
+import base64
+from collections.abc import Mapping
+from importlib import resources
+
+import jinja2
+
+PICTURE = "data:image/png;base64,"
+
+
+def embed(png: bytes) -> str:
+    """A PNG as a data address."""
+    return PICTURE + base64.b64encode(png).decode()
+
+
+def report_html(document: Mapping[str, object]) -> str:
+    """Fill the template; `document` is what `pipeline.report` gathers."""
+    template = resources.files("reconstruction.report").joinpath("report.html.j2").read_text()
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    return environment.from_string(template).render(document)

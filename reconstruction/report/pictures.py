@@ -1,0 +1,56 @@
+"""Linear light and metres to pixels a person looks at."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durable import write_durably
+from reconstruction.errors import ReconstructionError
+
+Pixels = NDArray[np.uint8]
+GAMMA = 1 / 2.2
+
+
+def grey(image: NDArray[np.float32], white: float) -> Pixels:
+    """Linear intensity [H, W] to 8-bit grey [H, W]: divided by `white`, gamma 2.2, clipped."""
+    return np.round(np.clip(image / max(white, 1e-9), 0, 1) ** GAMMA * 255).astype(np.uint8)
+
+
+def difference(image: NDArray[np.float32], truth: NDArray[np.float32], white: float) -> Pixels:
+    """Absolute difference [H, W, 3] in false colour; full scale is a fifth of `white`."""
+    scaled = np.clip(np.abs(image - truth) / max(white, 1e-9) * 5, 0, 1)
+    return cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
+
+
+def depth_colours(depth: NDArray[np.float32], near_m: float, far_m: float) -> Pixels:
+    """Depth [H, W] in false colour [H, W, 3] (near is warm), uniform in inverse depth; black where unknown."""
+    known = np.isfinite(depth) & (depth > 0)
+    inverse = np.where(known, 1 / np.where(known, depth, 1), 0)
+    scaled = np.clip((inverse - 1 / far_m) / max(1 / near_m - 1 / far_m, 1e-9), 0, 1)
+    colours = cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_TURBO)
+    colours[~known] = 0
+    return colours
+
+
+def depth_span_m(depth: NDArray[np.float32]) -> tuple[float, float]:
+    """The 1st and 99th percentile of the known depths, for colouring; 1 and 2 m where nothing is known."""
+    known = depth[np.isfinite(depth)]
+    if known.size == 0:
+        return 1.0, 2.0
+    near, far = np.percentile(known, [1, 99])
+    return float(near), float(max(far, near * 1.01))
+
+
+def encode_png(pixels: Pixels) -> bytes:
+    """PNG of 8-bit grey [H, W] or BGR [H, W, 3]."""
+    done, data = cv2.imencode(".png", pixels)
+    if not done:
+        raise ReconstructionError(f"found an image of shape {pixels.shape} that cannot be encoded as PNG")
+    return data.tobytes()
+
+
+def write_png(path: Path, pixels: Pixels) -> None:
+    """Write a PNG durably."""
+    write_durably(path, encode_png(pixels))

@@ -1,0 +1,36 @@
+"""State of a training on disk: tensors and numbers only, loaded without running code."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from pathlib import Path
+
+import torch
+
+from acquisition.durable import write_durably
+from reconstruction.errors import BadRunError
+from reconstruction.gaussians.dynamic import DynamicCloud
+
+
+def save_checkpoint(path: Path, state: dict) -> None:
+    """Write `state` (tensors, numbers, strings, nested) durably under `path`."""
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_durably(path, buffer.getvalue())
+
+
+def load_checkpoint(path: Path) -> dict:
+    """Read what `save_checkpoint` wrote; raises BadRunError for a missing or damaged file."""
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise BadRunError(f"{path}: not found, expected a trained run; run the train stage first") from error
+    except (RuntimeError, EOFError, pickle.UnpicklingError, ValueError) as error:
+        raise BadRunError(f"{path}: found a damaged checkpoint, expected one of this version; train again") from error
+
+
+def load_cloud(path: Path) -> DynamicCloud:
+    """The cloud of a checkpoint or snapshot."""
+    return DynamicCloud.from_state(load_checkpoint(path)["cloud"])

@@ -1,0 +1,123 @@
+"""Looks at the spikes once and decides what this scene needs; everything left out is listed with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.images.motion import moving_pixels
+from reconstruction.training.config import ReconstructionConfig
+from rigs.rig import Rig
+
+DARK_RATE = 1e-4  # spikes per pixel and tick; below it a view carries no picture
+STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
+LEAST_VIEWS = 2
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One choice: what it is about, what was chosen, why, and which option overrides it."""
+
+    about: str
+    choice: str
+    reason: str
+    override: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """`views` train; `model`, `images`, `supervision` are concrete; the cap splits into still and moving Gaussians."""
+
+    views: tuple[str, ...]
+    model: str
+    images: str
+    supervision: str
+    moving_gaussians: int
+    still_gaussians: int
+    decisions: tuple[Decision, ...]
+
+    def to_json(self) -> dict:
+        """Plain values, as kept in `run.json`."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: dict) -> Plan:
+        """The inverse of `to_json`."""
+        decisions = tuple(Decision(**d) for d in document["decisions"])
+        return cls(**(document | {"views": tuple(document["views"]), "decisions": decisions}))
+
+
+def make_plan(
+    config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream]
+) -> tuple[Plan, dict[str, NDArray[np.bool_]]]:
+    """The plan, and each training view's mask of moving pixels [H, W]; reads no stream but the training ones."""
+    decisions: list[Decision] = []
+    views = _training_views(config, rig, streams, decisions)
+    masks = {view: moving_pixels(streams[view]) for view in views}
+    model = _choose_model(config, masks, decisions)
+    if model == "static":
+        masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
+    images = config.images if config.images != "auto" else "tfp"
+    if config.images == "auto":
+        decisions.append(
+            Decision("images", images, "long mean where nothing moves, 33-plane TFP where something does", "--images")
+        )
+    supervision = config.supervision
+    if supervision == "auto":
+        supervision = "pixels" if model == "static" else "variation"
+        reason = "nothing varies" if model == "static" else "movers vary over time"
+        decisions.append(Decision("supervision", supervision, reason, "--supervision"))
+    decisions.append(Decision("poses", "not estimated", f"the rig's poses are {rig.poses} and used as given", "--init"))
+    decisions.append(Decision("colour", "one grey channel, no view dependence", "a spike carries no colour", "none"))
+    still, moving = _split(config.gaussians, model, masks)
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions)), masks
+
+
+def _training_views(
+    config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], decisions: list[Decision]
+) -> tuple[str, ...]:
+    if config.holdout is not None:
+        rig.camera(config.holdout)
+    asked = config.views or tuple(c for c in rig.ids if c != config.holdout)
+    for view in asked:
+        rig.camera(view)
+    lit = []
+    for view in asked:
+        stream = streams[view]
+        rate = stream.counts(0, len(stream)).mean() / len(stream)
+        if rate < DARK_RATE:
+            decisions.append(Decision("views", f"{view} skipped", f"{rate:.1e} spikes per tick: no light", "--views"))
+        else:
+            lit.append(view)
+    if len(lit) < LEAST_VIEWS:
+        raise BadRunError(
+            f"found {len(lit)} training views with light, expected {LEAST_VIEWS} or more; record again or name others"
+        )
+    return tuple(lit)
+
+
+def _choose_model(
+    config: ReconstructionConfig, masks: Mapping[str, NDArray[np.bool_]], decisions: list[Decision]
+) -> str:
+    if config.model != "auto":
+        return config.model
+    share = float(np.mean([mask.mean() for mask in masks.values()]))
+    if share < STILL_SHARE:
+        decisions.append(Decision("motion", "static", f"{share:.2%} of the pixels change: no motion model", "--model"))
+        return "static"
+    decisions.append(Decision("motion", "linear", f"{share:.1%} of the pixels change", "--model"))
+    return "linear"
+
+
+def _split(cap: int, model: str, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
+    """Still and moving Gaussians of the cap: movers are seen for a while only, so they get more than their share."""
+    if model == "static":
+        return cap, 0
+    share = float(np.mean([mask.mean() for mask in masks.values()]))
+    moving = round(cap * min(0.6, max(0.1, 2.5 * share)))
+    return cap - moving, moving

@@ -1,0 +1,135 @@
+"""The run folder: every artefact under its name, and `run.json`, which says how far the run is."""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durable import write_durably, write_json
+from reconstruction.errors import BadRunError
+from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.plan import Plan
+
+SCHEMA = 1
+
+
+class RunFolder:
+    """Paths and `run.json` of one run; `document` holds status, configuration, plan and seconds by stage."""
+
+    def __init__(self, path: Path, document: dict):
+        self.path = path
+        self.document = document
+
+    @classmethod
+    def start(cls, path: Path, config: ReconstructionConfig, recording: Path, facts: dict) -> RunFolder:
+        """Make a new run, or resume an unfinished one with the same configuration; refuses any other folder."""
+        if (path / "run.json").exists():
+            run = cls.open(path)
+            if run.document["status"] == "finished":
+                raise BadRunError(f"{path}: found a finished run, expected a new folder; give another --out")
+            if run.config != config or run.document["recording"] != str(recording.resolve()):
+                raise BadRunError(
+                    f"{path}: found an unfinished run with another configuration or recording; "
+                    "repeat its options to resume it, or give another --out"
+                )
+            return run
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise BadRunError(f"{path}: found something that is not a run, expected a new or empty folder")
+        path.mkdir(parents=True, exist_ok=True)
+        document = {
+            "schema": SCHEMA,
+            "status": "unfinished",
+            "recording": str(recording.resolve()),
+            "configuration": config.to_json(),
+            "seed": config.seed,
+            "seconds": {},
+            **facts,
+        }
+        run = cls(path, document)
+        run.save()
+        return run
+
+    @classmethod
+    def open(cls, path: Path) -> RunFolder:
+        """An existing run; raises BadRunError where there is none."""
+        file = path / "run.json"
+        try:
+            document = json.loads(file.read_text())
+        except (OSError, ValueError) as error:
+            raise BadRunError(f"{path}: found no readable run.json, expected a run folder of `reconstruct`") from error
+        if document.get("schema") != SCHEMA:
+            raise BadRunError(f"{file}: found schema {document.get('schema')}, expected {SCHEMA}")
+        return cls(path, document)
+
+    @property
+    def config(self) -> ReconstructionConfig:
+        """The configuration the run was started with."""
+        return ReconstructionConfig.from_json(self.document["configuration"])
+
+    @property
+    def recording(self) -> Path:
+        """The recording the run reads."""
+        return Path(self.document["recording"])
+
+    @property
+    def plan(self) -> Plan:
+        """The plan; raises BadRunError before the plan stage."""
+        if "plan" not in self.document:
+            raise BadRunError(f"{self.path}: found no plan, expected the plan stage to have run first")
+        return Plan.from_json(self.document["plan"])
+
+    @property
+    def checkpoint(self) -> Path:
+        """The newest state of training."""
+        return self.path / "checkpoint.pt"
+
+    def snapshots(self) -> list[Path]:
+        """States kept along the way, oldest first, for the error-against-time curve."""
+        return sorted((self.path / "snapshots").glob("*.pt"))
+
+    def has(self, stage: str) -> bool:
+        """Whether a stage is complete."""
+        return stage in self.document["seconds"]
+
+    def finish_stage(self, stage: str, seconds: float) -> None:
+        """Record a stage as complete."""
+        self.document["seconds"][stage] = round(seconds, 3)
+        self.save()
+
+    def save(self) -> None:
+        """Write `run.json`."""
+        write_json(self.path / "run.json", self.document)
+
+    def write_array(self, name: str, array: NDArray) -> None:
+        """Keep an array as NAME.npy, durably."""
+        buffer = io.BytesIO()
+        np.save(buffer, array)
+        file = self.path / f"{name}.npy"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_durably(file, buffer.getvalue())
+
+    def read_array(self, name: str) -> NDArray:
+        """An array written by `write_array`; raises BadRunError where an earlier stage is missing."""
+        file = self.path / f"{name}.npy"
+        if not file.exists():
+            raise BadRunError(f"{file}: not found, expected the artefact of an earlier stage; run that stage first")
+        return np.load(file)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the folder against a second process; raises BadRunError when one is at work in it."""
+        with (self.path / ".lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise BadRunError(
+                    f"{self.path}: another process is at work in this run; wait for it or stop it"
+                ) from error
+            yield
