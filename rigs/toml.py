@@ -70,8 +70,8 @@ def refuse_holes(camera_ids: Iterable[str], where: str) -> None:
     missing = [c for c in (f"cam{row}{column}" for row in range(rows) for column in range(columns)) if c not in ids]
     if missing:
         raise RigError(
-            f"{where}: found {len(cells)} cameras of a {rows}x{columns} grid, expected also {', '.join(missing)}; "
-            "add what is missing or name the cameras as a full grid"
+            f"{where}: found {len(cells)} cameras of a {rows}x{columns} grid, expected also "
+            f"{', '.join(missing[:9])}; add what is missing or name the cameras as a full grid"
         )
 
 
@@ -86,11 +86,12 @@ def _parse(text: str, where: str) -> Rig:
         raise RigError(f"{where}: found text that is not TOML ({error}), expected a rig file") from error
     fields.refuse_others(RIG_FIELDS)
     cameras = tuple(_camera(entry, where, number) for number, entry in enumerate(fields.list_at("camera")))
-    refuse_holes((camera.id for camera in cameras), where)
     calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
     name, rate_hz, poses = fields.word("name"), fields.number("tick_rate_hz"), fields.word("poses")
     with located(where):
-        return Rig(name, rate_hz, cameras, cast(Poses, poses), calibration)
+        rig = Rig(name, rate_hz, cameras, cast(Poses, poses), calibration)
+    refuse_holes(rig.ids, where)
+    return rig
 
 
 def _calibration(fields: Fields) -> Calibration:

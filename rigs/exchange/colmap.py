@@ -122,6 +122,7 @@ def _binary_lenses(data: bytes) -> dict[int, Lens]:
         parameters = struct.unpack_from(f"<{PARAMETERS[model]}d", data, at + 24)
         lenses[number] = _lens(model, width, height, parameters)
         at += 24 + 8 * len(parameters)
+    _refuse_other_length(data, at)
     return lenses
 
 
@@ -133,7 +134,13 @@ def _binary_poses(data: bytes) -> dict[int, Pose]:
         (points,) = struct.unpack_from("<Q", data, end + 1)
         poses[number] = (data[at + 64 : end].decode(), lens_number, tuple(numbers))
         at = end + 9 + 24 * points  # a 2D point is two doubles and the number of its 3D point
+    _refuse_other_length(data, at)
     return poses
+
+
+def _refuse_other_length(data: bytes, expected: int) -> None:
+    if len(data) != expected:
+        raise RigError(f"found {len(data)} bytes, expected {expected}; the file is cut short or no COLMAP model")
 
 
 def _digits(numbers: Sequence[float]) -> str:
