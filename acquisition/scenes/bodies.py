@@ -1,0 +1,68 @@
+"""What a scene is made of: textured convex shapes, rigidly joined into bodies that move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from acquisition.errors import AcquisitionError
+from acquisition.scenes.motion import Motion
+from rigs.transform import Transform
+
+KINDS = ("rectangle", "box", "sphere", "cylinder")  # the order the native ray caster numbers them in
+
+
+@dataclass(frozen=True)
+class Finish:
+    """A texture by its index, `texel_m` metres a texel, its 0 and 1 mapped to `albedo`, moved by `shift` texels."""
+
+    texture: int
+    texel_m: float
+    albedo: tuple[float, float]
+    shift: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not self.texel_m > 0 or not all(0 <= a <= 1 for a in self.albedo):
+            raise AcquisitionError(f"found {self.texel_m} m a texel and albedo {self.albedo}, expected > 0 and 0..1")
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A convex shape centred on its own origin; `size` in metres by kind.
+
+    rectangle (half x, half y, -) in the plane z = 0; box (half x, half y, half z); sphere (radius, -, -);
+    cylinder (radius, half height along z, -).
+    """
+
+    kind: Literal["rectangle", "box", "sphere", "cylinder"]
+    size: tuple[float, ...]
+    finish: Finish
+    body_from_shape: Transform = field(default_factory=Transform.identity)
+
+    def __post_init__(self) -> None:
+        needed = {"rectangle": 2, "box": 3, "sphere": 1, "cylinder": 2}.get(self.kind)
+        if needed is None or len(self.size) != needed or not all(s > 0 for s in self.size):
+            raise AcquisitionError(f"found a {self.kind} of size {self.size}, expected {KINDS} with positive lengths")
+
+    def row(self) -> list[float]:
+        """The shape as the native ray caster reads it [10]."""
+        size = [*self.size, 0.0, 0.0][:3]
+        finish = self.finish
+        return [KINDS.index(self.kind), *size, finish.texture, 1 / finish.texel_m, *finish.shift, *finish.albedo]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Shapes that move as one; the name is what `scene.json` calls it."""
+
+    name: str
+    shapes: tuple[Shape, ...]
+    motion: Motion
+
+
+def still(name: str, center: tuple[float, float, float], *shapes: Shape, turn_rad: float = 0.0) -> Body:
+    """A body that stands at `center`, turned about the vertical."""
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    return Body(name, shapes, Motion(Transform(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.array(center))))

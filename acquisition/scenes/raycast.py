@@ -1,0 +1,180 @@
+"""The native ray caster: linear light, depth and object of every pixel of one camera at any instants.
+
+Letters: n instants, P shapes, K textures of S x S texels, H rows, W columns, s samples a side of a pixel.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import AcquisitionError
+from acquisition.native import load_library
+from rigs.camera import Camera
+
+Floats = NDArray[np.float64]
+MOST_SHAPES = 64  # the native code keeps sets of shapes in one word
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What a camera sees at n instants, pixel (0, 0) at the top left.
+
+    `intensity` float32 [n, H, W], linear, spikes per tick, mean over s x s rays a pixel; from the pixel's centre ray
+    `depth` float32 [n, H, W] along z in metres (NaN where nothing is) and `ids` int8 [n, H, W] (0 where nothing is).
+    """
+
+    intensity: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    ids: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A scene as arrays. A surface of albedo 1 that faces the sun emits `white` spikes per tick."""
+
+    shapes: Floats  # [P, 10], see bodies.Shape.row
+    moving: NDArray[np.bool_]  # [P]
+    ids: NDArray[np.int8]  # [P]
+    textures: NDArray[np.float32]  # [K, S, S] in 0..1, periodic
+    sun: Floats  # [3] unit, towards the sun
+    white: float
+    ambient: float  # fraction of `white` that needs no sun
+    background: float  # spikes per tick where nothing is
+
+    def __post_init__(self) -> None:
+        size = self.textures.shape[-1]
+        if not 1 <= len(self.shapes) <= MOST_SHAPES:
+            raise AcquisitionError(f"found {len(self.shapes)} shapes, expected 1 to {MOST_SHAPES}; use fewer shapes")
+        if self.textures.ndim != 3 or self.textures.shape[1] != size or size & (size - 1):
+            raise AcquisitionError(f"found textures {self.textures.shape}, expected (K, S, S), S a power of two")
+        if not 0 <= self.shapes[:, 4].min() <= self.shapes[:, 4].max() < len(self.textures):
+            raise AcquisitionError(f"found a texture index outside the {len(self.textures)} textures of the scene")
+
+
+class _Scene(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("shapes", "moving", "ids", "textures")),
+        ("sun", ctypes.c_double * 3),
+        *((name, ctypes.c_double) for name in ("white", "ambient", "background")),
+        *((name, ctypes.c_int32) for name in ("count", "texture_size")),
+    ]
+
+
+class _View(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("fx", "fy", "cx", "cy")),
+        ("rotation", ctypes.c_double * 9),
+        ("center", ctypes.c_double * 3),
+        *((name, ctypes.c_int32) for name in ("width", "height", "samples", "threads")),
+    ]
+
+
+class _Still(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in ("depth", "lit", "unlit", "foot", "middle", "mean", "middle_id")]
+
+
+class Raycaster:
+    """One camera in one scene: traces what stands still once, then only what moves.
+
+    `rotations` [P, 3, 3] and `positions` [P, 3] are world_from_shape of the shapes; those of still shapes hold for
+    good. `threads` 0 takes every core. Raises AcquisitionError for a camera with lens distortion.
+    """
+
+    def __init__(
+        self, geometry: Geometry, camera: Camera, placement: tuple[Floats, Floats], *, samples: int, threads: int = 0
+    ):
+        if any(camera.distortion):
+            raise AcquisitionError(
+                f"{camera.id}: found lens distortion {camera.distortion}, expected none; scenes are seen by pinholes"
+            )
+        if samples < 1:
+            raise AcquisitionError(f"found {samples} samples a side of a pixel, expected at least 1")
+        self._arrays = [
+            np.ascontiguousarray(array, dtype=kind)
+            for array, kind in (
+                (geometry.shapes, np.float64),
+                (geometry.moving, np.uint8),
+                (geometry.ids, np.int8),
+                (geometry.textures, np.float32),
+            )
+        ]
+        self._shape_count = len(geometry.shapes)
+        self._size = (camera.height, camera.width)
+        self._scene = _Scene(
+            *(a.ctypes.data for a in self._arrays),
+            (ctypes.c_double * 3)(*geometry.sun),
+            geometry.white,
+            geometry.ambient,
+            geometry.background,
+            self._shape_count,
+            geometry.textures.shape[1],
+        )
+        self._view = _View(
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            (ctypes.c_double * 9)(*camera.cam_from_rig.rotation.ravel()),
+            (ctypes.c_double * 3)(*camera.center),
+            camera.width,
+            camera.height,
+            samples,
+            threads or len(os.sched_getaffinity(0)),
+        )
+        self._trace_still(placement, samples)
+
+    def _trace_still(self, placement: tuple[Floats, Floats], samples: int) -> None:
+        sampled = (*self._size, samples * samples)
+        self._still_arrays = [
+            *(np.empty(sampled) for _ in range(3)),
+            np.empty((*self._size, 3)),
+            np.empty(self._size),
+            np.empty(self._size, dtype=np.float32),
+            np.empty(self._size, dtype=np.int8),
+        ]
+        self._still = _Still(*(a.ctypes.data for a in self._still_arrays))
+        rotations, positions = self._checked(placement[0][None], placement[1][None])
+        load_library("acquisition").raycast_still(
+            ctypes.byref(self._scene),
+            ctypes.byref(self._view),
+            ctypes.c_void_p(rotations.ctypes.data),
+            ctypes.c_void_p(positions.ctypes.data),
+            ctypes.byref(self._still),
+        )
+
+    def _checked(self, rotations: Floats, positions: Floats) -> tuple[Floats, Floats]:
+        count = (len(rotations), self._shape_count)
+        if rotations.shape != (*count, 3, 3) or positions.shape != (*count, 3):
+            raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}, expected {count} of them")
+        return np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(positions, np.float64)
+
+    def intensity(self, rotations: Floats, positions: Floats) -> NDArray[np.float32]:
+        """Light alone [n, H, W] with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3]."""
+        intensity = np.empty((len(rotations), *self._size), dtype=np.float32)
+        self._trace(rotations, positions, intensity, None, None)
+        return intensity
+
+    def frames(self, rotations: Floats, positions: Floats) -> Frames:
+        """Light, depth and objects with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3]."""
+        shape = (len(rotations), *self._size)
+        frames = Frames(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int8))
+        self._trace(rotations, positions, frames.intensity, frames.depth, frames.ids)
+        return frames
+
+    def _trace(
+        self, rotations: Floats, positions: Floats, intensity: NDArray, depth: NDArray | None, ids: NDArray | None
+    ) -> None:
+        rotations, positions = self._checked(rotations, positions)
+        load_library("acquisition").raycast_frames(
+            ctypes.byref(self._scene),
+            ctypes.byref(self._view),
+            ctypes.byref(self._still),
+            ctypes.c_int64(len(rotations)),
+            *(ctypes.c_void_p(None if a is None else a.ctypes.data) for a in (rotations, positions, intensity)),
+            *(ctypes.c_void_p(None if a is None else a.ctypes.data) for a in (depth, ids)),
+        )

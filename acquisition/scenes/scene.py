@@ -1,0 +1,87 @@
+"""A scene: bodies, their motions, one sun; seen by any pinhole camera at any instants."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import AcquisitionError
+from acquisition.scenes.bodies import Body
+from acquisition.scenes.raycast import Floats, Frames, Geometry, Raycaster
+from rigs.camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Bodies in the rig frame (metres, x right, y down, z forward) under one sun.
+
+    `white` is the light of a perfectly white surface that faces the sun, in spikes per tick; `ambient` the fraction of
+    it that reaches shadows; `center` the point the scene happens around. Body i has the object id i + 1.
+    """
+
+    name: str
+    seed: int
+    bodies: tuple[Body, ...]
+    textures: NDArray[np.float32]  # [K, S, S] in 0..1
+    center: tuple[float, float, float]
+    to_sun: tuple[float, float, float]
+    white: float = 0.6
+    ambient: float = 0.3
+    background: float = 0.02
+
+    def __post_init__(self) -> None:
+        names = [body.name for body in self.bodies]
+        if not names or len(set(names)) < len(names) or len(names) > 127:
+            raise AcquisitionError(f"scene {self.name}: found the bodies {names}, expected 1 to 127 different names")
+        if not self.white > 0 or not 0 <= self.ambient <= 1 or not np.linalg.norm(self.to_sun) > 0:
+            raise AcquisitionError(f"scene {self.name}: expected white > 0, ambient in 0..1, a direction to the sun")
+        _ = self.geometry  # refuses too many shapes or a texture that is not there
+
+    @property
+    def object_ids(self) -> dict[str, int]:
+        """The object id of each body by name."""
+        return {body.name: i + 1 for i, body in enumerate(self.bodies)}
+
+    @property
+    def movers(self) -> dict[str, int]:
+        """The object ids of the bodies that move, by name."""
+        return {
+            body.name: i for body, i in zip(self.bodies, self.object_ids.values(), strict=True) if body.motion.moving
+        }
+
+    @functools.cached_property
+    def geometry(self) -> Geometry:
+        """The scene as the ray caster's arrays, shapes in the order of the bodies."""
+        owners = [(i, shape) for i, body in enumerate(self.bodies) for shape in body.shapes]
+        return Geometry(
+            shapes=np.array([shape.row() for _, shape in owners], dtype=np.float64),
+            moving=np.array([self.bodies[i].motion.moving for i, _ in owners]),
+            ids=np.array([i + 1 for i, _ in owners], dtype=np.int8),
+            textures=np.ascontiguousarray(self.textures, dtype=np.float32),
+            sun=np.array(self.to_sun) / np.linalg.norm(self.to_sun),
+            white=self.white,
+            ambient=self.ambient,
+            background=self.background,
+        )
+
+    def placements(self, instants_s: NDArray[np.float64]) -> tuple[Floats, Floats]:
+        """world_from_shape at each instant: rotations [n, P, 3, 3], positions [n, P, 3] in metres."""
+        rotations, positions = [], []
+        for body in self.bodies:
+            turned, moved = body.motion.world_from_body(instants_s)
+            for shape in body.shapes:
+                rotations.append(turned @ shape.body_from_shape.rotation)
+                positions.append(turned @ shape.body_from_shape.translation + moved)
+        return np.stack(rotations, axis=1), np.stack(positions, axis=1)
+
+    def raycaster(self, camera: Camera, samples: int, threads: int = 0) -> Raycaster:
+        """A ray caster that has already traced what stands still; feed it `placements`."""
+        rotations, positions = self.placements(np.zeros(1))
+        return Raycaster(self.geometry, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
+
+    def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:
+        """What `camera` (poses in the rig frame) sees at `instants_s` [n] with samples x samples rays a pixel."""
+        return self.raycaster(camera, samples).frames(*self.placements(np.asarray(instants_s, dtype=np.float64)))

@@ -1,0 +1,79 @@
+// The integrate-and-fire sensor: charge in fixed point, so no accumulation ever drifts.
+//
+// Every random number is a hash of (pixel key, tick), so neither threads nor the size of a call change a byte.
+#include <cmath>
+#include <vector>
+
+#include "native.h"
+
+namespace {
+
+constexpr double kThreshold = 1099511627776.0;  // 2^40 units of charge make a spike
+constexpr uint64_t kFull = uint64_t(1) << 40;
+constexpr uint64_t kTickStep = 0x9E3779B97F4A7C15u;
+constexpr int64_t kBlock = 1024;
+
+uint64_t mix(uint64_t x) {  // the finaliser of SplitMix64
+  x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9u;
+  x = (x ^ (x >> 27)) * 0x94D049BB133111EBu;
+  return x ^ (x >> 31);
+}
+
+// About normal, mean 0 and variance 1: the sum of four 16-bit uniform numbers.
+double normal(uint64_t bits) {
+  const int64_t sum = int64_t(bits & 65535) + int64_t((bits >> 16) & 65535) + int64_t((bits >> 32) & 65535) +
+                      int64_t(bits >> 48);
+  return (double(sum) - 131070.0) * 2.6428997921e-5;
+}
+
+// `not below` and `not above` in this order turn NaN into 0.
+uint64_t units(double charge) {
+  charge = charge > 0 ? charge : 0;
+  charge = charge < 1 ? charge : 1;
+  return uint64_t(int64_t(charge * kThreshold + 0.5));
+}
+
+void fire(uint64_t* charge, const uint64_t* added, int64_t pixels, uint8_t* spikes) {
+  for (int64_t p = 0; p < pixels; ++p) {
+    const uint64_t total = charge[p] + added[p];
+    const bool spike = total >= kFull;
+    charge[p] = spike ? total - kFull : total;
+    spikes[p] = spike;
+  }
+}
+
+}  // namespace
+
+// Planes of 0 and 1 [n][pixels] from light [n][pixels], spikes per tick; `charge` [pixels] carries on.
+S4_API void sensor_ideal(const float* light, int64_t n, int64_t pixels, uint64_t* charge, uint8_t* spikes,
+                         int32_t threads) {
+#pragma omp parallel for num_threads(threads)
+  for (int64_t start = 0; start < pixels; start += kBlock) {
+    const int64_t count = pixels - start < kBlock ? pixels - start : kBlock;
+    uint64_t added[kBlock];
+    for (int64_t t = 0; t < n; ++t) {
+      for (int64_t p = 0; p < count; ++p) added[p] = units(light[t * pixels + start + p]);
+      fire(charge + start, added, count, spikes + t * pixels + start);
+    }
+  }
+}
+
+// The same with gain and dark current (spikes per tick) of each pixel, and shot noise of `electrons` to a spike.
+S4_API void sensor_real(const float* light, int64_t n, int64_t pixels, uint64_t* charge, uint8_t* spikes,
+                        int32_t threads, const uint64_t* keys, const double* gain, const double* dark,
+                        double electrons, int64_t first_tick) {
+#pragma omp parallel for num_threads(threads)
+  for (int64_t start = 0; start < pixels; start += kBlock) {
+    const int64_t count = pixels - start < kBlock ? pixels - start : kBlock;
+    uint64_t added[kBlock];
+    for (int64_t t = 0; t < n; ++t) {
+      const uint64_t tick = uint64_t(first_tick + t) * kTickStep;
+      for (int64_t p = 0; p < count; ++p) {
+        const double raw = light[t * pixels + start + p], seen = raw > 0 ? raw : 0;
+        const double mean = (seen < 1e6 ? seen : 1e6) * gain[start + p] + dark[start + p];
+        added[p] = units(mean + std::sqrt(mean / electrons) * normal(mix(keys[start + p] + tick)));
+      }
+      fire(charge + start, added, count, spikes + t * pixels + start);
+    }
+  }
+}

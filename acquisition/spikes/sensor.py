@@ -1,0 +1,135 @@
+"""The integrate-and-fire sensor: linear light in, spike planes out.
+
+Letters: n planes, H rows, W columns. A pixel adds the light of each tick to its charge, fires at the threshold, keeps
+what is above it, and fires at most once a tick; light above one spike per tick saturates. Charge is kept in units of
+2^-40 spike, so ten million ticks lose nothing. At the start the charge is uniform below the threshold.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import BadRecordingError
+from acquisition.native import load_library
+
+SensorKind = Literal["ideal", "real"]
+SENSOR_KINDS: tuple[SensorKind, ...] = ("ideal", "real")
+
+FRACTION_BITS = 40
+# SCSim (Hu et al., "SCSim: a realistic spike cameras simulator", ICME 2021) draws 5e4 electrons at full grey, which
+# is about one spike a tick, and spreads the dark current by 39 %. Its gain spread of 5.8 % is that of an uncorrected
+# sensor; 1 % is what a flat-field correction leaves. The dark level and the defects are ours.
+ELECTRONS_PER_SPIKE = 5e4
+GAIN_SPREAD = 0.01
+DARK_LEVEL, DARK_SPREAD = 5e-4, 0.39  # spikes per tick, relative
+DEFECT_SHARE = 1e-4  # of the pixels dead, and as many hot
+HOT_LEVELS = (0.2, 0.6)  # spikes per tick in the dark
+
+_TICK_STEP = np.uint64(0x9E3779B97F4A7C15)
+_NORMAL_SCALE = 2.6428997921e-5  # 1 / standard deviation of the sum of four uniform 16-bit numbers
+
+
+def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """The finaliser of SplitMix64: a hash of 64 bits to 64 bits."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+class Sensor:
+    """One camera's pixels; `expose` carries their charge on from call to call.
+
+    The same `seed` and `camera_index` give the same planes for any `threads` (0: every core) and any cut into calls.
+    `real` adds gain and dark current of each pixel, shot noise, and a few dead and hot pixels to `ideal`.
+    """
+
+    def __init__(
+        self, width: int, height: int, kind: SensorKind, seed: int, camera_index: int, *, threads: int = 0
+    ) -> None:
+        if kind not in SENSOR_KINDS:
+            raise BadRecordingError(f"found the sensor {kind!r}, expected one of {', '.join(SENSOR_KINDS)}")
+        if width < 1 or height < 1 or seed < 0 or camera_index < 0:
+            raise BadRecordingError(
+                f"found a sensor of {width}x{height}, seed {seed}, camera {camera_index}; expected 1x1 or more, from 0"
+            )
+        self.kind: SensorKind = kind
+        self.shape = (height, width)
+        self.tick = 0  # of the next plane
+        self._threads = threads or len(os.sched_getaffinity(0))
+        pixels = np.arange(width * height, dtype=np.uint64)
+        root = np.random.SeedSequence([seed, camera_index])
+        self._keys = _mix(pixels * np.uint64(0xD1342543DE82EF95) + root.generate_state(1, np.uint64))
+        self._charge = _mix(self._keys - _TICK_STEP) >> np.uint64(64 - FRACTION_BITS)
+        self._gain, self._dark = _fixed_pattern(np.random.default_rng(root), width * height)
+
+    def expose(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The planes [n, H, W] of 0 and 1 that light [n, H, W] in spikes per tick gives; the charge carries on.
+
+        Negative light counts as none. Raises BadRecordingError for NaN or another shape.
+        """
+        light = self._checked(intensity)
+        spikes = np.empty(light.shape, dtype=np.uint8)
+        arguments = [
+            ctypes.c_void_p(light.ctypes.data),
+            ctypes.c_int64(len(light)),
+            ctypes.c_int64(self._charge.size),
+            ctypes.c_void_p(self._charge.ctypes.data),
+            ctypes.c_void_p(spikes.ctypes.data),
+            ctypes.c_int32(self._threads),
+        ]
+        library = load_library("acquisition")
+        if self.kind == "ideal":
+            library.sensor_ideal(*arguments)
+        else:
+            pattern = (ctypes.c_void_p(a.ctypes.data) for a in (self._keys, self._gain, self._dark))
+            library.sensor_real(*arguments, *pattern, ctypes.c_double(ELECTRONS_PER_SPIKE), ctypes.c_int64(self.tick))
+        self.tick += len(light)
+        return spikes
+
+    def expose_reference(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The readable twin of `expose`, in NumPy, bit for bit the same."""
+        light = self._checked(intensity)
+        spikes = np.empty(light.shape, dtype=np.uint8)
+        full = np.uint64(1 << FRACTION_BITS)
+        for plane, seen in zip(spikes, light, strict=True):
+            charge = self._charge + self._collected(seen.astype(np.float64).ravel())
+            fired = charge >= full
+            self._charge[:] = np.where(fired, charge - full, charge)
+            plane[:] = fired.reshape(self.shape)
+            self.tick += 1
+        return spikes
+
+    def _collected(self, light: NDArray[np.float64]) -> NDArray[np.uint64]:
+        """Units of charge of this tick [H * W]."""
+        if self.kind == "real":
+            with np.errstate(over="ignore"):
+                bits = _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
+            parts = [(bits >> np.uint64(16 * i)) & np.uint64(65535) for i in range(4)]
+            normal = (np.sum(parts, axis=0).astype(np.float64) - 131070.0) * _NORMAL_SCALE
+            mean = np.clip(light, 0, 1e6) * self._gain + self._dark
+            light = mean + np.sqrt(mean / ELECTRONS_PER_SPIKE) * normal
+        return (np.clip(light, 0, 1) * 2.0**FRACTION_BITS + 0.5).astype(np.uint64)
+
+    def _checked(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+        if intensity.ndim != 3 or intensity.shape[1:] != self.shape:
+            raise BadRecordingError(f"found light of shape {intensity.shape}, expected (n, {self.shape})")
+        light = np.ascontiguousarray(intensity, dtype=np.float32)
+        if np.isnan(light.min(initial=0)):
+            raise BadRecordingError("found NaN in the light on the sensor, expected numbers; mend the scene")
+        return light
+
+
+def _fixed_pattern(rng: np.random.Generator, pixels: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gain and dark current in spikes per tick of each pixel; dead ones have neither."""
+    gain = 1 + GAIN_SPREAD * rng.standard_normal(pixels)
+    dark = DARK_LEVEL * np.maximum(0, 1 + DARK_SPREAD * rng.standard_normal(pixels))
+    chance = rng.random(pixels)
+    hot, dead = chance < DEFECT_SHARE, chance > 1 - DEFECT_SHARE
+    dark[hot] = rng.uniform(*HOT_LEVELS, pixels)[hot]
+    gain[dead], dark[dead] = 0.0, 0.0
+    return gain, dark
