@@ -20,7 +20,7 @@ def pack(planes: NDArray, layout: PlaneLayout) -> Bytes:
     if planes.ndim != 3 or planes.shape[1:] != (layout.height, layout.width):
         raise BadRecordingError(f"found planes {planes.shape}, expected (T, {layout.height}, {layout.width})")
     rows = planes[:, ::-1] if layout.row_order == "bottom" else planes
-    bits = np.ascontiguousarray(rows != 0).reshape(len(planes), -1)
+    bits = np.ascontiguousarray(rows != 0).reshape(len(planes), layout.height * layout.width)
     return np.packbits(bits, axis=1, bitorder="little" if layout.bit_order == "lsb" else "big")
 
 

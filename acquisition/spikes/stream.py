@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,13 @@ class SpikeStream:
         self.partial_bytes = partial_bytes
 
     @classmethod
-    def open(
-        cls, path: Path, layout: PlaneLayout, tick_rate_hz: float, *, allow_partial: bool = False
-    ) -> SpikeStream:
+    def open(cls, path: Path, layout: PlaneLayout, tick_rate_hz: float, *, allow_partial: bool = False) -> SpikeStream:
         """Map `path`; raises BadRecordingError when it is missing, empty, or (unless allowed) ends inside a plane."""
         if not tick_rate_hz > 0:
             raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz, expected a positive number")
         try:
-            size = path.stat().st_size
+            with path.open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
         except OSError as error:
             raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); give an existing .dat") from error
         planes, partial = divmod(size, layout.plane_bytes)
