@@ -31,10 +31,14 @@ inline float exp_minus(float sigma) {
     return e * e;
 }
 
+// Selects, not branches: the loops around it must stay vectors.
 inline float alpha_of(float u, float v2, float sigma_max, float opacity, float T) {
     const float sigma = u * u + v2;
-    const float alpha = std::min(opacity * exp_minus(std::min(sigma, 6.f)), kAlphaMax);
-    return (sigma <= sigma_max) & (T >= kTransmittanceMin) ? alpha : 0.f;
+    const float bounded = sigma < 6.f ? sigma : 6.f;
+    float alpha = opacity * exp_minus(bounded);
+    alpha = alpha < kAlphaMax ? alpha : kAlphaMax;
+    alpha = sigma <= sigma_max ? alpha : 0.f;
+    return T >= kTransmittanceMin ? alpha : 0.f;
 }
 
 // Transmittance at a tile's start: one inside the image, zero beyond it.
@@ -51,7 +55,7 @@ bool opaque(const Lanes &T) {
     return most < kTransmittanceMin;
 }
 
-void blend(const Splat &s, int x, int y, Lanes &T, Lanes &intensity, Lanes &depth) {
+void blend(const Splat s, int x, int y, Lanes &T, Lanes &intensity, Lanes &depth) {
     const Corner c = corner_of(s, x, y);
     for (int j = c.first; j <= c.last; ++j) {
         const float v = c.v + s.r * float(j), v2 = v * v, u_first = c.u + s.q * float(j);
@@ -95,16 +99,18 @@ struct Scratch {  // alpha and weight of one chunk
     Lanes alpha[kChunk], weight[kChunk];
 };
 
-void replay(const Splat &s, int x, int y, Lanes &T, Lanes &alpha, Lanes &weight) {
+void replay(const Splat s, int x, int y, Lanes &T, Lanes &alpha, Lanes &weight) {
     const Corner c = corner_of(s, x, y);
     for (int j = c.first; j <= c.last; ++j) {
         const float v = c.v + s.r * float(j), v2 = v * v, u_first = c.u + s.q * float(j);
         float *t = T.row[j], *a = alpha.row[j], *w = weight.row[j];
 #pragma omp simd aligned(t, a, w : 64)
         for (int i = 0; i < kTile; ++i) {
-            a[i] = alpha_of(u_first + s.p * float(i), v2, s.sigma_max, s.opacity, t[i]);
-            w[i] = t[i] * a[i];
-            t[i] -= w[i];
+            const float alpha = alpha_of(u_first + s.p * float(i), v2, s.sigma_max, s.opacity, t[i]);
+            const float weight_here = t[i] * alpha;
+            a[i] = alpha;
+            w[i] = weight_here;
+            t[i] -= weight_here;
         }
     }
 }
@@ -114,7 +120,7 @@ struct TileGradient {
 };
 
 // One splat of one tile, going from back to front: alpha dL/dalpha = w (c . v - B), without a division by 1 - alpha.
-Moments unblend(const Splat &s, int x, int y, const TileGradient &v, const Lanes &alpha, const Lanes &weight, Lanes &B) {
+Moments unblend(const Splat s, int x, int y, const TileGradient &v, const Lanes &alpha, const Lanes &weight, Lanes &B) {
     const Corner c = corner_of(s, x, y);
     alignas(64) float s0[kTile] = {}, s1[kTile] = {}, s2[kTile] = {}, si[kTile] = {}, sz[kTile] = {};
     for (int j = c.first; j <= c.last; ++j) {

@@ -28,24 +28,27 @@ class Rendering:
     radii: Tensor  # [N] int32 px, 0 where the Gaussian is not seen
 
 
-def _check(name: str, tensor: Tensor, shape: tuple[int, ...], like: Tensor) -> None:
-    if tensor.shape != shape:
-        raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}, expected {shape}")
-    if tensor.dtype != like.dtype or tensor.device != like.device:
-        raise ReconstructionError(
-            f"found {name} as {tensor.dtype} on {tensor.device}, expected {like.dtype} on {like.device} as the means"
-        )
-    bad = len(tensor) - int(torch.isfinite(tensor.detach()).reshape(len(tensor), -1).all(-1).sum())
-    if bad:
-        raise ReconstructionError(f"found NaN or infinity in {name} of {bad} Gaussians, expected finite numbers")
+NAMES = ("means", "quats_wxyz", "log_scales", "opacities", "intensities")
+
+
+def _check(gaussians: tuple[Tensor, ...]) -> None:
+    means, opacities, n = gaussians[0], gaussians[3].detach(), len(gaussians[0])
+    shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, *gaussians[4].shape[1:2]))
+    for name, shape, tensor in zip(NAMES, shapes, gaussians, strict=True):
+        if tensor.shape != shape:
+            raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}, expected {shape}")
+        if tensor.dtype != means.dtype or tensor.device != means.device:
+            found, expected = f"{tensor.dtype} on {tensor.device}", f"{means.dtype} on {means.device}"
+            raise ReconstructionError(f"found {name} as {found}, expected {expected} as the means are")
+        # x - x is 0 for finite numbers only, and a sum of zeros is much faster than isfinite.
+        if (tensor.detach() - tensor.detach()).sum() != 0:
+            raise ReconstructionError(f"found NaN or infinity in {name}, expected finite numbers")
+    if n and not (opacities.amin() >= 0 and opacities.amax() <= 1):
+        raise ReconstructionError("found opacities beyond [0, 1], expected them after the sigmoid")
 
 
 def render(
-    means: Tensor,
-    quats_wxyz: Tensor,
-    log_scales: Tensor,
-    opacities: Tensor,
-    intensities: Tensor,
+    gaussians: tuple[Tensor, Tensor, Tensor, Tensor, Tensor],
     camera: Camera,
     *,
     backend: Backend = "native",
@@ -54,31 +57,21 @@ def render(
 ) -> Rendering:
     """Render N Gaussians as they are at one instant; differentiable in all of them.
 
-    means [N, 3] m in the rig frame, quats_wxyz [N, 4] of any length, log_scales [N, 3] (log m), opacities [N] in
-    [0, 1], intensities [N, C] in spikes per tick (native: C = 1, float32, CPU). `near_m`: nothing nearer is seen.
-    `background`: the intensity behind everything, one number or [H, W, C]; none is black.
+    `gaussians`: means [N, 3] m in the rig frame, quats_wxyz [N, 4] of any length, log_scales [N, 3] (log m), opacities
+    [N] in [0, 1], intensities [N, C] in spikes per tick (native: C = 1, float32, CPU). `near_m`: nothing nearer is
+    seen. `background`: the intensity behind everything, one number or [H, W, C]; none is black.
     Raises ReconstructionError for shapes that do not fit, NaN or infinity, or a camera with lens distortion.
     """
-    n, channels = len(means), intensities.shape[-1]
-    shapes = {
-        "means": (n, 3),
-        "quats_wxyz": (n, 4),
-        "log_scales": (n, 3),
-        "opacities": (n,),
-        "intensities": (n, channels),
-    }
-    cloud = (means, quats_wxyz, log_scales, opacities, intensities)
-    for (name, shape), tensor in zip(shapes.items(), cloud, strict=True):
-        _check(name, tensor, shape, means)
-    if n and not (opacities.detach().amin() >= 0 and opacities.detach().amax() <= 1):
-        raise ReconstructionError("found opacities beyond [0, 1], expected them after the sigmoid")
-    if backend == "native" and (means.dtype != torch.float32 or means.device.type != "cpu" or channels != 1):
+    _check(gaussians)
+    means, _, _, _, intensities = gaussians
+    on_cpu = means.dtype == torch.float32 and means.device.type == "cpu"
+    if backend == "native" and not (on_cpu and intensities.shape[1] == 1):
         raise ReconstructionError(
-            f"found {channels} channels of {means.dtype} on {means.device}, expected one channel of float32 on the CPU; "
-            "use the reference backend"
+            f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}, "
+            "expected one channel of float32 on the CPU; use the reference backend"
         )
     renderer = render_native if backend == "native" else render_reference
-    intensity, depth, alpha, radii = renderer(*cloud, pinhole_of(camera, near_m))
+    intensity, depth, alpha, radii = renderer(*gaussians, pinhole_of(camera, near_m))
     if background is not None:
         intensity = intensity + (1 - alpha)[..., None] * background
     return Rendering(intensity, depth, alpha, radii)

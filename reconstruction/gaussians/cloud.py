@@ -1,0 +1,65 @@
+"""Gaussians as they are stored: tensors whose names carry their encodings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from reconstruction.errors import ReconstructionError
+
+
+@dataclass
+class GaussianCloud:
+    """N Gaussians: where they are, how they are turned and stretched, how dense and how bright.
+
+    Raises ReconstructionError for shapes that do not fit one another or numbers that are not finite.
+    """
+
+    means: Tensor  # [N, 3] m, rig frame
+    quats_wxyz: Tensor  # [N, 4] of any length
+    log_scales: Tensor  # [N, 3] log m
+    opacity_logits: Tensor  # [N]
+    intensities: Tensor  # [N, C] linear, spikes per tick
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        shapes = {"means": (n, 3), "quats_wxyz": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
+        for name, tensor in vars(self).items():
+            shape = shapes.get(name, (n, *self.intensities.shape[1:2]))
+            if tensor.shape != shape or tensor.ndim != len(shape):
+                raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}, expected {shape}")
+            if not torch.isfinite(tensor.detach()).all():
+                raise ReconstructionError(f"found NaN or infinity in {name}, expected finite numbers")
+        if self.intensities.ndim != 2:
+            raise ReconstructionError(f"found intensities of shape {tuple(self.intensities.shape)}, expected ({n}, C)")
+
+    @classmethod
+    def from_points(cls, points: Tensor, intensities: Tensor, scales: Tensor, opacity: float = 0.5) -> GaussianCloud:
+        """Round Gaussians at points [N, 3] with intensities [N, C] and standard deviations [N] in metres."""
+        if not 0 < opacity < 1:
+            raise ReconstructionError(f"found the opacity {opacity}, expected a number between 0 and 1")
+        if not bool((scales > 0).all()):
+            raise ReconstructionError("found scales that are not positive, expected standard deviations in metres")
+        quats = torch.zeros(len(points), 4, dtype=points.dtype, device=points.device)
+        quats[:, 0] = 1
+        logits = torch.full_like(scales, opacity).logit()
+        return cls(points.clone(), quats, scales.log()[:, None].repeat(1, 3), logits, intensities.clone())
+
+    @classmethod
+    def cat(cls, clouds: Sequence[GaussianCloud]) -> GaussianCloud:
+        """One cloud of all `clouds`, in order."""
+        return cls(*(torch.cat(tensors) for tensors in zip(*(vars(c).values() for c in clouds), strict=True)))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def select(self, which: Tensor) -> GaussianCloud:
+        """The Gaussians at indices, or where a mask [N] is true."""
+        return GaussianCloud(*(t[which] for t in vars(self).values()))
+
+    def to(self, target: torch.dtype | torch.device | str) -> GaussianCloud:
+        """The same cloud as another float type or on another device."""
+        return GaussianCloud(*(t.to(target) for t in vars(self).values()))
