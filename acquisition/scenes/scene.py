@@ -48,9 +48,7 @@ class Scene:
     @property
     def movers(self) -> dict[str, int]:
         """The object ids of the bodies that move, by name."""
-        return {
-            body.name: i for body, i in zip(self.bodies, self.object_ids.values(), strict=True) if body.motion.moving
-        }
+        return {body.name: self.object_ids[body.name] for body in self.bodies if body.motion.moving}
 
     @functools.cached_property
     def geometry(self) -> Geometry:

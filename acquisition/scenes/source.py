@@ -20,21 +20,21 @@ class SceneSource:
     """The planes of one camera in one scene, `ticks` of them, each the light at the middle of its tick.
 
     A light that crosses an edge within a tick is not smeared: at 5 m/s and 120 rad/s the instant stands for the
-    integral to 64 dB. `threads` 0 takes every core; give 1 where several cameras run at once. Raises
-    BadRecordingError when camera, sensor and layout differ in size.
+    integral to 64 dB. The cameras of a rig run side by side, so each takes one of the
+    `threads` (0: every core). Raises BadRecordingError when camera, sensor and layout differ in size.
     """
 
     def __init__(
         self,
         scene: Scene,
         camera: Camera,
-        sensor: Sensor,
-        *,
         clock: RigClock,
         ticks: int,
+        sensor: Sensor,
         layout: PlaneLayout,
+        *,
         samples: int = 2,
-        threads: int = 0,
+        threads: int = 1,
     ):
         sizes = {(camera.height, camera.width), sensor.shape, (layout.height, layout.width)}
         if len(sizes) > 1:

@@ -8,7 +8,7 @@ FINEST_PERIOD = 4  # texels; bilinear sampling needs about this much
 
 
 def noise(rng: np.random.Generator, exponent: float = 1.0, coarsest: int = 4) -> NDArray[np.float32]:
-    """Amplitude 1 / f^`exponent` between `coarsest` cycles a tile and the finest period; values spread evenly [S, S]."""
+    """Amplitude 1 / f^`exponent` from `coarsest` cycles a tile to the finest period; values spread evenly [S, S]."""
     frequency = np.hypot(np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)[None, :]) * SIZE
     band = (frequency >= coarsest) & (frequency <= SIZE / FINEST_PERIOD)
     amplitude = np.where(band, np.maximum(frequency, 1) ** -exponent, 0)
@@ -42,10 +42,10 @@ def build(rng: np.random.Generator) -> NDArray[np.float32]:
 
 
 def _blend(pattern: NDArray, rng: np.random.Generator, weight: float) -> NDArray[np.float32]:
-    return np.float32(weight * pattern + (1 - weight) * noise(rng))
+    return (weight * pattern + (1 - weight) * noise(rng)).astype(np.float32)
 
 
 def _spread(field: NDArray) -> NDArray[np.float32]:
     """A smooth squeeze of about normal values into 0..1 that uses the range evenly."""
     z = field / field.std()
-    return np.float32(0.5 + 0.5 * np.tanh(0.8 * z))
+    return (0.5 + 0.5 * np.tanh(0.8 * z)).astype(np.float32)

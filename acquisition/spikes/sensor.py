@@ -49,7 +49,7 @@ class Sensor:
     """
 
     def __init__(
-        self, width: int, height: int, kind: SensorKind, seed: int, camera_index: int, *, threads: int = 0
+        self, width: int, height: int, kind: SensorKind, seed: int, camera_index: int, *, threads: int = 1
     ) -> None:
         if kind not in SENSOR_KINDS:
             raise BadRecordingError(f"found the sensor {kind!r}, expected one of {', '.join(SENSOR_KINDS)}")

@@ -1,0 +1,112 @@
+"""Writes `truth/` of a simulated recording: exact light, depth, objects and cameras beside the spikes.
+
+Layout, for every k-th plane of each camera: `camRC/000120.npy` float32 [H, W], the light at (120 + 0.5) / rate;
+`depth_` float32; `id_` int8; `blur_` float32, the mean light of the exposure that `scene.json` states. Viewpoints no
+camera of the rig has are `novelN/`, without blur. `cameras.json` is nerfstudio's and exact.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durable import write_durably, write_json
+from acquisition.errors import BadRecordingError
+from acquisition.progress import Progress, silent
+from acquisition.scenes.scene import Scene
+from acquisition.spikes.sensor import SensorKind
+from rigs.camera import Camera
+from rigs.exchange.nerfstudio import dump_transforms
+from rigs.rig import Rig
+from rigs.transform import Transform
+
+BLUR_PLANES = 32  # exposure of a blurred frame, centred on the instant
+BLUR_STRIDE = 4  # planes between the frames it is the mean of
+BLUR_SAMPLES = 2
+NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # in half widths of the rig: one between the cameras, one beside them
+
+
+def write_truth(
+    scene: Scene,
+    rig: Rig,
+    ticks: int,
+    every: int,
+    folder: Path,
+    progress: Progress = silent,
+    *,
+    samples: int = 4,
+    sensor: SensorKind = "real",
+) -> None:
+    """Fill the new `folder` with the truth of planes 0, `every`, ... below `ticks`, samples x samples rays a pixel.
+
+    Raises BadRecordingError where the folder exists or there is nothing to write, DiskError when the disk refuses.
+    """
+    if ticks < 1 or every < 1:
+        raise BadRecordingError(f"found {ticks} ticks and truth every {every} planes, expected at least 1 of each")
+    if folder.exists():
+        raise BadRecordingError(f"{folder}: found it there already, expected a new folder; move it away")
+    planes = list(range(0, ticks, every))
+    cameras = (*rig.cameras, *novel_cameras(scene, rig))
+    for number, camera in enumerate(cameras):
+        progress(number / len(cameras), f"truth of {camera.id}")
+        (folder / camera.id).mkdir(parents=True)
+        _write_views(scene, rig, camera, planes, folder, samples)
+        if camera.id in rig.ids:
+            _write_blur(scene, rig, camera, planes, folder)
+    write_durably(folder / "cameras.json", dump_transforms(cameras))
+    write_json(folder / "scene.json", _description(scene, rig, ticks, every) | {"sensor": sensor, "samples": samples})
+    progress(1.0, f"truth of {len(cameras)} views, {len(planes)} instants each")
+
+
+def novel_cameras(scene: Scene, rig: Rig) -> tuple[Camera, ...]:
+    """Viewpoints `novel0`, ... that look at the scene's centre with the lens of the rig's first camera."""
+    centers = np.array([camera.center for camera in rig.cameras])
+    middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
+    reach = np.maximum((centers.max(axis=0) - centers.min(axis=0)) / 2, 0.1)
+    places = [middle + reach * (x, y, 0) for x, y in NOVEL_REACH]
+    return tuple(
+        replace(rig.cameras[0], id=f"novel{n}", serial="", cam_from_rig=Transform.looking_at(place, scene.center))
+        for n, place in enumerate(places)
+    )
+
+
+def _write_views(scene: Scene, rig: Rig, camera: Camera, planes: list[int], folder: Path, samples: int) -> None:
+    raycaster = scene.raycaster(camera, samples)
+    for plane in planes:
+        frames = raycaster.frames(*scene.placements(np.array([rig.clock.instant_s(plane)])))
+        for prefix, image in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
+            _save(folder / camera.id / f"{prefix}{plane:06d}.npy", image[0])
+
+
+def _write_blur(scene: Scene, rig: Rig, camera: Camera, planes: list[int], folder: Path) -> None:
+    raycaster = scene.raycaster(camera, BLUR_SAMPLES)
+    offsets = np.arange(-BLUR_PLANES / 2 + BLUR_STRIDE / 2, BLUR_PLANES / 2, BLUR_STRIDE)
+    for plane in planes:
+        instants_s = np.array([rig.clock.instant_s(plane + offset) for offset in offsets])
+        light = raycaster.intensity(*scene.placements(instants_s))
+        blur = light.mean(axis=0, dtype=np.float64).astype(np.float32)
+        _save(folder / camera.id / f"blur_{plane:06d}.npy", blur)
+
+
+def _save(path: Path, image: NDArray) -> None:
+    buffer = io.BytesIO()
+    np.save(buffer, image)
+    write_durably(path, buffer.getvalue())
+
+
+def _description(scene: Scene, rig: Rig, ticks: int, every: int) -> dict[str, object]:
+    return {
+        "scene": scene.name,
+        "seed": scene.seed,
+        "white": scene.white,
+        "ticks": ticks,
+        "tick_rate_hz": rig.tick_rate_hz,
+        "every": every,
+        "object_ids": scene.object_ids,
+        "movers": [{"id": number, "name": name} for name, number in scene.movers.items()],
+        "blur": {"window_ticks": BLUR_PLANES, "stride_ticks": BLUR_STRIDE, "samples": BLUR_SAMPLES},
+    }
