@@ -1,0 +1,135 @@
+"""Opens the cameras of a rig by a device URI: `usb:` for hardware, `mock:SCENE?seed=3&sensor=real` for simulated."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import cast
+from urllib.parse import parse_qsl, urlsplit
+
+import libusb_package
+from usb.backend import IBackend
+
+from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
+from acquisition.errors import DeviceError
+from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.scene import Scene
+from acquisition.scenes.source import SceneSource
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
+from rigs.rig import Rig
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What simulated cameras see: a named scene, its seed, the sensor model, samples x samples rays a pixel.
+
+    Truth is written for every `truth_every`-th plane.
+    """
+
+    scene: str
+    seed: int = 0
+    sensor: SensorKind = "real"
+    samples: int = 2
+    truth_every: int = 20
+
+    def __post_init__(self) -> None:
+        if self.sensor not in SENSOR_KINDS:
+            raise CameraSetupError(f"found the sensor {self.sensor!r}, expected one of {', '.join(SENSOR_KINDS)}")
+        if self.samples < 1 or self.truth_every < 1:
+            found = f"found samples {self.samples}, truth_every {self.truth_every}"
+            raise CameraSetupError(f"{found}; expected at least 1 each")
+
+    @classmethod
+    def parse(cls, uri: str) -> Simulation:
+        """From `mock:SCENE?field=value&...`; raises CameraSetupError naming what is not a field or no whole number."""
+        parts = urlsplit(uri)
+        values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
+        fields = [field.name for field in dataclasses.fields(cls)][1:]
+        for name, value in values.items():
+            if name not in fields:
+                raise CameraSetupError(f"{uri}: found {name}, expected {', '.join(fields)}")
+            if name != "sensor":
+                if not str(value).isdecimal():
+                    raise CameraSetupError(f"{uri}: found {name}={value}, expected a whole number")
+                values[name] = int(str(value))
+        return cls(parts.path, **cast(dict, values))
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What simulated cameras look at, so that its truth can be written beside their spikes."""
+
+    scene: Scene
+    simulation: Simulation
+
+
+@dataclass(frozen=True)
+class OpenCameras:
+    """The cameras of a rig, in its order, what starts them, and the scene behind them where they are simulated."""
+
+    cameras: tuple[UsbCamera, ...]
+    trigger: SoftwareTrigger | MockTriggerLine
+    simulated: Simulated | None = None
+
+
+@contextlib.contextmanager
+def open_cameras(rig: Rig, uri: str, planes: int) -> Iterator[OpenCameras]:
+    """Open all cameras of `rig` by `uri` and close them at the end; a simulated one has `planes` planes to show.
+
+    Raises CameraSetupError for an unknown URI and for the first camera that is missing or does not fit the rig.
+    """
+    kind = urlsplit(uri).scheme
+    if kind == "mock":
+        with open_simulated(rig, Simulation.parse(uri), planes) as opened:
+            yield opened
+    elif kind == "usb":
+        with _opened(rig, _libusb()) as cameras:
+            yield OpenCameras(cameras, SoftwareTrigger(cameras))
+    else:
+        raise CameraSetupError(f"found the devices {uri!r}, expected usb: or mock:SCENE")
+
+
+@contextlib.contextmanager
+def open_simulated(rig: Rig, simulation: Simulation, planes: int) -> Iterator[OpenCameras]:
+    """Cameras on the mock bus that look at `simulation`'s scene from where the rig's cameras stand."""
+    scene = build_scene(simulation.scene, simulation.seed)
+    rig = _with_serials(rig)
+    threads = max(1, len(os.sched_getaffinity(0)) // len(rig.cameras))  # the cameras are read at the same time
+    models = []
+    for number, camera in enumerate(rig.cameras):
+        sensor = Sensor(camera.width, camera.height, simulation.sensor, simulation.seed, number, threads=threads)
+        layout = PlaneLayout(camera.width, camera.height)
+        source = SceneSource(
+            scene, camera, rig.clock, planes, sensor, layout, samples=simulation.samples, threads=threads
+        )
+        models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz))
+    with _opened(rig, MockBackend(models)) as cameras:
+        yield OpenCameras(cameras, MockTriggerLine(models), Simulated(scene, simulation))
+
+
+@contextlib.contextmanager
+def _opened(rig: Rig, backend: IBackend) -> Iterator[tuple[UsbCamera, ...]]:
+    with contextlib.ExitStack() as stack:
+        cameras = []
+        for camera in rig.cameras:
+            cameras.append(UsbCamera.open(camera, rig.tick_rate_hz, backend))
+            stack.callback(cameras[-1].close)
+        yield tuple(cameras)
+
+
+def _with_serials(rig: Rig) -> Rig:
+    """A simulated camera without a serial in the rig has its id for one."""
+    return dataclasses.replace(rig, cameras=tuple(dataclasses.replace(c, serial=c.serial or c.id) for c in rig.cameras))
+
+
+def _libusb() -> IBackend:
+    backend = libusb_package.get_libusb1_backend()
+    if backend is None:
+        raise DeviceError("found no libusb that loads, expected the one of libusb-package; reinstall libusb-package")
+    return backend

@@ -1,0 +1,139 @@
+"""`recording.json`: what a recording holds, and the digests that prove it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from acquisition.errors import BadRecordingError
+from acquisition.spikes.layout import PlaneLayout
+
+SCHEMA_VERSION = 1
+MANIFEST_FILE = "recording.json"
+RIG_FILE = "rig.toml"
+TRUTH_FOLDER = "truth"
+BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
+
+Layer = Literal["device", "link"]
+Trigger = Literal["line", "software", "import"]
+
+
+def block_planes_of(layout: PlaneLayout) -> int:
+    """How many planes share one digest: 80, or as many as make a megabyte."""
+    return max(1, min(BLOCK_PLANES, BLOCK_BYTES // layout.plane_bytes))
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Planes [first_plane, first_plane + planes) were lost in `layer`; they are zeros in the file: time stays right."""
+
+    first_plane: int
+    planes: int
+    layer: Layer
+
+    def __post_init__(self) -> None:
+        if self.first_plane < 0 or self.planes < 1 or self.layer not in get_args(Layer):
+            raise BadRecordingError(f"found the gap {self}, expected planes from 0 lost in one of {get_args(Layer)}")
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """One camera's `.dat`: pure planes in the camera's own `layout`.
+
+    `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
+    the file. `skew_s` is how far its first plane was from the trigger (None where nothing measured it); `partial_bytes`
+    what an imported file held beyond its last whole plane.
+    """
+
+    id: str
+    file: str
+    layout: PlaneLayout
+    planes: int
+    first_tick: int
+    block_planes: int
+    block_digests: tuple[str, ...]
+    sha256: str
+    gaps: tuple[Gap, ...] = ()
+    skew_s: float | None = None
+    partial_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        if self.planes < 1 or self.block_planes < 1:
+            found = f"found {self.planes} planes, {self.block_planes} a block"
+            raise BadRecordingError(f"{self.id}: {found}; expected at least one each")
+        blocks = -(-self.planes // self.block_planes)
+        if len(self.block_digests) != blocks:
+            raise BadRecordingError(f"{self.id}: found {len(self.block_digests)} block digests, expected {blocks}")
+        if "/" in self.file or self.file in ("", ".", ".."):
+            raise BadRecordingError(f"{self.id}: found the file {self.file!r}, expected a name inside the recording")
+
+    @property
+    def drops(self) -> dict[str, int]:
+        """Planes lost, by layer."""
+        return {layer: sum(g.planes for g in self.gaps if g.layer == layer) for layer in get_args(Layer)}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The whole of `recording.json`; `writer` names the program and version that wrote it."""
+
+    tick_rate_hz: float
+    trigger: Trigger
+    writer: str
+    rig_sha256: str
+    cameras: tuple[CameraFile, ...]
+
+    def __post_init__(self) -> None:
+        if not self.tick_rate_hz > 0:
+            raise BadRecordingError(f"found the tick rate {self.tick_rate_hz} Hz, expected a positive number")
+        if self.trigger not in get_args(Trigger):
+            raise BadRecordingError(f"found the trigger {self.trigger!r}, expected one of {get_args(Trigger)}")
+        ids = [camera.id for camera in self.cameras]
+        if not ids or len(set(ids)) < len(ids):
+            raise BadRecordingError(f"found the cameras {ids}, expected at least one, each once")
+
+    def camera(self, camera_id: str) -> CameraFile:
+        """The entry of one camera; raises BadRecordingError listing the known ones."""
+        for camera in self.cameras:
+            if camera.id == camera_id:
+                return camera
+        known = ", ".join(camera.id for camera in self.cameras)
+        raise BadRecordingError(f"found no camera {camera_id} in the recording, expected one of {known}")
+
+
+def dump_manifest(manifest: Manifest) -> str:
+    """The manifest as JSON text."""
+    document = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(manifest)}
+    for table, camera in zip(document["cameras"], manifest.cameras, strict=True):
+        table["drops"] = camera.drops
+    return json.dumps(document, indent=1) + "\n"
+
+
+def load_manifest(text: str | bytes) -> Manifest:
+    """Read `dump_manifest`'s text; raises BadRecordingError for anything else."""
+    try:
+        document = json.loads(text)
+        version = document.pop("schema_version")
+        if version != SCHEMA_VERSION:
+            expected = f"expected {SCHEMA_VERSION}; update spike4dgs"
+            raise BadRecordingError(f"{MANIFEST_FILE}: found schema {version}, {expected}")
+        cameras = tuple(_camera(table) for table in document.pop("cameras"))
+        return Manifest(cameras=cameras, **document)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadRecordingError(
+            f"{MANIFEST_FILE}: found no manifest ({error}), expected what spike4dgs writes"
+        ) from error
+
+
+def _camera(table: dict[str, Any]) -> CameraFile:
+    table = dict(table)
+    drops = table.pop("drops")
+    layout = PlaneLayout(**table.pop("layout"))
+    gaps = tuple(Gap(**gap) for gap in table.pop("gaps"))
+    digests = tuple(table.pop("block_digests"))
+    camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, **table)
+    if drops != camera.drops:
+        raise BadRecordingError(f"{camera.id}: found the drops {drops}, expected {camera.drops} as the gaps say")
+    return camera

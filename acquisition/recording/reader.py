@@ -1,0 +1,84 @@
+"""A finished recording on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquisition.errors import BadRecordingError
+from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, TRUTH_FOLDER, Manifest, load_manifest
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.stream import SpikeStream
+from rigs.rig import Rig
+from rigs.toml import load_rig
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording folder: its rig, its manifest and its streams. Build with `open`."""
+
+    path: Path
+    rig: Rig
+    manifest: Manifest
+
+    def __post_init__(self) -> None:
+        known = {camera.id for camera in self.manifest.cameras}
+        missing = [camera_id for camera_id in self.rig.ids if camera_id not in known]
+        if missing:
+            raise BadRecordingError(
+                f"{self.path}: found no stream of {', '.join(missing)}, expected one for each camera of its rig"
+            )
+
+    @classmethod
+    def open(cls, path: Path) -> Recording:
+        """Read manifest and rig; raises BadRecordingError when `path` is no recording. The planes are not touched."""
+        manifest = read_manifest(path)
+        return cls(path, load_rig(path / RIG_FILE), manifest)
+
+    @property
+    def tick_rate_hz(self) -> float:
+        """Planes a second."""
+        return self.manifest.tick_rate_hz
+
+    @property
+    def camera_ids(self) -> tuple[str, ...]:
+        """The cameras in the rig's order."""
+        return self.rig.ids
+
+    @property
+    def planes(self) -> int:
+        """How many planes every camera has."""
+        return min(camera.planes for camera in self.manifest.cameras)
+
+    @property
+    def truth(self) -> Path | None:
+        """The folder with the ground truth of a simulated recording."""
+        folder = self.path / TRUTH_FOLDER
+        return folder if folder.is_dir() else None
+
+    def layout(self, camera_id: str) -> PlaneLayout:
+        """How the planes of one camera lie in bytes."""
+        return self.manifest.camera(camera_id).layout
+
+    def stream(self, camera_id: str) -> SpikeStream:
+        """The memory-mapped planes of one camera; raises BadRecordingError where the file is not what was recorded."""
+        entry = self.manifest.camera(camera_id)
+        stream = SpikeStream.open(self.path / entry.file, entry.layout, self.tick_rate_hz)
+        if len(stream) != entry.planes:
+            found = f"found {len(stream)} planes, expected {entry.planes}"
+            raise BadRecordingError(f"{self.path / entry.file}: {found}; verify the recording")
+        return stream
+
+
+def read_manifest(path: Path) -> Manifest:
+    """The manifest of the recording in `path`; raises BadRecordingError naming the folder."""
+    try:
+        text = (path / MANIFEST_FILE).read_bytes()
+    except OSError as error:
+        raise BadRecordingError(
+            f"{path}: found no readable {MANIFEST_FILE} ({error.strerror}), expected a recording folder"
+        ) from error
+    try:
+        return load_manifest(text)
+    except BadRecordingError as error:
+        raise BadRecordingError(f"{path}: {error}") from error

@@ -1,0 +1,72 @@
+"""Proves that a recording is what was written, or names the file and the block that is not."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import xxhash
+
+from acquisition.progress import Progress, silent
+from acquisition.recording.manifest import RIG_FILE, CameraFile
+from acquisition.recording.reader import read_manifest
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """What is wrong with `file`; `block` counts digest blocks from 0, None where the whole file is meant."""
+
+    file: str
+    block: int | None
+    reason: str
+
+    def __str__(self) -> str:
+        where = self.file if self.block is None else f"{self.file}: block {self.block}"
+        return f"{where}: {self.reason}"
+
+
+def verify(path: Path, progress: Progress = silent) -> list[Damaged]:
+    """Every damage of the recording in `path`, none when sound; raises BadRecordingError when it is no recording."""
+    manifest = read_manifest(path)
+    damages = _verify_rig(path / RIG_FILE, manifest.rig_sha256)
+    total = sum(camera.planes for camera in manifest.cameras)
+    done = 0
+    for camera in manifest.cameras:
+        progress(done / total, camera.file)
+        damages += _verify_stream(path / camera.file, camera)
+        done += camera.planes
+    progress(1.0, f"{len(manifest.cameras)} files")
+    return damages
+
+
+def _verify_rig(path: Path, sha256: str) -> list[Damaged]:
+    try:
+        found = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        return [Damaged(path.name, None, f"cannot be read ({error.strerror})")]
+    return [] if found == sha256 else [Damaged(path.name, None, "its SHA-256 is not the recorded one")]
+
+
+def _verify_stream(path: Path, camera: CameraFile) -> list[Damaged]:
+    damages = []
+    sha256 = hashlib.sha256()
+    plane_bytes = camera.layout.plane_bytes
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            for block, digest in enumerate(camera.block_digests):
+                data = file.read(camera.block_planes * plane_bytes)
+                sha256.update(data)
+                planes = min(camera.block_planes, camera.planes - block * camera.block_planes)
+                if xxhash.xxh3_64_hexdigest(data[: planes * plane_bytes]) != digest:
+                    first = block * camera.block_planes
+                    reason = f"planes {first} to {first + planes - 1} are not the recorded ones"
+                    damages.append(Damaged(path.name, block, reason))
+    except OSError as error:
+        return [Damaged(path.name, None, f"cannot be read ({error.strerror})")]
+    if size != camera.planes * plane_bytes:
+        damages.append(Damaged(path.name, None, f"found {size} bytes, expected {camera.planes * plane_bytes}"))
+    elif not damages and sha256.hexdigest() != camera.sha256:
+        damages.append(Damaged(path.name, None, "its SHA-256 is not the recorded one"))
+    return damages

@@ -1,0 +1,136 @@
+"""Commands that make and check recordings: simulate, record, import, verify."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import click
+
+from acquisition.devices.open import Simulation
+from acquisition.recording.importing import ImportOptions, import_recording
+from acquisition.recording.manifest import Manifest
+from acquisition.recording.verify import verify
+from acquisition.scenes.catalog import SCENES
+from acquisition.session.record import record, simulate
+from rigs.rig import Rig
+from rigs.toml import catalog_names, catalog_rig, load_rig
+from server.cli.progress import progress_of
+
+
+class SizeType(click.ParamType):
+    """WIDTHxHEIGHT in pixels."""
+
+    name = "WxH"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """The pair of numbers."""
+        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", str(value))
+        if not match or "0" in match.groups():
+            self.fail(f"found the size {value}, expected WIDTHxHEIGHT such as 400x250", param, ctx)
+        return int(match[1]), int(match[2])
+
+
+class ManyDats(click.Command):
+    """Lets `--dat` take every file up to the next option, as a shell's pattern gives them."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Repeat the option before each of its files."""
+        spread, taking = [], False
+        for arg in args:
+            if arg.startswith("-"):
+                taking = arg == "--dat"
+                spread += [] if taking else [arg]
+            else:
+                spread += ["--dat", arg] if taking else [arg]
+        return super().parse_args(ctx, spread)
+
+
+_out = click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="The recording to make; a new folder."
+)
+_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+
+
+@click.command("simulate")
+@click.option("--scene", type=click.Choice(SCENES), required=True, help="What the cameras look at.")
+@click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
+@click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--size", type=SizeType(), help="Pixels of every camera; scales the rig's intrinsics.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
+@click.option("--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="In planes.")
+@_out
+@_json
+def simulate_command(
+    scene: str, rig: str, ticks: int, size: tuple[int, int] | None, out: Path, as_json: bool, **simulation
+) -> None:
+    """Record a simulated scene, with its ground truth beside the spikes."""
+    found = _rig(rig)
+    found = found.scaled(*size) if size else found
+    manifest = simulate(Simulation(scene, **simulation), found, ticks, out, progress_of("simulate"))
+    _print_recording(out, manifest, as_json)
+
+
+@click.command("record")
+@click.option("--rig", required=True, help="RIG.toml, or a rig of the catalog.")
+@click.option("--ticks", required=True, type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--devices", default="usb:", show_default=True, help="usb: or mock:SCENE?seed=0&sensor=real&samples=2")
+@_out
+@_json
+def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool) -> None:
+    """Arm all cameras of a rig, start them together, and record."""
+    manifest = record(_rig(rig), devices, ticks, out, progress_of("record"))
+    _print_recording(out, manifest, as_json)
+
+
+@click.command("import", cls=ManyDats)
+@click.option("--dat", "dats", multiple=True, required=True, metavar="FILE...", help="In row order, or camRC=FILE.")
+@click.option(
+    "--cameras",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="transforms.json, a COLMAP model folder, or RIG.toml.",
+)
+@click.option("--tick-rate", "tick_rate_hz", type=float, required=True, help="Planes a second.")
+@click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal ones are estimated later.")
+@click.option("--size", type=SizeType(), help="Pixels of every camera, where the cameras' file has none.")
+@click.option("--bit-order", type=click.Choice(["lsb", "msb"]), default="lsb", show_default=True)
+@click.option("--row-order", type=click.Choice(["bottom", "top"]), default="bottom", show_default=True)
+@click.option("--allow-partial", is_flag=True, help="Drop what lies beyond the last whole plane, and record how much.")
+@_out
+@_json
+def import_command(dats: tuple[str, ...], cameras: Path, out: Path, as_json: bool, **options) -> None:
+    """Make a recording of `.dat` files, kept bit for bit."""
+    manifest = import_recording(dats, cameras, out, ImportOptions(**options), progress_of("import"))
+    _print_recording(out, manifest, as_json)
+
+
+@click.command("verify")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@_json
+def verify_command(recording: Path, as_json: bool) -> None:
+    """Check every byte of a recording: exit 0 sound, 1 damaged, 2 no recording."""
+    damages = verify(recording, progress_of("verify"))
+    if as_json:
+        found = [dataclasses.asdict(damaged) for damaged in damages]
+        click.echo(json.dumps({"recording": str(recording), "sound": not damages, "damages": found}))
+    else:
+        click.echo("\n".join(map(str, damages)) or f"{recording}: sound")
+    raise SystemExit(1 if damages else 0)
+
+
+def _rig(name: str) -> Rig:
+    return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))
+
+
+def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
+    cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
+    if as_json:
+        click.echo(json.dumps({"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz, "cameras": cameras}))
+        return
+    lost = sum(sum(camera.drops.values()) for camera in manifest.cameras)
+    planes = min(camera.planes for camera in manifest.cameras)
+    click.echo(
+        f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
+    )
