@@ -15,7 +15,7 @@ Poses = Literal["calibrated", "nominal"]
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where calibrated poses came from: an ISO date, the residual in pixels, the rotation's standard deviation."""
+    """Where calibrated poses came from: an ISO date, the RMS residual in pixels, the rotation's standard deviation."""
 
     date: str
     residual_px: float

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,3 +156,10 @@ def test_a_malformed_calibration_is_refused(tmp_path, line, word):
     path.write_text(GOOD.replace("[[camera]]", f"[calibration]\n{lines}\n\n[[camera]]", 1))
     with pytest.raises(RigError, match=f"calibration.*{word}"):
         load_rig(path)
+
+
+def test_the_rig_file_in_the_readme_loads(tmp_path):
+    readme = (Path(__file__).resolve().parents[3] / "rigs/README.md").read_text()
+    path = tmp_path / "bench.toml"
+    path.write_text(readme.split("```toml\n")[1].split("```")[0])
+    assert load_rig(path).ids == ("cam00",)
