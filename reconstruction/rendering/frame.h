@@ -34,8 +34,9 @@ struct alignas(64) Splat {
 };
 
 // Sums over pixels of g = dL/dalpha * alpha: g, g u, g v, g u^2, g u v, g v^2; and dL/dintensity, dL/ddepth.
+constexpr int kMoments = 8;
 struct Moments {
-    float g, gu, gv, guu, guv, gvv, intensity, depth;
+    float value[kMoments];
 };
 
 struct Frame {

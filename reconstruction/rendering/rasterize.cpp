@@ -22,10 +22,11 @@ inline Corner corner_of(const Splat &s, int x, int y) {
     return {s.p * dx + s.q * dy, s.r * dy, std::max(s.y_first - y, 0), std::min(s.y_last - y, kTile - 1)};
 }
 
-// exp(-sigma) for sigma in [0, 6]: a polynomial of degree 5 in sigma/8, to the 8th power; 1e-6 relative.
+// exp(-sigma) for sigma in [0, 6]: a polynomial of degree 5 for exp(-sigma / 8), to the 8th power; 1e-6 relative.
 inline float exp_minus(float sigma) {
-    const float x = sigma * 0.125f;
-    float e = 0.999999921f + x * (-0.999992539f + x * (0.499882588f + x * (-0.165973976f + x * (0.0397725622f + x * -0.00584676013f))));
+    float e = 9.71009819e-06f + sigma * -1.78428959e-07f;
+    e = 0.00781066544f + sigma * (-0.000324167922f + sigma * e);
+    e = 0.999999921f + sigma * (-0.124999067f + sigma * e);
     e *= e;
     e *= e;
     return e * e;
@@ -49,10 +50,10 @@ void clear(const Pinhole &c, int x, int y, Lanes &T) {
 
 bool opaque(const Lanes &T) {
     const float *t = T.row[0];
-    float most = 0;
-#pragma omp simd reduction(max : most)
-    for (int i = 0; i < kPixels; ++i) most = std::max(most, t[i]);
-    return most < kTransmittanceMin;
+    int live = 0;
+#pragma omp simd reduction(+ : live)
+    for (int i = 0; i < kPixels; ++i) live += t[i] >= kTransmittanceMin;
+    return live == 0;
 }
 
 void blend(const Splat s, int x, int y, Lanes &T, Lanes &intensity, Lanes &depth) {
@@ -75,14 +76,15 @@ void forward_tile(Frame &f, const Image &image, int tile) {
     Lanes T, intensity = {}, depth = {};
     clear(f.camera, x, y, T);
     float *checkpoint = f.checkpoints.data() + f.checkpoint_start[tile] * kPixels;
-    const int64_t start = f.tile_start[tile];
+    const int64_t start = f.tile_start[tile], last = f.tile_start[tile + 1] - 1;
     int64_t k = start;
-    for (; k < f.tile_start[tile + 1]; ++k) {
+    for (; k <= last; ++k) {
         if ((k - start) % kChunk == 0) {
             if (opaque(T)) break;
             std::copy_n(T.row[0], kPixels, checkpoint);
             checkpoint += kPixels;
         }
+        __builtin_prefetch(&f.splats[f.entries[std::min(k + 4, last)]]);
         blend(f.splats[f.entries[k]], x, y, T, intensity, depth);
     }
     f.tile_end[tile] = k;
@@ -149,14 +151,14 @@ Moments unblend(const Splat s, int x, int y, const TileGradient &v, const Lanes 
         b0 += s1[i], b1 += u * s1[i], c0 += s2[i];
         intensity += si[i], depth += sz[i];
     }
-    return {a0,
+    return {{a0,
             a1 + s.q * b0,
             c.v * a0 + s.r * b0,
             a2 + 2 * s.q * b1 + s.q * s.q * c0,
             c.v * (a1 + s.q * b0) + s.r * (b1 + s.q * c0),
             c.v * c.v * a0 + 2 * c.v * s.r * b0 + s.r * s.r * c0,
             intensity,
-            depth};
+            depth}};
 }
 
 void load(const Pinhole &c, int x, int y, const float *from, Lanes &to) {
