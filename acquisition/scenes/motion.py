@@ -49,8 +49,8 @@ class Motion:
         since = (flight if math.isinf(self.bounce_s) else flight % self.bounce_s)[:, None]
         velocity, acceleration = np.array(self.velocity_m_s), np.array(self.acceleration_m_s2)
         translations = self.start.translation + velocity * since + acceleration * since**2 / 2
-        spins = np.stack([_rotation(self.spin_axis, self.spin_rad_s * t) for t in np.asarray(instants_s)])
-        return spins @ self.start.rotation, translations
+        spins = [_rotation(self.spin_axis, self.spin_rad_s * t) for t in np.asarray(instants_s)]
+        return np.array(spins).reshape(-1, 3, 3) @ self.start.rotation, translations
 
 
 def _rotation(axis: Vector, angle_rad: float) -> NDArray[np.float64]:

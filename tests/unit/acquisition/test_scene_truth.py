@@ -1,0 +1,88 @@
+"""`truth/` holds exactly what the recording contract names, and the light the sensor saw."""
+
+import json
+
+import numpy as np
+import pytest
+
+from acquisition.errors import BadRecordingError
+from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.truth import novel_cameras, write_truth
+from rigs.exchange.nerfstudio import load_transforms
+from rigs.toml import catalog_rig
+
+RIG = catalog_rig("lab3x3").scaled(41, 26)
+SCENE = build_scene("fan_and_ball", 2)
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording") / "truth"
+    write_truth(SCENE, RIG, 50, 20, folder, samples=2, sensor="ideal")
+    return folder
+
+
+def test_the_folder_holds_what_the_contract_names_and_nothing_else(truth):
+    planes = ("000000", "000020", "000040")
+    novel = {f"novel{n}/{kind}{k}.npy" for n in (0, 1) for kind in ("", "depth_", "id_") for k in planes}
+    rig = {f"{c}/{kind}{k}.npy" for c in RIG.ids for kind in ("", "depth_", "id_", "blur_") for k in planes}
+    found = {str(path.relative_to(truth)) for path in truth.rglob("*") if path.is_file()}
+    assert found == novel | rig | {"cameras.json", "scene.json"}
+
+
+def test_arrays_are_the_scene_at_the_middle_of_the_plane(truth):
+    frames = SCENE.render(RIG.camera("cam02"), np.array([20.5 / 20000]), 2)
+    for prefix, expected in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
+        stored = np.load(truth / "cam02" / f"{prefix}000020.npy")
+        assert stored.dtype == expected.dtype
+        np.testing.assert_array_equal(stored, expected[0])
+
+
+def test_blur_is_the_mean_light_of_its_window(truth):
+    every_plane = (20 + 0.5 + np.arange(-16, 16) + 0.5) / 20000
+    mean = SCENE.render(RIG.camera("cam11"), every_plane, 2).intensity.mean(axis=0)
+    blur = np.load(truth / "cam11" / "blur_000020.npy")
+    sharp = np.load(truth / "cam11" / "000020.npy")
+    assert np.sqrt(np.mean((blur - mean) ** 2)) < 0.2 * np.sqrt(np.mean((sharp - mean) ** 2))
+
+
+def test_cameras_are_exact_and_novel_ones_are_nobodys(truth):
+    stored = {camera.id: camera for camera in load_transforms(truth / "cameras.json")}
+    assert list(stored) == [*RIG.ids, "novel0", "novel1"]
+    for camera in (*RIG.cameras, *novel_cameras(SCENE, RIG)):
+        assert (stored[camera.id].K == camera.K).all()
+        assert np.abs(stored[camera.id].cam_from_rig.matrix - camera.cam_from_rig.matrix).max() < 1e-12
+    for novel in ("novel0", "novel1"):
+        assert min(np.linalg.norm(stored[novel].center - camera.center) for camera in RIG.cameras) > 0.05
+        assert np.isfinite(np.load(truth / novel / "depth_000040.npy")).all()
+
+
+def test_the_description_says_what_moves(truth):
+    scene = json.loads((truth / "scene.json").read_text())
+    assert scene["white"] == 0.6
+    assert {mover["name"] for mover in scene["movers"]} == {"fan", "ball"}
+    assert all(scene["object_ids"][mover["name"]] == mover["id"] for mover in scene["movers"])
+    assert {key: scene[key] for key in ("scene", "seed", "ticks", "tick_rate_hz", "every", "sensor")} == {
+        "scene": "fan_and_ball",
+        "seed": 2,
+        "ticks": 50,
+        "tick_rate_hz": 20000.0,
+        "every": 20,
+        "sensor": "ideal",
+    }
+    ids = np.load(truth / "cam11" / "id_000000.npy")
+    assert {mover["id"] for mover in scene["movers"]} <= set(ids.ravel().tolist()) <= set(scene["object_ids"].values())
+
+
+def test_one_camera_still_gets_viewpoints_of_its_own():
+    places = [camera.center for camera in novel_cameras(SCENE, RIG.only(["cam11"]))]
+    assert all(np.linalg.norm(place - RIG.camera("cam11").center) > 0.05 for place in places)
+
+
+def test_a_taken_folder_and_an_empty_clip_are_refused(tmp_path, truth):
+    with pytest.raises(BadRecordingError, match="expected a new folder"):
+        write_truth(SCENE, RIG, 50, 20, truth)
+    for ticks, every in ((0, 20), (50, 0)):
+        with pytest.raises(BadRecordingError, match="at least 1"):
+            write_truth(SCENE, RIG, ticks, every, tmp_path / "truth")
+    assert not (tmp_path / "truth").exists()
