@@ -14,7 +14,7 @@ from acquisition.session.session import record_session
 from rigs.rig import Rig
 
 _TRUTH_BYTES_PER_PIXEL = 16  # light, depth, object, blur
-_RECORDING_SHARE = 0.8  # of the time, where truth is rendered after it
+_RECORDING_SHARE, _WRITTEN = 0.8, 0.99  # of the work: after the planes where truth follows them, before the name
 
 
 def record(rig: Rig, devices: str, planes: int, out: Path, progress: Progress = silent) -> Manifest:
@@ -42,11 +42,13 @@ def _check(planes: int, out: Path) -> None:
 
 def _record(rig: Rig, opened: OpenCameras, planes: int, out: Path, progress: Progress) -> Manifest:
     needed = planes * sum(camera.layout.plane_bytes for camera in opened.cameras) + _truth_bytes(rig, opened, planes)
-    share = _RECORDING_SHARE if opened.simulated else 1.0
+    share = _RECORDING_SHARE if opened.simulated else _WRITTEN
     with RecordingWriter(out, rig, needed) as recording:
         streams = record_session(opened.cameras, opened.trigger, planes, recording, _part(progress, 0.0, share))
         if opened.simulated:
-            _write_truth(opened.simulated, rig, planes, recording.folder / TRUTH_FOLDER, _part(progress, share, 1.0))
+            _write_truth(
+                opened.simulated, rig, planes, recording.folder / TRUTH_FOLDER, _part(progress, share, _WRITTEN)
+            )
         manifest = recording.commit([stream.entry() for stream in streams], opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {planes} planes each")
     return manifest

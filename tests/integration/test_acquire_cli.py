@@ -1,0 +1,143 @@
+"""The commands that make and check recordings, as a person meets them."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from acquisition.recording.reader import Recording
+from rigs.toml import catalog_rig, dump_rig
+from server.cli.main import main
+
+SMALL = ("--size", "40x25", "--ticks", "30", "--truth-every", "30")
+
+
+@pytest.fixture
+def spike4dgs(monkeypatch, capsys):
+    def run(*args):
+        monkeypatch.setattr(sys, "argv", ["spike4dgs", *map(str, args)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        out, err = capsys.readouterr()
+        return caught.value.code, out, err.strip().splitlines()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    out = tmp_path_factory.mktemp("cli") / "rec"
+    args = [sys.executable, "-c", "from server.cli.main import main; main()", "simulate", "--scene", "fan_and_ball"]
+    subprocess.run([*args, *SMALL, "--out", str(out)], check=True, capture_output=True)
+    return out
+
+
+def test_simulate_says_what_it_made(spike4dgs, tmp_path):
+    code, out, err = spike4dgs("simulate", "--scene", "fan_and_ball", *SMALL, "--json", "--out", tmp_path / "rec")
+    assert code == 0
+    assert json.loads(out)["cameras"]["cam11"] == {"planes": 30, "drops": {"device": 0, "link": 0}}
+    assert err[-1].startswith("simulate 100%")
+    recording = Recording.open(tmp_path / "rec")
+    assert recording.rig.cameras[0].width == 40
+    assert recording.rig.cameras[0].fx == pytest.approx(catalog_rig("lab3x3").cameras[0].fx / 10)
+
+
+def test_verify_accepts_and_finds_a_flipped_bit(spike4dgs, recorded, tmp_path):
+    shutil.copytree(recorded, tmp_path / "rec")
+    assert spike4dgs("verify", tmp_path / "rec")[0] == 0
+    path = tmp_path / "rec/cam12.dat"
+    data = bytearray(path.read_bytes())
+    data[99] ^= 4
+    path.write_bytes(data)
+    code, out, _ = spike4dgs("verify", tmp_path / "rec")
+    assert (code, out) == (1, "cam12.dat: block 0: planes 0 to 29 are not the recorded ones\n")
+    code, out, _ = spike4dgs("verify", tmp_path / "rec", "--json")
+    assert code == 1
+    assert [d["file"] for d in json.loads(out)["damages"]] == ["cam12.dat"]
+
+
+def test_verify_of_no_recording_is_bad_input(spike4dgs, tmp_path):
+    code, out, err = spike4dgs("verify", tmp_path)
+    assert (code, out) == (2, "")
+    assert "expected a recording folder" in err[-1]
+
+
+def test_record_takes_a_rig_file_and_a_device_uri(spike4dgs, recorded, tmp_path):
+    (tmp_path / "small.toml").write_text(dump_rig(catalog_rig("lab3x3").scaled(40, 25)))
+    uri = "mock:fan_and_ball?truth_every=30"
+    args = ("--rig", tmp_path / "small.toml", "--ticks", 30, "--devices", uri, "--out", tmp_path / "rec")
+    code, out, _ = spike4dgs("record", *args)
+    assert code == 0
+    assert "9 cameras, 30 planes each at 20000 Hz, 0 planes lost" in out
+    for path in recorded.glob("*.dat"):
+        assert (tmp_path / "rec" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_record_names_the_camera_that_is_missing(spike4dgs, tmp_path):
+    first = catalog_rig("lab3x3").cameras[0]
+    code, _, err = spike4dgs("record", "--rig", "lab3x3", "--ticks", 10, "--out", tmp_path / "rec")
+    assert code == 2
+    assert f"{first.id}: found no camera with serial {first.serial}" in err[-1]
+    assert not (tmp_path / "rec").exists()
+
+
+def test_import_takes_what_a_shell_pattern_gives(spike4dgs, recorded, tmp_path):
+    files = sorted(recorded.glob("*.dat"))
+    args = ("--cameras", recorded / "rig.toml", "--tick-rate", 20000, "--out", tmp_path / "rec")
+    code, out, _ = spike4dgs("import", "--dat", *files, *args)
+    assert code == 0
+    assert "9 cameras, 30 planes" in out
+    for path in files:
+        assert (tmp_path / "rec" / path.name).read_bytes() == path.read_bytes()
+    code, _, err = spike4dgs("import", *args[:-1], tmp_path / "other", "--poses", "nominal", "--dat", *files[:-1])
+    assert code == 2
+    assert "none for cam22" in err[-1]
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("simulate", "--scene", "nowhere", "--out", "x"), "fan_and_ball"),
+        (("simulate", "--scene", "fan_and_ball", "--size", "40", "--out", "x"), "WIDTHxHEIGHT"),
+        (("simulate", "--scene", "fan_and_ball", "--size", "0x25", "--out", "x"), "WIDTHxHEIGHT"),
+        (("simulate", "--scene", "fan_and_ball", "--ticks", "0", "--out", "x"), "ticks"),
+        (("simulate", "--scene", "fan_and_ball", "--rig", "nowhere.toml", "--out", "x"), "nowhere.toml"),
+        (("import", "--dat", "--cameras", "t.json", "--tick-rate", "1", "--out", "x"), "--dat"),
+        (("import", "--dat", "a", "--cameras", "t.json", "--tick-rate", "1", "--out", "x"), "t.json"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_2(spike4dgs, tmp_path, monkeypatch, args, word):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = spike4dgs(*args)
+    assert (code, out) == (2, "")
+    assert word in err[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def wait_for_bytes(folder) -> None:
+    while not any(path.stat().st_size for path in folder.glob("*.dat")):
+        os.sched_yield()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_capture_has_no_name_and_can_be_made_again(tmp_path, how):
+    out = tmp_path / "rec"
+    command = [sys.executable, "-c", "from server.cli.main import main; main()", "simulate", "--scene", "fan_and_ball"]
+    capture = subprocess.Popen(
+        [*command, "--size", "100x64", "--ticks", "200000", "--out", str(out)], stderr=subprocess.PIPE
+    )
+    wait_for_bytes(tmp_path / "rec.partial")
+    capture.send_signal(how)
+    _, err = capture.communicate()
+    assert capture.returncode != 0
+    assert b"Traceback" not in err
+    assert not out.exists()
+    assert (tmp_path / "rec.partial").exists() == (how == signal.SIGKILL)
+    subprocess.run([*command, *SMALL, "--out", str(out)], check=True, capture_output=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["rec"]

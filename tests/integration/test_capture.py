@@ -1,0 +1,249 @@
+"""Nine cameras to the disk, and what a camera, a person or a disk can do to that."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.open import Simulation, open_cameras
+from acquisition.devices.protocol import Request
+from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
+from acquisition.errors import BadRecordingError, DeviceError, DiskError
+from acquisition.progress import silent
+from acquisition.recording import writer as writer_module
+from acquisition.recording.manifest import Gap
+from acquisition.recording.reader import Recording
+from acquisition.recording.verify import verify
+from acquisition.recording.writer import RecordingWriter
+from acquisition.session import session as session_module
+from acquisition.session.record import record, simulate
+from acquisition.session.session import record_session
+from acquisition.spikes.layout import PlaneLayout
+from rigs.rig import Rig
+from rigs.toml import catalog_rig
+
+LAYOUT = PlaneLayout(33, 21)
+PLANES = 250
+
+
+class RandomSource:
+    layout = LAYOUT
+
+    def __init__(self, seed: int):
+        self.all = np.random.default_rng(seed).integers(0, 256, (PLANES + 100, LAYOUT.plane_bytes), dtype=np.uint8)
+        self.asked = 0
+
+    def next_planes(self, count: int) -> np.ndarray:
+        found = self.all[self.asked : self.asked + count]
+        self.asked += count
+        return found
+
+
+class LossyModel(DeviceModel):
+    """Loses its second block on the way."""
+
+    def _next_block(self) -> bytes:
+        if self._emitted_blocks == 1:
+            super()._next_block()
+        return super()._next_block()
+
+
+class DeafModel(DeviceModel):
+    """Never hears the trigger."""
+
+    def trigger(self) -> None:
+        pass
+
+
+class StubbornModel(DeviceModel):
+    """Does not arm."""
+
+    def command(self, request: int) -> None:
+        if request != Request.ARM:
+            super().command(request)
+
+
+class Bench:
+    """A 3x3 rig on the mock bus; `odd` is the class of cam12."""
+
+    def __init__(self, odd: type[DeviceModel] = DeviceModel):
+        rig = catalog_rig("lab3x3").scaled(LAYOUT.width, LAYOUT.height)
+        self.rig = dataclasses.replace(
+            rig, cameras=tuple(dataclasses.replace(c, serial=f"S-{c.id}") for c in rig.cameras)
+        )
+        self.sources = {camera.id: RandomSource(seed) for seed, camera in enumerate(rig.cameras)}
+        self.models = [
+            (odd if c.id == "cam12" else DeviceModel)(c.serial, self.sources[c.id], rig.tick_rate_hz)
+            for c in self.rig.cameras
+        ]
+        self.backend = MockBackend(self.models)
+        self.trigger = MockTriggerLine(self.models)
+
+    def record(self, out, trigger=None, progress=silent) -> None:
+        cameras = [UsbCamera.open(c, self.rig.tick_rate_hz, self.backend) for c in self.rig.cameras]
+        trigger = trigger or self.trigger
+        try:
+            with RecordingWriter(out, self.rig, 0) as recording:
+                streams = record_session(cameras, trigger, PLANES, recording, progress)
+                recording.commit([stream.entry() for stream in streams], trigger.kind)
+        finally:
+            for camera in cameras:
+                camera.close()
+
+    def states(self) -> set[str]:
+        return {model.state.name for model in self.models}
+
+
+def test_nine_cameras_are_on_the_disk_bit_for_bit(tmp_path):
+    bench, fractions = Bench(), []
+    bench.record(tmp_path / "rec", progress=lambda fraction, message: fractions.append(fraction))
+    recording = Recording.open(tmp_path / "rec")
+    assert recording.camera_ids == tuple(f"cam{r}{c}" for r in range(3) for c in range(3))
+    assert recording.planes == PLANES
+    for camera_id, source in bench.sources.items():
+        assert (tmp_path / f"rec/{camera_id}.dat").read_bytes() == source.all[:PLANES].tobytes(), camera_id
+        entry = recording.manifest.camera(camera_id)
+        assert (entry.gaps, entry.skew_s, entry.first_tick) == ((), 0.0, 0)
+    assert recording.manifest.trigger == "line"
+    assert verify(tmp_path / "rec") == []
+    assert bench.states() == {"IDLE"}
+    assert fractions[-1] == 1.0
+    assert fractions == sorted(fractions)
+
+
+def test_a_software_start_claims_no_skew(tmp_path):
+    bench = Bench()
+    cameras: list[UsbCamera] = []
+    with RecordingWriter(tmp_path / "rec", bench.rig, 0) as recording:
+        cameras += [UsbCamera.open(c, bench.rig.tick_rate_hz, bench.backend) for c in bench.rig.cameras]
+        streams = record_session(cameras, SoftwareTrigger(cameras), PLANES, recording)
+        manifest = recording.commit([stream.entry() for stream in streams], "software")
+    for camera in cameras:
+        camera.close()
+    assert {c.skew_s for c in manifest.cameras} == {None}
+
+
+def test_a_lost_block_is_zeros_in_its_place_and_listed(tmp_path):
+    bench = Bench(odd=LossyModel)
+    bench.record(tmp_path / "rec")
+    recording = Recording.open(tmp_path / "rec")
+    expected = bench.sources["cam12"].all[:PLANES].copy()
+    expected[80:160] = 0
+    np.testing.assert_array_equal(recording.stream("cam12").packed, expected)
+    assert recording.manifest.camera("cam12").gaps == (Gap(80, 80, "link"),)
+    assert sum(len(c.gaps) for c in recording.manifest.cameras) == 1
+    assert verify(tmp_path / "rec") == []
+
+
+def test_planes_the_device_dropped_are_told_from_those_the_link_lost():
+    assert session_module._gaps(80, 50, 30) == [Gap(80, 30, "device"), Gap(110, 20, "link")]
+    assert session_module._gaps(0, 5, 99) == [Gap(0, 5, "device")]
+    assert session_module._gaps(7, 0, 0) == []
+
+
+def test_an_unplugged_camera_stops_all_by_its_name(tmp_path):
+    bench = Bench()
+    source = bench.sources["cam12"]
+    deliver = source.next_planes
+
+    def pull_the_plug(count):
+        if source.asked >= 160:
+            bench.backend.unplug("S-cam12")
+        return deliver(count)
+
+    source.next_planes = pull_the_plug
+    with pytest.raises(DeviceError, match=r"cam12 \(serial S-cam12\): it is not connected"):
+        bench.record(tmp_path / "rec")
+    assert list(tmp_path.iterdir()) == []
+    assert bench.states() - {"IDLE"} == {"RUNNING"}  # the one that is gone
+    assert [m.serial for m in bench.models if m.state.name == "RUNNING"] == ["S-cam12"]
+
+
+def test_a_camera_that_stays_silent_stops_all_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(session_module, "READ_TIMEOUT_S", 0.01)
+    bench = Bench(odd=DeafModel)
+    with pytest.raises(DeviceError, match=r"cam12: found no data .* after 0 of 250 planes"):
+        bench.record(tmp_path / "rec")
+    assert list(tmp_path.iterdir()) == []
+    assert bench.states() == {"IDLE"}
+
+
+def test_a_camera_that_does_not_arm_stops_all_by_its_name(tmp_path):
+    bench = Bench(odd=StubbornModel)
+    with pytest.raises(DeviceError, match="cam12: found it idle after arming"):
+        bench.record(tmp_path / "rec")
+    assert list(tmp_path.iterdir()) == []
+    assert bench.states() == {"IDLE"}
+    assert all(source.asked == 0 for source in bench.sources.values())
+
+
+def test_an_interrupt_leaves_nothing_and_stops_all(tmp_path):
+    def interrupt(fraction: float, message: str) -> None:
+        raise KeyboardInterrupt
+
+    bench = Bench()
+    with pytest.raises(KeyboardInterrupt):
+        bench.record(tmp_path / "rec", progress=interrupt)
+    assert list(tmp_path.iterdir()) == []
+    assert bench.states() == {"IDLE"}
+
+
+@pytest.fixture
+def small() -> Rig:
+    return catalog_rig("lab3x3").scaled(40, 25)
+
+
+def test_a_simulation_is_repeatable_and_has_its_truth(tmp_path, small):
+    simulation = Simulation("fan_and_ball", seed=3, truth_every=30)
+    simulate(simulation, small, 50, tmp_path / "a")
+    record(small, "mock:fan_and_ball?seed=3&truth_every=30", 50, tmp_path / "b")
+    simulate(dataclasses.replace(simulation, seed=4), small, 50, tmp_path / "c")
+    recordings = [Recording.open(tmp_path / name) for name in "abc"]
+    digests = [[c.sha256 for c in r.manifest.cameras] for r in recordings]
+    assert digests[0] == digests[1]
+    assert not set(digests[0]) & set(digests[2])
+    assert len(set(digests[0])) == 9
+    truth = recordings[0].truth
+    assert sorted(p.name for p in (truth / "cam11").glob("0*.npy")) == ["000000.npy", "000030.npy"]
+    assert (truth / "cameras.json").exists()
+    light = np.load(truth / "cam11/000030.npy")
+    rate = recordings[0].stream("cam11").counts(0, 50) / 50
+    assert rate.mean() == pytest.approx(light.mean(), rel=0.02)  # measured 0.007: the camera sees what truth says
+    for recording in recordings:
+        assert verify(recording.path) == []
+    assert list(tmp_path.glob("*.partial")) == []
+
+
+def test_a_full_disk_is_refused_before_the_cameras_are_armed(tmp_path, small, monkeypatch):
+    monkeypatch.setattr(writer_module, "free_bytes", lambda folder: 1_000_000)
+    with pytest.raises(DiskError, match="found 1000000 bytes free, expected at least"):
+        record(small, "mock:fan_and_ball", 10, tmp_path / "rec")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
+    (tmp_path / "rec").write_text("kept")
+    with pytest.raises(BadRecordingError, match="exists already"):
+        record(small, "mock:no_such_scene", 10, tmp_path / "rec")
+
+
+@pytest.mark.parametrize(
+    ("uri", "message"),
+    [
+        ("pci:", "expected usb: or mock:SCENE"),
+        ("mock:fan_and_ball?gain=3", "found gain, expected seed, sensor, samples, truth_every"),
+        ("mock:fan_and_ball?seed=-3", "expected a whole number"),
+        ("mock:fan_and_ball?sensor=perfect", "found the sensor 'perfect'"),
+        ("mock:fan_and_ball?samples=0", "at least 1"),
+    ],
+)
+def test_a_device_uri_that_cannot_be_is_refused(small, uri, message):
+    with pytest.raises(CameraSetupError, match=message), open_cameras(small, uri, 10):
+        pass
+
+
+def test_an_unknown_scene_is_refused(small):
+    with pytest.raises(BadRecordingError, match="fan_and_ball"), open_cameras(small, "mock:nowhere", 10):
+        pass
