@@ -11,7 +11,7 @@ from reconstruction.images.methods import Method
 
 @dataclass(frozen=True, eq=False)
 class CompositeSource:
-    """One camera's target images: `still` [H, W] is the mean of the whole clip, `moving` [H, W] where it is not used."""
+    """One camera's target images: `still` [H, W], the mean of the clip, but a short image where `moving` [H, W]."""
 
     stream: SpikeStream
     still: NDArray[np.float32]

@@ -11,7 +11,7 @@ from acquisition.spikes.stream import SpikeStream
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Linear intensity [H, W] float32 in spikes per tick, finite everywhere, and where it is more than a bound [H, W]."""
+    """Linear intensity [H, W] float32 in spikes per tick, always finite; `valid` [H, W] where it is more than a bound."""
 
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]

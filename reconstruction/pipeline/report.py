@@ -100,7 +100,8 @@ def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth
     curve = run.path / "error_vs_time.png"
     document = {
         "title": f"Reconstruction of {recording.path.name}",
-        "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at {recording.rig.tick_rate_hz:g} Hz; "
+        "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at "
+        f"{recording.rig.tick_rate_hz:g} Hz; "
         f"{run.document.get('steps', 0)} steps, {len(cloud)} Gaussians, revision {run.document['revision']}",
         "camera": run.config.holdout or "No camera held out",
         "rows": _pictures(run, recording, cloud, truth),

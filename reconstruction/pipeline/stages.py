@@ -137,8 +137,8 @@ def _moving_points(
 def _write_points(run: RunFolder, kind: str, points: Points, share: float) -> None:
     if kind == "still" and (len(points) < LEAST_POINTS or share < LEAST_SHARE):
         raise StereoError(
-            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels, expected {LEAST_POINTS} and "
-            f"{LEAST_SHARE:.0%}; check that the poses belong to this recording and that the scene has texture and light"
+            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels, expected {LEAST_POINTS} "
+            f"and {LEAST_SHARE:.0%}; check that the poses belong to this recording and that the scene has texture and light"
         )
     for f in fields(Points):
         run.write_array(f"points/{kind}_{f.name}", getattr(points, f.name))

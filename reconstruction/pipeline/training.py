@@ -30,7 +30,7 @@ class StoppedError(ReconstructionError):
 
 @dataclass
 class Budget:
-    """How much of a training is done: by seconds since the run began, or by steps. `spent_s` lies before this process."""
+    """How much of a training is done, by seconds of the run or by steps; `spent_s` lies before this process."""
 
     clock: Callable[[], float]
     started: float

@@ -9,19 +9,19 @@ import click
 
 from rigs.errors import Spike4dgsError
 
-COMMANDS = {
-    "simulate": "server.cli.acquire",
-    "record": "server.cli.acquire",
-    "import": "server.cli.acquire",
-    "verify": "server.cli.acquire",
-    "images": "server.cli.reconstruct",
-    "reconstruct": "server.cli.reconstruct",
-    "render": "server.cli.reconstruct",
-    "evaluate": "server.cli.reconstruct",
-    "bench": "server.cli.bench",
-    "demo": "server.cli.demo",
-    "serve": "server.cli.serve",
-    "worker": "server.cli.serve",
+COMMANDS = {  # name: (module, what it does)
+    "simulate": ("server.cli.acquire", "Record a scene with simulated cameras."),
+    "record": ("server.cli.acquire", "Record with the cameras of a rig."),
+    "import": ("server.cli.acquire", "Make a recording of .dat files and their cameras."),
+    "verify": ("server.cli.acquire", "Check that a recording is whole."),
+    "images": ("server.cli.reconstruct", "Turn spikes into images."),
+    "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),
+    "render": ("server.cli.reconstruct", "Render a run from any camera at any time."),
+    "evaluate": ("server.cli.reconstruct", "Compare a run with the truth."),
+    "bench": ("server.cli.bench", "Measure speed and quality."),
+    "demo": ("server.cli.demo", "The main job on the simulated rig, through the service."),
+    "serve": ("server.cli.serve", "Run the web service."),
+    "worker": ("server.cli.serve", "Run queued jobs."),
 }
 
 
@@ -31,11 +31,16 @@ class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """One line a command, none of them imported."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
         try:
-            module = importlib.import_module(COMMANDS[cmd_name])
+            module = importlib.import_module(COMMANDS[cmd_name][0])
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] in ("acquisition", "reconstruction", "rigs", "server"):
                 raise

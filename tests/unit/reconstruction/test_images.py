@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acquisition.errors import BadRecordingError
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.images.composite import CompositeSource, long_mean
+from reconstruction.images.methods import method
+from reconstruction.images.motion import moving_pixels
+from reconstruction.images.tfi import tfi
+from reconstruction.images.tfp import tfp
+
+
+def stream_of(planes):
+    layout = PlaneLayout(planes.shape[2], planes.shape[1])
+    return SpikeStream(pack(planes, layout), layout, 20000.0)
+
+
+def periodic(period, planes=200, phase=0, height=5, width=7):
+    spikes = np.zeros((planes, height, width), np.uint8)
+    spikes[phase::period] = 1
+    return spikes
+
+
+@given(st.integers(1, 60), st.integers(0, 59))
+def test_tfi_of_a_periodic_pixel_is_one_over_its_period(period, phase):
+    estimate = tfi(stream_of(periodic(period, phase=phase % period)), 100)
+    assert estimate.valid.all()
+    assert np.array_equal(estimate.intensity, np.full((5, 7), np.float32(1 / period)))
+
+
+@given(st.integers(1, 33))
+def test_tfp_of_constant_light_is_its_rate_within_a_spike(period):
+    image = tfp(stream_of(periodic(period)), 100).intensity
+    assert np.abs(image - 1 / period).max() <= 1 / 33 + 1e-6
+
+
+def test_tfi_of_a_silent_pixel_is_a_finite_bound_and_not_valid():
+    estimate = tfi(stream_of(np.zeros((10, 3, 3), np.uint8)), 4)
+    assert not estimate.valid.any()
+    assert np.array_equal(estimate.intensity, np.full((3, 3), np.float32(1 / 11)))
+
+
+def test_a_saturated_pixel_is_one_spike_per_tick():
+    stream = stream_of(np.ones((40, 2, 3), np.uint8))
+    assert (tfi(stream, 20).intensity == 1).all()
+    assert (tfp(stream, 20).intensity == 1).all()
+
+
+@pytest.mark.parametrize("name", ["tfi", "tfp"])
+@pytest.mark.parametrize("plane", [0, 1, 8, 9])
+def test_instants_at_the_ends_of_a_stream_are_finite(name, plane):
+    rng = np.random.default_rng(1)
+    image = method(name)(stream_of(rng.integers(0, 2, (10, 5, 9))), plane).intensity
+    assert image.dtype == np.float32
+    assert np.isfinite(image).all()
+
+
+@pytest.mark.parametrize("plane", [-1, 10])
+def test_an_instant_outside_the_stream_is_refused(plane):
+    with pytest.raises(BadRecordingError, match=f"plane {plane}, expected one inside 0:10"):
+        tfp(stream_of(periodic(2, planes=10)), plane)
+
+
+def test_one_plane_is_enough_for_an_image():
+    stream = stream_of(np.ones((1, 2, 2), np.uint8))
+    assert (tfp(stream, 0).intensity == 1).all()
+    assert not tfi(stream, 0).valid.any()
+
+
+def test_unknown_methods_are_refused_with_the_known_ones():
+    with pytest.raises(BadRunError, match="tfi, tfp"):
+        method("crystal")
+
+
+def test_constant_light_is_still_and_a_passing_block_moves():
+    spikes = periodic(3, planes=240, height=40, width=40)
+    spikes[60:90, 10:20, 10:20] = 1  # bright for 30 planes
+    moving = moving_pixels(stream_of(spikes))
+    assert moving[10:20, 10:20].all()
+    assert not moving[25:].any()
+    assert not moving[:, 25:].any()
+
+
+def test_slow_change_moves_though_no_short_window_shows_it():
+    rng = np.random.default_rng(0)
+    rate = np.linspace(0.30, 0.36, 400)[:, None, None]
+    charge = np.cumsum(np.broadcast_to(rate, (400, 20, 20)), axis=0) + rng.random((20, 20))
+    spikes = np.diff(np.floor(charge), axis=0, prepend=np.floor(charge[:1]))
+    assert moving_pixels(stream_of(spikes)).mean() > 0.9
+
+
+@pytest.mark.parametrize("light", [0, 1])
+def test_no_light_and_full_light_are_still(light):
+    assert not moving_pixels(stream_of(np.full((64, 9, 9), light, np.uint8))).any()
+
+
+def test_a_clip_too_short_to_tell_is_still():
+    assert not moving_pixels(stream_of(periodic(2, planes=3))).any()
+
+
+def test_composite_takes_the_clip_where_still_and_the_instant_where_moving():
+    spikes = periodic(2, planes=100, height=4, width=4)
+    spikes[:50, :, 2:] = 0
+    stream = stream_of(spikes)
+    moving = np.zeros((4, 4), bool)
+    moving[:, 2:] = True
+    image = CompositeSource(stream, long_mean(stream), moving, tfp).at(20)
+    assert (image[:, :2] == 0.5).all()
+    assert (image[:, 2:] == 0).all()

@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.plan import Plan, make_plan
+from rigs.errors import RigError
+from rigs.toml import catalog_rig
+
+RIG = catalog_rig("ci3x3").scaled(40, 26)
+
+
+def streams(moving=False, dark=()):
+    layout = PlaneLayout(40, 26)
+    found = {}
+    for i, camera in enumerate(RIG.ids):
+        spikes = np.zeros((160, 26, 40), np.uint8)
+        if camera not in dark:
+            spikes[i % 3 :: 3] = 1
+            if moving:
+                spikes[40:80, 5:20, 5:20] = 1
+        found[camera] = SpikeStream(pack(spikes, layout), layout, 20000.0)
+    return found
+
+
+class Untouchable(dict):
+    """Streams that tell when the held-out one is read."""
+
+    def __getitem__(self, key):
+        assert key != "cam11", "the held-out camera was read"
+        return super().__getitem__(key)
+
+
+def test_a_still_scene_gets_no_motion_model_and_says_why():
+    plan, masks = make_plan(ReconstructionConfig(), RIG, streams())
+    assert plan.model == "static"
+    assert plan.moving_gaussians == 0
+    assert plan.supervision == "pixels"
+    assert not any(mask.any() for mask in masks.values())
+    assert any(d.about == "motion" and "0.00%" in d.reason for d in plan.decisions)
+
+
+def test_a_moving_scene_gets_one():
+    plan, masks = make_plan(ReconstructionConfig(), RIG, streams(moving=True))
+    assert plan.model == "linear"
+    assert plan.supervision == "variation"
+    assert plan.moving_gaussians + plan.still_gaussians == 24_000
+    assert masks["cam00"][10, 10]
+    assert not masks["cam00"][24, 38]
+
+
+def test_overrides_are_obeyed():
+    config = ReconstructionConfig(model="static", images="tfi", supervision="variation", views=("cam00", "cam01"))
+    plan, masks = make_plan(config, RIG, streams(moving=True))
+    assert (plan.model, plan.images, plan.supervision) == ("static", "tfi", "variation")
+    assert plan.views == ("cam00", "cam01")
+    assert not masks["cam00"].any()
+
+
+def test_the_held_out_camera_is_neither_used_nor_read():
+    plan, _ = make_plan(ReconstructionConfig(holdout="cam11"), RIG, Untouchable(streams()))
+    assert "cam11" not in plan.views
+    assert len(plan.views) == 8
+
+
+def test_a_dark_view_is_skipped_and_named():
+    plan, _ = make_plan(ReconstructionConfig(), RIG, streams(dark=("cam20",)))
+    assert "cam20" not in plan.views
+    assert any("cam20 skipped" in d.choice for d in plan.decisions)
+
+
+def test_no_light_at_all_is_refused():
+    with pytest.raises(BadRunError, match="found 0 training views with light"):
+        make_plan(ReconstructionConfig(), RIG, streams(dark=RIG.ids))
+
+
+def test_unknown_cameras_are_refused_by_name():
+    with pytest.raises(RigError, match="cam77"):
+        make_plan(ReconstructionConfig(holdout="cam77"), RIG, streams())
+
+
+def test_the_plan_round_trips_through_json():
+    plan, _ = make_plan(ReconstructionConfig(), RIG, streams(moving=True))
+    assert Plan.from_json(plan.to_json()) == plan
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"model": "crystal"}, "found model 'crystal', expected one of auto, static, linear"),
+        ({"budget_s": None}, "both or neither"),
+        ({"steps": 5}, "both or neither"),
+        ({"budget_s": 0.0}, "found the budget 0.0"),
+        ({"budget_s": float("nan")}, "found the budget nan"),
+        ({"budget_s": None, "steps": 0}, "found 0 steps"),
+        ({"holdout": "cam11", "views": ("cam11",)}, "both held out and among"),
+    ],
+)
+def test_impossible_configurations_are_refused(options, message):
+    with pytest.raises(BadRunError, match=message):
+        ReconstructionConfig(**options)

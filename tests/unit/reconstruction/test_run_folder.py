@@ -1,0 +1,99 @@
+import json
+
+import numpy as np
+import pytest
+
+from acquisition.durable import write_durably
+from acquisition.errors import DiskError
+from reconstruction.errors import BadRunError
+from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.run import RunFolder
+
+CONFIG = ReconstructionConfig(steps=5, budget_s=None)
+
+
+def start(tmp_path, config=CONFIG):
+    return RunFolder.start(tmp_path / "run", config, tmp_path / "rec", {})
+
+
+def test_an_unfinished_run_resumes_with_the_same_configuration(tmp_path):
+    start(tmp_path).finish_stage("plan", 1.5)
+    again = start(tmp_path)
+    assert again.has("plan")
+    assert again.config == CONFIG
+
+
+def test_another_configuration_is_refused(tmp_path):
+    start(tmp_path)
+    with pytest.raises(BadRunError, match="another configuration"):
+        start(tmp_path, ReconstructionConfig(steps=6, budget_s=None))
+
+
+def test_a_finished_run_is_not_overwritten(tmp_path):
+    run = start(tmp_path)
+    run.document["status"] = "finished"
+    run.save()
+    with pytest.raises(BadRunError, match="found a finished run"):
+        start(tmp_path)
+
+
+def test_a_folder_of_other_things_is_refused(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("x")
+    with pytest.raises(BadRunError, match="something that is not a run"):
+        start(tmp_path)
+    assert (tmp_path / "run" / "thesis.tex").exists()
+
+
+def test_a_second_process_is_kept_out(tmp_path):
+    run = start(tmp_path)
+    with run.locked(), pytest.raises(BadRunError, match="another process"), RunFolder.open(run.path).locked():
+        pass
+    with run.locked():
+        pass
+
+
+@pytest.mark.parametrize("content", ["", "{", '{"schema": 99}'])
+def test_a_broken_run_json_is_refused(tmp_path, content):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text(content)
+    with pytest.raises(BadRunError, match=r"run\.json"):
+        RunFolder.open(tmp_path / "run")
+
+
+def test_arrays_round_trip_and_a_missing_one_names_itself(tmp_path):
+    run = start(tmp_path)
+    run.write_array("points/still_positions", np.arange(6.0).reshape(2, 3))
+    assert run.read_array("points/still_positions").tolist() == [[0, 1, 2], [3, 4, 5]]
+    with pytest.raises(BadRunError, match=r"moving_positions\.npy: not found"):
+        run.read_array("points/moving_positions")
+
+
+def test_a_damaged_checkpoint_is_refused_without_running_it(tmp_path):
+    file = tmp_path / "checkpoint.pt"
+    save_checkpoint(file, {"steps": 3})
+    assert load_checkpoint(file) == {"steps": 3}
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(BadRunError, match="damaged checkpoint"):
+        load_checkpoint(file)
+
+
+def test_a_refused_write_leaves_the_old_file(tmp_path, monkeypatch):
+    file = tmp_path / "run.json"
+    write_durably(file, "old")
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(DiskError, match="No space left"):
+        write_durably(file, "new")
+    assert file.read_text() == "old"
+    assert [f.name for f in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_run_json_is_plain(tmp_path):
+    document = json.loads((start(tmp_path).path / "run.json").read_text())
+    assert document["status"] == "unfinished"
+    assert document["configuration"]["steps"] == 5
