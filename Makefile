@@ -31,7 +31,7 @@ bench: install
 	$(PY) -m pytest -m benchmark -s
 
 serve: install
-	$(VENV)/bin/spike4dgs serve --with-worker
+	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker
 
 clean:
 	rm -rf $(VENV) .build

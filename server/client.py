@@ -37,7 +37,7 @@ class RefusedError(ServiceError):
 
 
 class ServiceClient:
-    """Talks to a service. Every call raises RefusedError for a problem and httpx.TransportError where nothing answers."""
+    """Talks to a service; raises RefusedError for a problem and httpx.TransportError where nothing answers."""
 
     def __init__(self, http: httpx.Client) -> None:
         self._http = http

@@ -188,9 +188,7 @@ class Service:
         """Path and media type of an artefact named in the catalogue; raises NotFoundError."""
         path = self.catalogue.run(self.catalogue.entry("job", job_id).id) / name
         if name not in ARTEFACTS or not _plain(path):
-            raise NotFoundError(
-                f"found no artefact {name[:60]}, expected one that GET /v1/jobs/{job_id}/artefacts lists"
-            )
+            raise NotFoundError(f"found no artefact {name[:60]}, expected one of {', '.join(ARTEFACTS)}")
         return path, ARTEFACTS[name]
 
     # Health and the engine

@@ -26,6 +26,11 @@ class RigSource(BaseModel):
     rig: str
     devices: str
 
+    @field_validator("rig")
+    @classmethod
+    def _absolute(cls, rig: str) -> str:
+        return str(Path(rig).absolute()) if rig.endswith(".toml") else rig
+
     def load(self) -> Rig:
         """The rig itself; raises RigError where it is not in the catalogue or its file cannot be used."""
         return load_rig(Path(self.rig)) if self.rig.endswith(".toml") else catalog_rig(self.rig)
@@ -76,14 +81,14 @@ def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> Ser
     `rig` and `devices` describe one rig, which is then the only one.
     """
     given = {name: value for name, value in flags.items() if value is not None}
-    if rig is not None or devices is not None:
-        source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")
-        given["rigs"] = {source.load().name: source}
     try:
-        return ServiceSettings(**given)  # pyright: ignore[reportArgumentType]
+        settings = ServiceSettings(**given)  # pyright: ignore[reportArgumentType]
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise SettingsError(
-            f"{where}: {first['msg'].removeprefix('Value error, ')}; mend the flag or SPIKE4DGS_{where.upper()}"
-        ) from error
+        fault = first["msg"].removeprefix("Value error, ")
+        raise SettingsError(f"{where}: {fault}; mend the flag or SPIKE4DGS_{where.upper()}") from error
+    if rig is None and devices is None:
+        return settings
+    source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")
+    return settings.model_copy(update={"rigs": {source.load().name: source}})

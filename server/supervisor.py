@@ -8,9 +8,10 @@ import fcntl
 import json
 import os
 import signal
-from asyncio.subprocess import DEVNULL, PIPE, Process
+from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import AsyncIterator, Coroutine, Sequence
 from pathlib import Path
+from typing import TextIO
 
 from acquisition.progress import Progress
 from server.errors import ServiceError
@@ -18,6 +19,7 @@ from server.leash import leashed
 
 _LOCK_POLL_S = 0.1
 _LONGEST_LINE = 65536
+_LAST_WORDS_S = 1.0
 
 
 class StageError(ServiceError):
@@ -34,7 +36,9 @@ async def supervise(
     """
     async with _locked(folders) as locks:
         with log.open("a") as text:
-            process = await asyncio.create_subprocess_exec(
+            relay = _Relay(text, on_progress)
+            transport, _ = await asyncio.get_running_loop().subprocess_exec(
+                lambda: relay,
                 *leashed(list(command), "SIGKILL"),
                 stdin=DEVNULL,
                 stdout=text,
@@ -43,19 +47,17 @@ async def supervise(
                 start_new_session=True,
                 pass_fds=locks,
             )
-            last = ""
             try:
-                async for line in _lines(process):
-                    if not _reported(line, on_progress):
-                        text.write(f"{line}\n")
-                        text.flush()
-                        last = line.strip() or last
-                code = await process.wait()
+                await relay.over.wait()
             finally:
-                await _insist(_stop(process, grace_s))
+                await _insist(_stop(transport, relay, grace_s))
+                transport.close()
+    if relay.fault is not None:
+        raise relay.fault
+    code = transport.get_returncode() or 0
     if code != 0:
         ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        raise StageError(last.removeprefix("spike4dgs: ") or f"the stage ended with {ended} and no message")
+        raise StageError(relay.last.removeprefix("spike4dgs: ") or f"the stage ended with {ended} and no message")
 
 
 def is_locked(folder: Path) -> bool:
@@ -88,19 +90,50 @@ async def _locked(folders: Sequence[Path]) -> AsyncIterator[list[int]]:
             os.close(descriptor)
 
 
-async def _lines(process: Process) -> AsyncIterator[str]:
-    """Lines of the standard error; one longer than 64 KiB comes in pieces."""
-    assert process.stderr is not None
-    pending = b""
-    while chunk := await process.stderr.read(_LONGEST_LINE):
-        *whole, pending = (pending + chunk).split(b"\n")
+class _Relay(asyncio.SubprocessProtocol):
+    """Takes the process's standard error apart, to its very end: callbacks go on where a cancelled task would not.
+
+    `gone` is set when the process is, `closed` at the end of its output, `over` when it is gone or a fault of ours,
+    such as a full disk, leaves no reason to wait for it.
+    """
+
+    def __init__(self, log: TextIO, on_progress: Progress) -> None:
+        self.gone, self.closed, self.over = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self.last = ""
+        self.fault: OSError | None = None
+        self._log = log
+        self._on_progress = on_progress
+        self._pending = b""
+
+    def pipe_data_received(self, fd: int, data: bytes) -> None:
+        """Pass whole lines on; one longer than 64 KiB goes in pieces."""
+        *whole, self._pending = (self._pending + data).split(b"\n")
+        if len(self._pending) > _LONGEST_LINE:
+            whole.append(self._pending)
+            self._pending = b""
         for line in whole:
-            yield line.decode(errors="replace")
-        if len(pending) > _LONGEST_LINE:
-            yield pending.decode(errors="replace")
-            pending = b""
-    if pending:
-        yield pending.decode(errors="replace")
+            self._pass_on(line.decode(errors="replace"))
+
+    def process_exited(self) -> None:
+        """The process is gone; what it wrote may still be on its way."""
+        self.gone.set()
+        self.over.set()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing more will come."""
+        if self._pending:
+            self._pass_on(self._pending.decode(errors="replace"))
+        self.closed.set()
+
+    def _pass_on(self, line: str) -> None:
+        try:
+            if not _reported(line, self._on_progress):
+                self._log.write(f"{line}\n")
+                self._log.flush()
+                self.last = line.strip() or self.last
+        except OSError as error:
+            self.fault = self.fault or error
+            self.over.set()
 
 
 def _reported(line: str, on_progress: Progress) -> bool:
@@ -110,20 +143,22 @@ def _reported(line: str, on_progress: Progress) -> bool:
         event = json.loads(line)
         if event["event"] != "progress":
             return False
-        on_progress(min(max(float(event["fraction"]), 0.0), 1.0), str(event["message"]))
+        on_progress(min(max(0.0, float(event["fraction"])), 1.0), str(event["message"]))
     except (ValueError, KeyError, TypeError):
         return False
     return True
 
 
-async def _stop(process: Process, grace_s: float) -> None:
+async def _stop(transport: asyncio.SubprocessTransport, relay: _Relay, grace_s: float) -> None:
     for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, None)):
-        if process.returncode is not None:
-            return
+        if relay.gone.is_set():
+            break
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, number)
+            os.killpg(transport.get_pid(), number)
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(process.wait(), patience_s)
+            await asyncio.wait_for(relay.gone.wait(), patience_s)
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(relay.closed.wait(), _LAST_WORDS_S)
 
 
 async def _insist(work: Coroutine[None, None, None]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import logging
 import os
 import threading
@@ -66,8 +67,10 @@ class Stages:
     async def reconstruct(self, job_id: str, stage: str) -> None:
         """Run one stage of a reconstruction; a stage that was interrupted goes on from its own checkpoint."""
         request = JobRequest(**self._catalogue.entry("job", job_id).request)
-        recording = self._catalogue.recording(request.capture)
-        arguments = reconstruct_arguments(request, stage, recording, self._catalogue.run(job_id))
+        recording, run = self._catalogue.recording(request.capture), self._catalogue.run(job_id)
+        if _finished(run):  # by a killed worker, which had no time to say so
+            return
+        arguments = reconstruct_arguments(request, stage, recording, run)
         await self._run(job_id, stage, arguments, [])
 
     async def _run(self, entry_id: str, stage: str, arguments: list[str], locks: list[Path]) -> None:
@@ -80,7 +83,7 @@ class Stages:
                 on_progress=reporter,
                 grace_s=self._settings.grace_s,
             )
-        except Spike4dgsError as error:
+        except (Spike4dgsError, OSError) as error:
             reporter.close(str(error))
             raise
         reporter.close()
@@ -131,6 +134,7 @@ def run_worker(settings: ServiceSettings, stop: threading.Event) -> None:
                 if stop.wait(_BEAT_S):
                     return
         finally:
+            logging.getLogger("dbos").setLevel(logging.ERROR)  # it warns of every stage that is stopped here
             DBOS.destroy()
             beat.unlink(missing_ok=True)
 
@@ -162,6 +166,11 @@ def _register(stages: Stages) -> None:
     async def reconstruct(job_id: str) -> None:
         for stage in RECONSTRUCTION_STAGES:
             await DBOS.run_step_async({"name": stage, "preemptible": True}, stages.reconstruct, job_id, stage)
+
+
+def _finished(run: Path) -> bool:
+    document = run / "run.json"
+    return document.exists() and json.loads(document.read_text()).get("status") == "finished"
 
 
 def _one_line(record: logging.LogRecord) -> bool:

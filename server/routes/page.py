@@ -7,7 +7,7 @@ from fastapi.responses import FileResponse
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parents[1] / "page"
-_HEADERS = {"Content-Security-Policy": "default-src 'self'", "X-Content-Type-Options": "nosniff"}
+_HEADERS = {"Content-Security-Policy": "default-src 'self'; img-src 'self' data:", "X-Content-Type-Options": "nosniff"}
 
 
 @router.get("/")

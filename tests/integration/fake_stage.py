@@ -28,11 +28,8 @@ METRICS = {
 
 
 def report(fraction: float, message: str) -> None:
-    print(
-        json.dumps({"event": "progress", "stage": "x", "fraction": fraction, "message": message}),
-        file=sys.stderr,
-        flush=True,
-    )
+    event = {"event": "progress", "stage": "x", "fraction": fraction, "message": message}
+    sys.stderr.write(json.dumps(event) + "\n")
 
 
 def record(out: Path, ticks: int) -> None:
@@ -52,7 +49,7 @@ def train(run: Path, steps: int, step_s: float) -> None:
     checkpoint = run / "checkpoint.json"
     done = json.loads(checkpoint.read_text())["done"] if checkpoint.exists() else 0
     with (run / "attempts.txt").open("a") as attempts:
-        print(f"{os.getpid()} {done}", file=attempts)
+        attempts.write(f"{os.getpid()} {done}\n")
     while done < steps:
         time.sleep(step_s)
         done += 1
@@ -61,7 +58,7 @@ def train(run: Path, steps: int, step_s: float) -> None:
         aside.replace(checkpoint)
         report(done / steps, f"step {done}")
         if told:
-            print("stopped with a checkpoint", file=sys.stderr, flush=True)
+            sys.stderr.write("stopped with a checkpoint\n")
             sys.exit(143)
 
 
@@ -74,7 +71,7 @@ def main() -> None:
         return record(Path(flags["--out"]), int(flags["--ticks"]))
     run, stage = Path(flags["--out"]), flags["--stage"]
     run.mkdir(exist_ok=True)
-    print(f"arguments {' '.join(arguments[3:])}", file=sys.stderr)
+    sys.stderr.write(f"arguments {' '.join(arguments[3:])}\n")
     if (run.parent / f"fail-{stage}").exists():
         sys.exit(f"spike4dgs: {stage}: found a fault, expected none; mend it")
     if stage == "train":

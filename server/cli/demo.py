@@ -1,0 +1,174 @@
+"""`spike4dgs demo`: the main job on the simulated rig, through the real service."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
+
+import click
+
+from server.cli.progress import progress_of
+from server.cli.serve import stop_process
+from server.errors import ServiceError
+from server.schemas import Capture, CaptureRequest, Images, Init, Job, JobRequest, Model, Supervision
+
+if TYPE_CHECKING:
+    from server.client import ServiceClient
+
+SCENE = "mock:fan_and_ball"
+HOLDOUT = "cam11"
+BUDGET_S = 60.0
+_POLL_S = 0.5
+_START_S = 60.0
+_STOP_S = 20.0
+_W = TypeVar("_W", Capture, Job)
+
+_ROWS = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest view": "nearest_view."}
+_COLUMNS = {
+    "psnr_db": ("PSNR / dB", "{:.2f}"),
+    "ssim": ("SSIM", "{:.3f}"),
+    "abs_rel": ("depth Abs Rel", "{:.4f}"),
+    "delta_1_25": ("delta < 1.25", "{:.3f}"),
+    "dynamic_psnr_db": ("PSNR of movers / dB", "{:.2f}"),
+}
+
+
+class DemoError(ServiceError):
+    """The demo's service or one of its tasks failed."""
+
+
+class FolderError(ServiceError):
+    """A folder the demo cannot have."""
+
+    exit_code = 2
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path), help="A new folder.  [default: runs/demo-N]")
+@click.option("--ticks", type=click.IntRange(min=1), default=400, show_default=True, help="Planes to record.")
+@click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint.  [default: {BUDGET_S:g}]")
+@click.option("--steps", type=click.IntRange(min=1), help="Training steps instead of a budget.")
+@click.option("--model", type=click.Choice(get_args(Model)), default="auto", show_default=True)
+@click.option("--images", type=click.Choice(get_args(Images)), default="auto", show_default=True)
+@click.option("--init", type=click.Choice(get_args(Init)), default="auto", show_default=True)
+@click.option("--supervision", type=click.Choice(get_args(Supervision)), default="auto", show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+def demo_command(out: Path | None, ticks: int, budget_s: float | None, steps: int | None, **options: Any) -> None:
+    """Record the simulated rig and reconstruct the view of a camera nobody trained on, all through the service."""
+    if steps is None and budget_s is None:
+        budget_s = BUDGET_S
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    folder = _new_folder(out)
+    try:
+        with _service(folder) as client:
+            wanted = {"holdout": HOLDOUT, "budget_s": budget_s, "steps": steps, **options}
+            job = _run(client, ticks, wanted)
+            metrics = json.loads(client.artefact(job.id, "metrics.json"))
+    except KeyboardInterrupt:
+        raise SystemExit(128 + signal.SIGINT) from None
+    for line in _table(metrics):
+        click.echo(line)
+    run = folder / "jobs" / job.id / "run"
+    seconds = ", ".join(f"{stage} {took:.1f} s" for stage, took in job.seconds.items())
+    click.echo(f"\nstages: {seconds}\nreport: {run / 'report.html'}\norbit:  {run / 'orbit.mp4'}")
+
+
+def _run(client: ServiceClient, ticks: int, options: dict[str, Any]) -> Job:
+    (rig,) = client.rigs()
+    capture = client.start_capture(rig.id, CaptureRequest(ticks=ticks, name="demo"))
+    capture = _follow(lambda: client.capture(capture.id))
+    job = client.submit(JobRequest(capture=capture.id, **options))
+    return _follow(lambda: client.job(job.id))
+
+
+def _follow(look: Callable[[], _W]) -> _W:
+    """Show the progress of a capture or job until it is done; raises DemoError with its message where it is not."""
+    stage, reporter = None, None
+    while True:
+        found = look()
+        if found.stage != stage and reporter is not None:
+            reporter(1.0, "")
+        if found.stage is not None:
+            if found.stage != stage:
+                reporter = progress_of(found.stage)
+            assert reporter is not None
+            reporter(found.fraction, found.message)
+        stage = found.stage
+        if found.status == "done":
+            return found
+        if found.status in ("failed", "cancelled"):
+            raise DemoError(found.error or f"found {found.id} {found.status}, expected it done; its log says more")
+        time.sleep(_POLL_S)
+
+
+@contextmanager
+def _service(folder: Path) -> Iterator[ServiceClient]:
+    """A service with its worker over `folder` on a free port, stopped on the way out."""
+    from server.client import ServiceClient
+    from server.leash import leashed
+
+    flags = ["--port", "0", "--data", str(folder), "--rig", "lab3x3", "--devices", SCENE, "--with-worker"]
+    command = leashed([sys.executable, "-P", "-m", "server.cli", "serve", *flags], "SIGTERM")
+    log = folder / "service.log"
+    with log.open("w") as text:
+        # Its own session: Ctrl-C reaches the demo alone, which then stops the service in order.
+        service = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=text, start_new_session=True)
+    try:
+        assert service.stdout is not None
+        address = service.stdout.readline().decode().strip()
+        if not address:
+            said = log.read_text().strip().splitlines()
+            raise DemoError(f"the service did not start: {said[-1] if said else 'it said nothing'}")
+        with ServiceClient.at(address) as client:
+            _await_worker(client, log)
+            yield client
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not leave anything running
+        stop_process(service, _STOP_S)
+        assert service.stdout is not None
+        service.stdout.close()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _await_worker(client: ServiceClient, log: Path) -> None:
+    for _ in range(round(_START_S / _POLL_S)):
+        if client.checks()["worker"].ok:
+            return
+        time.sleep(_POLL_S)
+    raise DemoError(f"found no worker within {_START_S:g} s, expected one; {log} says why")
+
+
+def _new_folder(out: Path | None) -> Path:
+    for folder in [out] if out is not None else (Path(f"runs/demo-{n}") for n in itertools.count(1)):
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError as error:
+            if out is not None:
+                raise FolderError(f"found {out}, expected a new folder; give another --out") from error
+        else:
+            return folder.absolute()
+    raise AssertionError("the count does not end")
+
+
+def _table(metrics: dict[str, Any]) -> list[str]:
+    """The result beside the floors; a score that is not there is a dash."""
+    columns = {key: head for key, head in _COLUMNS.items() if key in metrics}
+    rows = [(f"centre view ({HOLDOUT})", *(title for title, _ in columns.values()))]
+    for name, prefix in _ROWS.items():
+        scores = [(metrics.get(prefix + key), form) for key, (_, form) in columns.items()]
+        rows.append((name, *("-" if score is None else form.format(score) for score, form in scores)))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        )
+        for row in rows
+    ]

@@ -1,0 +1,109 @@
+"""kill -9 of the worker: the next one finishes what it had begun. Stages are played by fake_stage.py."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from fastapi.testclient import TestClient
+
+from server.app import create_app
+from server.client import ServiceClient
+from server.schemas import CaptureRequest, JobRequest
+from server.settings import ServiceSettings
+
+FAKE = json.dumps([sys.executable, str(Path(__file__).with_name("fake_stage.py"))])
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[ServiceClient]:
+    with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url="http://127.0.0.1") as http:
+        yield ServiceClient(http)
+
+
+@pytest.fixture
+def start_worker(tmp_path: Path) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
+    workers: list[subprocess.Popen[bytes]] = []
+
+    def start() -> subprocess.Popen[bytes]:
+        environment = os.environ | {"SPIKE4DGS_STAGE_COMMAND": FAKE, "FAKE_STEPS": "150", "FAKE_STEP_S": "0.02"}
+        workers.append(
+            subprocess.Popen([sys.executable, "-m", "server.cli", "worker", "--data", tmp_path], env=environment)
+        )
+        return workers[-1]
+
+    yield start
+    for worker in workers:
+        worker.terminate()
+        worker.wait(20)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("waited for a minute in vain")
+
+
+def attempts(run: Path) -> list[tuple[int, int]]:
+    """Process id and first step of every attempt at the train stage."""
+    text = (run / "attempts.txt").read_text() if (run / "attempts.txt").exists() else ""
+    return [(int(pid), int(first)) for pid, first in (line.split() for line in text.splitlines())]
+
+
+def start_job(client: ServiceClient) -> str:
+    capture = client.start_capture("lab3x3", CaptureRequest(ticks=40))
+    wait_for(lambda: client.capture(capture.id).status == "done")
+    return client.submit(JobRequest(capture=capture.id)).id
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_training_goes_on_from_its_checkpoint(
+    client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path, number: signal.Signals
+) -> None:
+    worker = start_worker()
+    job = start_job(client)
+    run = tmp_path / "jobs" / job / "run"
+    wait_for(lambda: (run / "checkpoint.json").exists())
+    worker.send_signal(number)
+    assert worker.wait(20) == (0 if number == signal.SIGTERM else -signal.SIGKILL)
+    ((pid, first),) = attempts(run)
+    wait_for(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
+    done = json.loads((run / "checkpoint.json").read_text())["done"]
+    assert first == 0
+    assert 0 < done < 150
+    assert client.job(job).status == "running"
+    assert ("stopped with a checkpoint" in client.log(job)) == (number == signal.SIGTERM)
+    assert [capture.status for capture in client.captures()] == ["done"]
+
+    start_worker()
+    wait_for(lambda: client.job(job).status == "done")
+    assert [first for _, first in attempts(run)] == [0, done]
+    stages = [line.split()[2] for line in client.log(job).splitlines() if line.startswith("arguments")]
+    assert stages == ["plan", "images", "points", "train", "train", "report"]
+
+
+def test_a_capture_is_made_again_and_a_finished_one_kept(
+    client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    worker = start_worker()
+    capture = client.start_capture("lab3x3", CaptureRequest(ticks=40))
+    wait_for(lambda: any((tmp_path / "captures").glob(".*.aside")))
+    worker.kill()
+    worker.wait(20)
+    assert client.capture(capture.id).status == "running"
+    assert client.rig("lab3x3").busy == capture.id
+    recording = tmp_path / "captures" / capture.id
+    recording.mkdir()  # as if the stage had finished and the worker had died before saying so
+    start_worker()
+    wait_for(lambda: client.capture(capture.id).status == "done")
+    assert list(recording.iterdir()) == []
+    assert client.rig("lab3x3").busy is None

@@ -1,0 +1,144 @@
+import asyncio
+import signal
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from server.supervisor import StageError, is_locked, supervise
+
+
+def run(code: str, folder: Path, *, grace_s: float = 5.0, cancel_when: str | None = None) -> list[tuple[float, str]]:
+    """Supervise `python -c code`, cancelling once a progress message equals `cancel_when`."""
+    reports: list[tuple[float, str]] = []
+
+    async def main() -> None:
+        told = asyncio.Event()
+
+        def on_progress(fraction: float, message: str) -> None:
+            reports.append((fraction, message))
+            if message == cancel_when:
+                told.set()
+
+        work = asyncio.create_task(
+            supervise(
+                [sys.executable, "-c", code],
+                folders=[folder],
+                log=folder / "log.txt",
+                on_progress=on_progress,
+                grace_s=grace_s,
+            )
+        )
+        if cancel_when is not None:
+            await told.wait()
+            work.cancel()
+            work.cancel()
+        await work
+
+    asyncio.run(main())
+    return reports
+
+
+REPORT = """
+import json, sys, time, signal, os
+def note(text):
+    print(text, file=sys.stderr, flush=True)
+def report(fraction, message):
+    note(json.dumps({"event": "progress", "stage": "s", "fraction": fraction, "message": message}))
+"""
+
+
+def test_progress_is_reported_and_the_rest_is_logged(tmp_path: Path) -> None:
+    code = REPORT + "report(0.5, 'half'); note('a note'); print('data'); report(7, 'all'); report(float('nan'), 'odd')"
+    assert run(code, tmp_path) == [(0.5, "half"), (1.0, "all"), (0.0, "odd")]
+    assert set((tmp_path / "log.txt").read_text().split("\n")) == {"a note", "data", ""}
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        (
+            "import sys; print('{\"event\": 1}', file=sys.stderr); sys.exit('spike4dgs: found a, expected b')",
+            "found a, expected b",
+        ),
+        ("import sys; sys.exit(3)", "the stage ended with exit code 3 and no message"),
+        ("import os; os.kill(os.getpid(), 9)", "the stage ended with SIGKILL and no message"),
+        ("raise ValueError('odd')", "ValueError: odd"),
+    ],
+)
+def test_a_failure_is_the_last_line(tmp_path: Path, code: str, message: str) -> None:
+    with pytest.raises(StageError, match=f"^{message}$"):
+        run(code, tmp_path)
+
+
+def test_a_line_without_end_is_not_kept_in_memory(tmp_path: Path) -> None:
+    run("import sys; sys.stderr.write('x' * 300_000)", tmp_path)
+    lines = (tmp_path / "log.txt").read_text().split("\n")
+    assert sum(map(len, lines)) == 300_000
+    assert len(lines) > 2
+
+
+def test_cancelling_lets_the_process_finish_its_checkpoint(tmp_path: Path) -> None:
+    code = REPORT + (
+        "signal.signal(signal.SIGTERM, lambda *_: (time.sleep(0.2), open('done', 'w').close(), sys.exit(143)))\n"
+        f"os.chdir({str(tmp_path)!r}); report(0, 'ready'); time.sleep(60)"
+    )
+    with pytest.raises(asyncio.CancelledError):
+        run(code, tmp_path, cancel_when="ready")
+    assert (tmp_path / "done").exists()
+    assert not is_locked(tmp_path)
+
+
+def test_a_process_that_ignores_the_request_is_killed(tmp_path: Path) -> None:
+    code = REPORT + "signal.signal(signal.SIGTERM, signal.SIG_IGN); report(0, 'ready'); time.sleep(60)"
+    with pytest.raises(asyncio.CancelledError):
+        run(code, tmp_path, grace_s=0.3, cancel_when="ready")
+    assert not is_locked(tmp_path)
+
+
+def test_the_process_holds_the_lock_and_dies_with_its_parent(tmp_path: Path) -> None:
+    child = REPORT + "report(0, 'ready'); open('pid', 'w').write(str(os.getpid())); time.sleep(60)"
+    parent = f"""
+import asyncio, os, signal, sys, time
+from pathlib import Path
+from server.supervisor import supervise
+os.chdir({str(tmp_path)!r})
+here = Path({str(tmp_path)!r})
+def die(fraction, message):
+    while not (here / "pid").exists() or not (here / "pid").read_text():
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGKILL)
+command = [sys.executable, "-c", {child!r}]
+asyncio.run(supervise(command, folders=[here], log=here / "log.txt", on_progress=die, grace_s=5))
+"""
+
+    async def main() -> None:
+        process = await asyncio.create_subprocess_exec(sys.executable, "-c", parent)
+        assert await process.wait() == -signal.SIGKILL
+        while is_locked(tmp_path):  # the successor's wait, which ends only when the orphan is gone
+            await asyncio.sleep(0.01)
+
+    asyncio.run(asyncio.wait_for(main(), 20))
+    pid = int((tmp_path / "pid").read_text())
+    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+
+
+def test_a_locked_folder_is_waited_for(tmp_path: Path) -> None:
+    order: list[str] = []
+
+    async def one(name: str, sleep_s: float) -> None:
+        code = REPORT + f"report(0, 'begin'); time.sleep({sleep_s}); report(1, 'end')"
+        await supervise(
+            [sys.executable, "-c", code],
+            folders=[tmp_path],
+            log=tmp_path / f"{name}.txt",
+            on_progress=lambda fraction, message: order.append(message),
+            grace_s=5,
+        )
+
+    async def main() -> None:
+        await asyncio.gather(one("a", 0.3), one("b", 0.0))
+
+    asyncio.run(main())
+    assert order == ["begin", "end", "begin", "end"]
