@@ -72,7 +72,7 @@ class _Render(Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         cloud = ctx.saved_tensors
         wanted = [None if g is None else g.contiguous() for g in gradients[:3]]
         out = tuple(torch.zeros_like(t) for t in cloud)
