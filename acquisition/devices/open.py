@@ -45,72 +45,71 @@ class Simulation:
             found = f"found samples {self.samples}, truth_every {self.truth_every}"
             raise CameraSetupError(f"{found}; expected at least 1 each")
 
-    @classmethod
-    def parse(cls, uri: str) -> Simulation:
-        """From `mock:SCENE?field=value&...`; raises CameraSetupError naming what is not a field or no whole number."""
-        parts = urlsplit(uri)
-        values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
-        fields = [field.name for field in dataclasses.fields(cls)][1:]
-        for name, value in values.items():
-            if name not in fields:
-                raise CameraSetupError(f"{uri}: found {name}, expected {', '.join(fields)}")
-            if name != "sensor":
-                if not str(value).isdecimal():
-                    raise CameraSetupError(f"{uri}: found {name}={value}, expected a whole number")
-                values[name] = int(str(value))
-        return cls(parts.path, **cast(dict, values))
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """What simulated cameras look at, so that its truth can be written beside their spikes."""
-
-    scene: Scene
-    simulation: Simulation
-
 
 @dataclass(frozen=True)
 class OpenCameras:
-    """The cameras of a rig, in its order, what starts them, and the scene behind them where they are simulated."""
+    """The cameras of a rig, in its order, what starts them, and the scene before them where they are simulated."""
 
     cameras: tuple[UsbCamera, ...]
     trigger: SoftwareTrigger | MockTriggerLine
-    simulated: Simulated | None = None
+    scene: Scene | None = None
+
+
+def parse_devices(uri: str) -> Simulation | None:
+    """None for `usb:`, what simulated cameras see for `mock:SCENE?field=value&...`; CameraSetupError for all else."""
+    parts = urlsplit(uri)
+    if uri == "usb:":
+        return None
+    if parts.scheme != "mock":
+        raise CameraSetupError(f"found the devices {uri!r}, expected usb: or mock:SCENE")
+    values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
+    fields = [field.name for field in dataclasses.fields(Simulation)][1:]
+    for name, value in values.items():
+        if name not in fields:
+            raise CameraSetupError(f"{uri}: found {name}, expected {', '.join(fields)}")
+        if name != "sensor":
+            if not str(value).isdecimal():
+                raise CameraSetupError(f"{uri}: found {name}={value}, expected a whole number")
+            values[name] = int(str(value))
+    return Simulation(parts.path, **cast(dict, values))
 
 
 @contextlib.contextmanager
-def open_cameras(rig: Rig, uri: str, planes: int) -> Iterator[OpenCameras]:
-    """Open all cameras of `rig` by `uri` and close them at the end; a simulated one has `planes` planes to show.
+def open_cameras(rig: Rig, devices: Simulation | None, planes: int) -> Iterator[OpenCameras]:
+    """Open all cameras of `rig`, on USB or simulated, and close them at the end; simulated ones show `planes` planes.
 
-    Raises CameraSetupError for an unknown URI and for the first camera that is missing or does not fit the rig.
+    Raises CameraSetupError for the first camera that is missing or does not fit the rig.
     """
-    kind = urlsplit(uri).scheme
-    if kind == "mock":
-        with open_simulated(rig, Simulation.parse(uri), planes) as opened:
-            yield opened
-    elif kind == "usb":
+    if devices is None:
         with _opened(rig, _libusb()) as cameras:
             yield OpenCameras(cameras, SoftwareTrigger(cameras))
-    else:
-        raise CameraSetupError(f"found the devices {uri!r}, expected usb: or mock:SCENE")
-
-
-@contextlib.contextmanager
-def open_simulated(rig: Rig, simulation: Simulation, planes: int) -> Iterator[OpenCameras]:
-    """Cameras on the mock bus that look at `simulation`'s scene from where the rig's cameras stand."""
-    scene = build_scene(simulation.scene, simulation.seed)
+        return
+    scene = build_scene(devices.scene, devices.seed)
     rig = _with_serials(rig)
+    models = _models(rig, scene, devices, planes)
+    with _opened(rig, MockBackend(models)) as cameras:
+        yield OpenCameras(cameras, MockTriggerLine(models), scene)
+
+
+def _models(rig: Rig, scene: Scene, simulation: Simulation, planes: int) -> list[DeviceModel]:
+    """Simulated cameras that look at `scene` from where the rig's cameras stand."""
     threads = max(1, len(os.sched_getaffinity(0)) // len(rig.cameras))  # the cameras are read at the same time
     models = []
     for number, camera in enumerate(rig.cameras):
-        sensor = Sensor(camera.width, camera.height, simulation.sensor, simulation.seed, number, threads=threads)
-        layout = PlaneLayout(camera.width, camera.height)
+        size = camera.width, camera.height
+        sensor = Sensor(*size, simulation.sensor, simulation.seed, number, threads=threads)
         source = SceneSource(
-            scene, camera, rig.clock, planes, sensor, layout, samples=simulation.samples, threads=threads
+            scene,
+            camera,
+            rig.clock,
+            planes,
+            sensor,
+            PlaneLayout(*size),
+            samples=simulation.samples,
+            threads=threads,
         )
         models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz))
-    with _opened(rig, MockBackend(models)) as cameras:
-        yield OpenCameras(cameras, MockTriggerLine(models), Simulated(scene, simulation))
+    return models
 
 
 @contextlib.contextmanager

@@ -3,6 +3,13 @@
 A block is a leader (64 B, little-endian), the packed planes, and a trailer (32 B). The leader's CRC32C covers the
 leader; the trailer's covers the payload and the trailer, so no flipped bit goes unseen. Planes carry an index that the
 device counts, so planes lost on the way are a jump of that index.
+
+    leader   magic "S4LD", u16 version, u16 bytes of the leader, u64 block, u64 first plane, u64 device time (ns),
+             u32 planes, u16 width, u16 height, u32 pixel format, u32 payload bytes, u32 sync pulses, u32 flags (0),
+             u32 CRC32C of the 60 bytes before
+    payload  `planes` packed planes, each padded with zero bits to whole bytes
+    trailer  magic "S4TR", u32 valid payload bytes, u64 block, u64 planes the device dropped so far, u32 status,
+             u32 CRC32C of the payload and the 28 bytes before
 """
 
 from __future__ import annotations

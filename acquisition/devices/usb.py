@@ -72,11 +72,12 @@ class UsbCamera:
 
         Raises CameraSetupError when it is missing or has another version, size or tick rate.
         """
-        opened = cls(camera, _find(camera, backend))
+        device = _find(camera, backend)
         try:
+            opened = cls(camera, device)
             opened._check(camera, tick_rate_hz)
         except DeviceError:
-            opened.close()
+            usb.util.dispose_resources(device)
             raise
         return opened
 
@@ -133,7 +134,7 @@ class UsbCamera:
 
     def _receive(self, timeout_s: float) -> bool:
         try:
-            count = cast(int, self._device.read(STREAM_ENDPOINT, self._buffer, round(timeout_s * 1000)))
+            count = cast(int, self._device.read(STREAM_ENDPOINT, self._buffer, max(1, round(timeout_s * 1000))))
         except usb.core.USBError as error:
             if error.errno == errno.ETIMEDOUT:
                 return False

@@ -119,7 +119,7 @@ class RecordingWriter:
     def __init__(self, path: Path, rig: Rig, needed_bytes: int):
         self.path = path
         self.rig = rig
-        self.folder = path.with_name(path.name + ".partial")  # where the files lie until `commit`
+        self.folder = path.parent / f"{path.name}.partial"  # where the files lie until `commit`
         self._needed_bytes = needed_bytes + _MARGIN_BYTES
         self._lock = -1
         self._streams: list[StreamWriter] = []

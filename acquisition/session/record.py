@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from acquisition.devices.open import OpenCameras, Simulated, Simulation, open_cameras, open_simulated
+from acquisition.devices.open import Simulation, open_cameras, parse_devices
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
-from acquisition.recording.writer import RecordingWriter, disk_errors, refuse_taken
+from acquisition.recording.writer import RecordingWriter, disk_errors
 from acquisition.scenes.truth import write_truth
 from acquisition.session.session import record_session
+from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 
 _TRUTH_BYTES_PER_PIXEL = 16  # light, depth, object, blur
@@ -22,42 +23,35 @@ def record(rig: Rig, devices: str, planes: int, out: Path, progress: Progress = 
 
     Raises DeviceError naming the camera that failed, DiskError for a full disk; then nothing is left under `out`.
     """
-    _check(planes, out)
-    with open_cameras(rig, devices, planes) as opened:
-        return _record(rig, opened, planes, out, progress)
+    return _record(rig, parse_devices(devices), planes, out, progress)
 
 
 def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: Progress = silent) -> Manifest:
     """`record` with simulated cameras."""
-    _check(ticks, out)
-    with open_simulated(rig, simulation, ticks) as opened:
-        return _record(rig, opened, ticks, out, progress)
+    return _record(rig, simulation, ticks, out, progress)
 
 
-def _check(planes: int, out: Path) -> None:
+def _record(rig: Rig, devices: Simulation | None, planes: int, out: Path, progress: Progress) -> Manifest:
     if planes < 1:
         raise BadRecordingError(f"found {planes} ticks, expected at least 1")
-    refuse_taken(out)
-
-
-def _record(rig: Rig, opened: OpenCameras, planes: int, out: Path, progress: Progress) -> Manifest:
-    needed = planes * sum(camera.layout.plane_bytes for camera in opened.cameras) + _truth_bytes(rig, opened, planes)
-    share = _RECORDING_SHARE if opened.simulated else _WRITTEN
-    with RecordingWriter(out, rig, needed) as recording:
-        streams = record_session(opened.cameras, opened.trigger, planes, recording, _part(progress, 0.0, share))
-        if opened.simulated:
-            _write_truth(
-                opened.simulated, rig, planes, recording.folder / TRUTH_FOLDER, _part(progress, share, _WRITTEN)
-            )
+    share = _RECORDING_SHARE if devices else _WRITTEN
+    with RecordingWriter(out, rig, _needed_bytes(rig, devices, planes)) as recording:
+        with open_cameras(rig, devices, planes) as opened:
+            streams = record_session(opened.cameras, opened.trigger, planes, recording, _part(progress, 0.0, share))
+        if devices and opened.scene:
+            every, folder = devices.truth_every, recording.folder / TRUTH_FOLDER
+            with disk_errors(folder):
+                report = _part(progress, share, _WRITTEN)
+                write_truth(opened.scene, rig, planes, every, folder, report, sensor=devices.sensor)
         manifest = recording.commit([stream.entry() for stream in streams], opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {planes} planes each")
     return manifest
 
 
-def _write_truth(simulated: Simulated, rig: Rig, planes: int, folder: Path, progress: Progress) -> None:
-    every, sensor = simulated.simulation.truth_every, simulated.simulation.sensor
-    with disk_errors(folder):
-        write_truth(simulated.scene, rig, planes, every, folder, progress, sensor=sensor)
+def _needed_bytes(rig: Rig, devices: Simulation | None, planes: int) -> int:
+    spikes = planes * sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)
+    instants = -(-planes // devices.truth_every) if devices else 0
+    return spikes + instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
 
 
 def _part(progress: Progress, first: float, last: float) -> Progress:
@@ -67,10 +61,3 @@ def _part(progress: Progress, first: float, last: float) -> Progress:
         progress(first + fraction * (last - first), message)
 
     return report
-
-
-def _truth_bytes(rig: Rig, opened: OpenCameras, planes: int) -> int:
-    if not opened.simulated:
-        return 0
-    frames = -(-planes // opened.simulated.simulation.truth_every)
-    return frames * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)

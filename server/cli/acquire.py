@@ -25,8 +25,8 @@ class SizeType(click.ParamType):
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """The pair of numbers."""
-        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", str(value))
-        if not match or "0" in match.groups():
+        match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", str(value))
+        if not match or not int(match[1]) or not int(match[2]):
             self.fail(f"found the size {value}, expected WIDTHxHEIGHT such as 400x250", param, ctx)
         return int(match[1]), int(match[2])
 

@@ -1,11 +1,12 @@
 """The commands that make and check recordings, as a person meets them."""
 
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -119,9 +120,10 @@ def test_bad_usage_is_one_line_and_exit_2(spike4dgs, tmp_path, monkeypatch, args
     assert list(tmp_path.iterdir()) == []
 
 
-def wait_for_bytes(folder) -> None:
+def wait_for_bytes(capture: subprocess.Popen, folder: Path) -> None:
     while not any(path.stat().st_size for path in folder.glob("*.dat")):
-        os.sched_yield()
+        assert capture.poll() is None
+        time.sleep(0.01)
 
 
 @pytest.mark.slow
@@ -132,7 +134,7 @@ def test_a_stopped_capture_has_no_name_and_can_be_made_again(tmp_path, how):
     capture = subprocess.Popen(
         [*command, "--size", "100x64", "--ticks", "200000", "--out", str(out)], stderr=subprocess.PIPE
     )
-    wait_for_bytes(tmp_path / "rec.partial")
+    wait_for_bytes(capture, tmp_path / "rec.partial")
     capture.send_signal(how)
     _, err = capture.communicate()
     assert capture.returncode != 0

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.open import Simulation, open_cameras
+from acquisition.devices.open import Simulation, open_cameras, parse_devices
 from acquisition.devices.protocol import Request
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import BadRecordingError, DeviceError, DiskError
@@ -223,6 +223,17 @@ def test_a_full_disk_is_refused_before_the_cameras_are_armed(tmp_path, small, mo
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_disk_check_counts_spikes_and_truth(tmp_path, small, monkeypatch):
+    monkeypatch.setattr(writer_module, "free_bytes", lambda folder: 0)
+    with pytest.raises(DiskError) as caught:
+        record(small, "mock:fan_and_ball?truth_every=5", 10, tmp_path / "rec")
+    needed = int(str(caught.value).split("at least ")[1].split(";")[0])
+    monkeypatch.undo()
+    record(small, "mock:fan_and_ball?truth_every=5", 10, tmp_path / "rec")
+    written = sum(path.stat().st_size for path in (tmp_path / "rec").rglob("*") if path.is_file())
+    assert written <= needed
+
+
 def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
     (tmp_path / "rec").write_text("kept")
     with pytest.raises(BadRecordingError, match="exists already"):
@@ -239,11 +250,17 @@ def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
         ("mock:fan_and_ball?samples=0", "at least 1"),
     ],
 )
-def test_a_device_uri_that_cannot_be_is_refused(small, uri, message):
-    with pytest.raises(CameraSetupError, match=message), open_cameras(small, uri, 10):
-        pass
+def test_a_device_uri_that_cannot_be_is_refused(uri, message):
+    with pytest.raises(CameraSetupError, match=message):
+        parse_devices(uri)
+
+
+def test_a_device_uri_says_what_simulated_cameras_see():
+    assert parse_devices("usb:") is None
+    assert parse_devices("mock:fan_and_ball") == Simulation("fan_and_ball", 0, "real", 2, 20)
+    assert parse_devices("mock:x?seed=7&sensor=ideal&samples=1&truth_every=5") == Simulation("x", 7, "ideal", 1, 5)
 
 
 def test_an_unknown_scene_is_refused(small):
-    with pytest.raises(BadRecordingError, match="fan_and_ball"), open_cameras(small, "mock:nowhere", 10):
+    with pytest.raises(BadRecordingError, match="fan_and_ball"), open_cameras(small, Simulation("nowhere"), 10):
         pass
