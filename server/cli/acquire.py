@@ -75,7 +75,12 @@ def simulate_command(
 @click.command("record")
 @click.option("--rig", required=True, help="RIG.toml, or a rig of the catalog.")
 @click.option("--ticks", required=True, type=click.IntRange(min=1), help="Planes of every camera.")
-@click.option("--devices", default="usb:", show_default=True, help="usb: or mock:SCENE?seed=0&sensor=real&samples=2")
+@click.option(
+    "--devices",
+    default="usb:",
+    show_default=True,
+    help="usb: or mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20",
+)
 @_out
 @_json
 def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool) -> None:
