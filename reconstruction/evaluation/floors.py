@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.images.estimate import shrunk
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
@@ -32,7 +33,7 @@ VISIBLE = 0.02  # relative depth difference up to which a neighbour sees the sam
 def nearest_view(wanted: Camera, views: Sequence[Posed]) -> Image:
     """The image of the training camera nearest to `wanted`, resized to its size where they differ."""
     (nearest,) = neighbours(wanted, [camera for camera, _ in views], 1)
-    return cv2.resize(views[nearest][1], (wanted.width, wanted.height), interpolation=cv2.INTER_AREA)
+    return shrunk(views[nearest][1], wanted)
 
 
 def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
@@ -94,4 +95,4 @@ def _sample(wanted: Camera, depth: Image, view: Posed, depth_map: DepthMap) -> t
     )
     with np.errstate(invalid="ignore"):
         visible = np.abs(there / z - 1) < VISIBLE
-    return sampled, (visible & np.isfinite(depth)).astype(np.float32)
+    return np.asarray(sampled, np.float32), (visible & np.isfinite(depth)).astype(np.float32)

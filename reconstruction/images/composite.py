@@ -22,9 +22,11 @@ class CompositeSource:
         """The image [H, W] at `plane`, spikes per tick."""
         if not self.moving.any():
             return self.still
-        return np.where(self.moving, self.method(self.stream, plane).intensity, self.still)
+        image = self.still.copy()
+        np.copyto(image, self.method(self.stream, plane).intensity, where=self.moving)
+        return image
 
 
 def long_mean(stream: SpikeStream) -> NDArray[np.float32]:
     """Mean of every plane [H, W], spikes per tick."""
-    return stream.counts(0, len(stream)).astype(np.float32) / len(stream)
+    return stream.counts(0, len(stream)).astype(np.float32) / np.float32(len(stream))

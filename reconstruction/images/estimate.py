@@ -2,16 +2,18 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes.stream import SpikeStream
+from rigs.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Linear intensity [H, W] float32 in spikes per tick, always finite; `valid` [H, W] where it is more than a bound."""
+    """Linear intensity [H, W] float32 in spikes per tick, always finite; `valid` [H, W] where it is no mere bound."""
 
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]
@@ -22,3 +24,9 @@ def window_around(stream: SpikeStream, plane: int, half_window: int) -> tuple[in
     if not 0 <= plane < len(stream):
         raise BadRecordingError(f"found the instant at plane {plane}, expected one inside 0:{len(stream)}")
     return max(0, plane - half_window), min(len(stream), plane + half_window + 1)
+
+
+def shrunk(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """An image averaged down to the size of `camera`."""
+    small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)

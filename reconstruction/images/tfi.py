@@ -21,12 +21,12 @@ def tfi(stream: SpikeStream, plane: int, reach: int = REACH) -> Estimate:
     back, has_before = _first_spike(before)
     ahead, has_after = _first_spike(after)
     ticks = (back + ahead + 1).astype(np.float32)
-    return Estimate(1 / ticks, has_before & has_after)
+    return Estimate(np.reciprocal(ticks), has_before & has_after)
 
 
 def _first_spike(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Planes [T, H, W] -> (silent planes before the first spike, T where none [H, W]; whether there is one [H, W])."""
     if len(planes) == 0:
         return np.zeros(planes.shape[1:], dtype=np.int64), np.zeros(planes.shape[1:], dtype=bool)
-    fired = planes.any(axis=0)
+    fired = np.asarray(planes.any(axis=0))
     return np.where(fired, planes.argmax(axis=0), len(planes)), fired

@@ -16,5 +16,5 @@ HALF_WINDOW = 16
 def tfp(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Estimate:
     """Image at `plane` from up to 2 * half_window + 1 planes; valid everywhere. Cost: one pass over the window."""
     first, last = window_around(stream, plane, half_window)
-    mean = stream.counts(first, last).astype(np.float32) / (last - first)
+    mean = stream.counts(first, last).astype(np.float32) / np.float32(last - first)
     return Estimate(mean, np.ones(mean.shape, dtype=bool))

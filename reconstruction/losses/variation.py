@@ -20,4 +20,4 @@ def variation_loss(rendered: Tensor, target: Tensor) -> Tensor:
 
 
 def _deviation(differences: Tensor) -> Tensor:
-    return torch.sqrt(differences.var(dim=0, correction=0) + EPS)
+    return torch.sqrt((differences - differences.mean(dim=0)).square().mean(dim=0) + EPS)

@@ -19,9 +19,9 @@ def psnr_db(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | 
 
 def ssim(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | None = None) -> float:
     """Structural similarity: Gaussian window of sigma 1.5, population covariance, data range `white`."""
-    pair = [torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32))[None, None] for a in (image, truth)]
-    result = structural_similarity_index_measure(*pair, sigma=1.5, data_range=white, return_full_image=True)
-    full = result[1][0, 0].numpy() if isinstance(result, tuple) else np.asarray(result)
+    x, y = (torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32))[None, None] for a in (image, truth))
+    result = structural_similarity_index_measure(x, y, sigma=1.5, data_range=white, return_full_image=True)
+    full = result[1][0, 0].numpy()
     if mask is None:
         return float(full.mean())
     return float(full[mask].mean()) if mask.any() else math.nan

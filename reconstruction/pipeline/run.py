@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 from acquisition.progress import Progress
@@ -15,7 +13,7 @@ from reconstruction.pipeline.report import report_stage
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
 from reconstruction.pipeline.training import StoppedError, process_budget, train_stage
 from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder
+from reconstruction.training.run import RunFolder, code_revision
 
 STAGES = ("plan", "images", "points", "train", "report")
 
@@ -38,7 +36,7 @@ def reconstruct(
     recording = Recording.open(recording_path)
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
-    run = RunFolder.start(out, config, recording_path, {"revision": _revision(), "backend": "native"})
+    run = RunFolder.start(out, config, recording_path, {"revision": code_revision(), "backend": "native"})
 
     def stoppable(progress: Progress) -> Progress:
         """Stages without a checkpoint of their own stop wherever they report; their artefacts are whole or absent."""
@@ -79,14 +77,3 @@ def _due(run: RunFolder, stage: str | None) -> list[str]:
     if missing:
         raise BadRunError(f"{run.path}: found no finished stage {missing[0]}, expected it before {stage}; run it first")
     return [] if run.has(stage) else [stage]
-
-
-def _revision() -> str:
-    """The commit the code stands at, or the installed version outside a checkout."""
-    here = Path(__file__).resolve().parent
-    found = subprocess.run(
-        ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    if found.returncode == 0:
-        return found.stdout.strip()
-    return version("spike4dgs")

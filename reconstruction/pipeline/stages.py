@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
 from reconstruction.images.composite import CompositeSource, long_mean
+from reconstruction.images.estimate import shrunk
 from reconstruction.images.methods import method
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
@@ -121,14 +121,8 @@ def _moving_points(
 ) -> Points:
     """Points of the moving pixels at one plane, swept at half resolution."""
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
-    size = [(c.width, c.height) for c in half]
-    images = [
-        cv2.resize(s.at(plane), z, interpolation=cv2.INTER_AREA) for s, z in zip(sources.values(), size, strict=True)
-    ]
-    masks = [
-        cv2.resize(s.moving.astype(np.uint8), z, interpolation=cv2.INTER_NEAREST) > 0
-        for s, z in zip(sources.values(), size, strict=True)
-    ]
+    images = [shrunk(s.at(plane), c) for s, c in zip(sources.values(), half, strict=True)]
+    masks = [shrunk(s.moving.astype(np.float32), c) > 0.5 for s, c in zip(sources.values(), half, strict=True)]
     near, far = depth_range_m(cameras)
     maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
     return sample_points(maps, images, masks, count, recording.rig.clock.instant_s(plane), rng)
@@ -138,7 +132,7 @@ def _write_points(run: RunFolder, kind: str, points: Points, share: float) -> No
     if kind == "still" and (len(points) < LEAST_POINTS or share < LEAST_SHARE):
         raise StereoError(
             f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels, expected {LEAST_POINTS} "
-            f"and {LEAST_SHARE:.0%}; check that the poses belong to this recording and that the scene has texture and light"
+            f"and {LEAST_SHARE:.0%}; check that the poses belong to this recording and that the scene is lit and textured"
         )
     for f in fields(Points):
         run.write_array(f"points/{kind}_{f.name}", getattr(points, f.name))

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 
 from acquisition.progress import Progress
@@ -57,4 +56,5 @@ def write_orbit(path: Path, cloud: DynamicCloud, rig: Rig, centre: Camera, white
 
 def _side_by_side(left: Pixels, right: Pixels) -> Pixels:
     width = 2 * (left.shape[1] // 2)
-    return np.ascontiguousarray(np.hstack([cv2.cvtColor(left, cv2.COLOR_GRAY2BGR)[:, :width], right[:, :width]]))
+    both = [np.repeat(left[:, :width, None], 3, axis=2), right[:, :width]]
+    return np.ascontiguousarray(np.hstack(both), dtype=np.uint8)

@@ -21,7 +21,7 @@ def grey(image: NDArray[np.float32], white: float) -> Pixels:
 def difference(image: NDArray[np.float32], truth: NDArray[np.float32], white: float) -> Pixels:
     """Absolute difference [H, W, 3] in false colour; full scale is a fifth of `white`."""
     scaled = np.clip(np.abs(image - truth) / max(white, 1e-9) * 5, 0, 1)
-    return cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
+    return np.asarray(cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_INFERNO), np.uint8)
 
 
 def depth_colours(depth: NDArray[np.float32], near_m: float, far_m: float) -> Pixels:
@@ -29,7 +29,7 @@ def depth_colours(depth: NDArray[np.float32], near_m: float, far_m: float) -> Pi
     known = np.isfinite(depth) & (depth > 0)
     inverse = np.where(known, 1 / np.where(known, depth, 1), 0)
     scaled = np.clip((inverse - 1 / far_m) / max(1 / near_m - 1 / far_m, 1e-9), 0, 1)
-    colours = cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_TURBO)
+    colours = np.asarray(cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_TURBO), np.uint8)
     colours[~known] = 0
     return colours
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from reconstruction.errors import BadRunError
 
@@ -57,4 +57,5 @@ class ReconstructionConfig:
     @classmethod
     def from_json(cls, document: dict) -> ReconstructionConfig:
         """The inverse of `to_json`."""
-        return cls(**(document | {"views": tuple(document["views"])}))
+        values: dict[str, Any] = {**document, "views": tuple(document["views"])}
+        return cls(**values)

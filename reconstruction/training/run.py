@@ -5,8 +5,10 @@ from __future__ import annotations
 import fcntl
 import io
 import json
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -133,3 +135,12 @@ class RunFolder:
                     f"{self.path}: another process is at work in this run; wait for it or stop it"
                 ) from error
             yield
+
+
+def code_revision() -> str:
+    """The commit the code stands at, or the installed version outside a checkout."""
+    here = Path(__file__).resolve().parent
+    found = subprocess.run(
+        ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    return found.stdout.strip() if found.returncode == 0 else version("spike4dgs")

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
+from reconstruction.images.estimate import shrunk
 from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Rendering, render
@@ -118,7 +118,7 @@ class Trainer:
         camera, image = view.camera, view.source.at(plane)
         if shrink > 1:
             camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
-            image = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+            image = shrunk(image, camera)
         return render(self.cloud.at(self.clock.instant_s(plane)), camera), torch.from_numpy(image)
 
     def _anneal(self, done: float) -> None:

@@ -1,0 +1,54 @@
+"""The document every bench prints."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from reconstruction.training.run import code_revision
+
+
+@dataclass
+class BenchDocument:
+    """`rows`: one a measurement; `omissions`: what failed or was not run, and why; `summary`: named numbers."""
+
+    bench: str
+    rows: list[dict] = field(default_factory=list)
+    omissions: list[str] = field(default_factory=list)
+    summary: dict[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict:
+        """The whole document, with the machine and the code it was measured on."""
+        device = {"processor": _processor(), "threads": len(os.sched_getaffinity(0)), "accelerator": None}
+        return {
+            "bench": self.bench,
+            "device": device,
+            "revision": code_revision(),
+            "rows": self.rows,
+            "omissions": self.omissions,
+            "summary": {k: round(v, 6) for k, v in self.summary.items()},
+        }
+
+
+def fastest_s(work: Callable[[], object], repeats: int = 7) -> float:
+    """Seconds of the fastest of `repeats` calls after one that warms up: the least disturbed on a shared machine."""
+    work()
+    times = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - started)
+    return min(times)
+
+
+def _processor() -> str:
+    """The processor's own name, where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
