@@ -91,17 +91,16 @@ def _run(client: ServiceClient, ticks: int, options: dict[str, Any]) -> Job:
 
 def _follow(look: Callable[[], _W]) -> _W:
     """Show the progress of a capture or job until it is done; raises DemoError with its message where it is not."""
-    stage, reporter = None, None
+    shown, reporter = None, None
     while True:
         found = look()
-        if found.stage != stage and reporter is not None:
-            reporter(1.0, "")
-        if found.stage is not None:
-            if found.stage != stage:
+        if found.stage is not None and (found.stage, found.fraction, found.message) != shown:
+            if reporter is None or shown is None or found.stage != shown[0]:
+                if reporter is not None and shown is not None and shown[1] < 1:
+                    reporter(1.0, shown[2])  # it ended between two looks
                 reporter = progress_of(found.stage)
-            assert reporter is not None
             reporter(found.fraction, found.message)
-        stage = found.stage
+            shown = (found.stage, found.fraction, found.message)
         if found.status == "done":
             return found
         if found.status in ("failed", "cancelled"):

@@ -1,7 +1,6 @@
 """Stands in for `spike4dgs record` and `spike4dgs reconstruct --stage`: counts steps, checkpoints, obeys SIGTERM.
 
-FAKE_STEPS and FAKE_STEP_S set the length of the train stage, FAKE_FAIL a stage that fails while a file of that name
-lies beside the run folder.
+FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists.
 """
 
 import json
@@ -72,7 +71,7 @@ def main() -> None:
     run, stage = Path(flags["--out"]), flags["--stage"]
     run.mkdir(exist_ok=True)
     sys.stderr.write(f"arguments {' '.join(arguments[3:])}\n")
-    if (run.parent / f"fail-{stage}").exists():
+    if (run.parents[1] / f"fail-{stage}").exists():
         sys.exit(f"spike4dgs: {stage}: found a fault, expected none; mend it")
     if stage == "train":
         train(run, int(os.environ.get("FAKE_STEPS", "10")), float(os.environ.get("FAKE_STEP_S", "0.02")))

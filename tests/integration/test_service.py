@@ -205,10 +205,9 @@ def test_a_holdout_must_be_a_camera_of_the_rig(client: ServiceClient, capture: C
 
 
 def test_a_failed_job_goes_on_where_it_stopped(client: ServiceClient, data: Path, capture: Capture) -> None:
-    client.submit(JobRequest(capture=capture.id))  # keeps the worker busy while the fault is laid
-    job = client.submit(JobRequest(capture=capture.id))
-    fault = data / "jobs" / job.id / "fail-points"
+    fault = data / "jobs" / "fail-points"
     fault.touch()
+    job = client.submit(JobRequest(capture=capture.id))
     wait_for(lambda: client.job(job.id).status == "failed")
     found = client.job(job.id)
     assert (found.stage, found.error) == ("points", "points: found a fault, expected none; mend it")
