@@ -1,6 +1,6 @@
 // Structural similarity under a separable Gaussian window, and its gradient; twin of `ssim_map_reference` in ssim.py.
 // Letters: x, y images; mx, my, e, c the windowed means of x, y, (x - y)^2, x y: with the difference instead of the
-// squares, equal images give exactly one. Windows are cut at the border and normalised again.
+// squares, rounding leaves equal images at one. Windows are cut at the border and normalised again.
 #include <algorithm>
 #include <cmath>
 #include <vector>

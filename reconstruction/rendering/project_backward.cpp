@@ -1,5 +1,6 @@
 // Gradients of splats back to the Gaussians they came from; the adjoint of project.cpp.
 #include <algorithm>
+#include <cmath>
 
 #include "geometry.h"
 
@@ -21,14 +22,16 @@ void gather(const Frame &frame, const Cloud &cloud, int64_t rank, int i, Geometr
     for (int64_t slot = s.slot; slot < end; ++slot)
         for (int k = 0; k < kMoments; ++k) sum[k] += frame.moments[slot].value[k];
     for (int k = 0; k < kMoments; ++k) d.sum[k][i] = sum[k];
-    d.p[i] = s.p, d.q[i] = s.q, d.r[i] = s.r;
 }
 
 // dL/dcov = 2 L^T (moments - g/2) L with L = [[p, q], [0, r]], for the shape and the blurred determinant; the
 // determinant itself goes through its minors.
 void to_axes(const Geometry &g, Gradient &d) {
     S4_EACH_LANE {
-        const double p = d.p[i], q = d.q[i], r = d.r[i], sum = d.sum[0][i];
+        // Again in double: along a needle p a0 + q b0 cancels.
+        const double p = std::sqrt(0.5 * g.cov_yy[i] / g.det_blurred[i]), q = -p * g.cov_xy[i] / g.cov_yy[i];
+        const double r = std::sqrt(0.5 / g.cov_yy[i]), sum = d.sum[0][i];
+        d.p[i] = p, d.q[i] = q, d.r[i] = r;
         const double uu = d.sum[3][i] - 0.5 * sum, uv = d.sum[4][i], vv = d.sum[5][i] - 0.5 * sum;
         const double xx = 4 * p * p * uu, xy = 4 * p * (q * uu + r * uv);
         const double yy = 4 * (q * q * uu + 2 * q * r * uv + r * r * vv);
