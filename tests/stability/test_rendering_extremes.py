@@ -32,6 +32,7 @@ def run(gaussians: tuple[torch.Tensor, ...], backend: str, **options) -> tuple[R
     # Not symmetric, or the gradients would cancel.
     weights = 0.2 + torch.rand(28, 40, generator=torch.Generator().manual_seed(3)).to(dtype)
     (weights * (rendering.intensity[..., 0] + 0.1 * rendering.depth + 0.3 * rendering.alpha)).sum().backward()
+    rendering = Rendering(*(t.detach() for t in vars(rendering).values()))
     return rendering, [torch.zeros_like(t) if t.grad is None else t.grad for t in leaves]
 
 
