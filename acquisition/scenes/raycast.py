@@ -94,26 +94,8 @@ class Raycaster:
             )
         if samples < 1:
             raise AcquisitionError(f"found {samples} samples a side of a pixel, expected at least 1")
-        self._arrays = [
-            np.ascontiguousarray(array, dtype=kind)
-            for array, kind in (
-                (geometry.shapes, np.float64),
-                (geometry.moving, np.uint8),
-                (geometry.ids, np.int8),
-                (geometry.textures, np.float32),
-            )
-        ]
-        self._shape_count = len(geometry.shapes)
         self._size = (camera.height, camera.width)
-        self._scene = _Scene(
-            *(a.ctypes.data for a in self._arrays),
-            (ctypes.c_double * 3)(*geometry.sun),
-            geometry.white,
-            geometry.ambient,
-            geometry.background,
-            self._shape_count,
-            geometry.textures.shape[1],
-        )
+        self._scene = self._native_scene(geometry)
         self._view = _View(
             camera.fx,
             camera.fy,
@@ -127,6 +109,21 @@ class Raycaster:
             threads or len(os.sched_getaffinity(0)),
         )
         self._trace_still(placement, samples)
+
+    def _native_scene(self, geometry: Geometry) -> _Scene:
+        arrays = (geometry.shapes, geometry.moving, geometry.ids, geometry.textures)
+        kinds = (np.float64, np.uint8, np.int8, np.float32)
+        # Kept, for the structure holds their addresses only.
+        self._arrays = [np.ascontiguousarray(a, dtype=kind) for a, kind in zip(arrays, kinds, strict=True)]
+        return _Scene(
+            *(a.ctypes.data for a in self._arrays),
+            (ctypes.c_double * 3)(*geometry.sun),
+            geometry.white,
+            geometry.ambient,
+            geometry.background,
+            len(geometry.shapes),
+            geometry.textures.shape[1],
+        )
 
     def _trace_still(self, placement: tuple[Floats, Floats], samples: int) -> None:
         sampled = (*self._size, samples * samples)
@@ -148,7 +145,7 @@ class Raycaster:
         )
 
     def _checked(self, rotations: Floats, positions: Floats) -> tuple[Floats, Floats]:
-        count = (len(rotations), self._shape_count)
+        count = (len(rotations), self._scene.count)
         if rotations.shape != (*count, 3, 3) or positions.shape != (*count, 3):
             raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}, expected {count} of them")
         return np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(positions, np.float64)
