@@ -93,7 +93,7 @@ def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, 
 
 
 def _white(run: RunFolder) -> float:
-    return float(np.mean([np.percentile(run.read_array(f"images/still_{v}"), 99.9) for v in run.plan.views]))
+    return float(np.mean([np.percentile(run.read_array(f"images/image_{v}"), 99.9) for v in run.plan.views]))
 
 
 def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None, metrics: dict) -> None:

@@ -1,6 +1,6 @@
 """What each stage reads and writes.
 
-plan -> plan/moving_camRC.npy; images -> images/still_camRC.npy; points -> points/{still,moving}_*.npy;
+plan -> plan/moving_camRC.npy; images -> images/{image,trusted,stuck}_camRC.npy; points -> points/{still,moving}_*.npy;
 train -> checkpoint.pt, snapshots/; report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/.
 """
 
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
-from reconstruction.images.composite import CompositeSource, long_mean
+from reconstruction.images.background import Background, background
+from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.images.methods import method
 from reconstruction.initialization.points import Points, sample_points
@@ -49,11 +50,13 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
 
 
 def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
-    """Keep the mean of the whole clip of every training view."""
+    """Keep the background of every training view: what stays when the movers are taken away."""
     views = run.plan.views
     for i, view in enumerate(views):
-        run.write_array(f"images/still_{view}", long_mean(recording.stream(view)))
-        progress((i + 1) / len(views), f"mean image of {view}")
+        found = background(recording.stream(view), run.read_array(f"plan/moving_{view}"))
+        for f in fields(Background):
+            run.write_array(f"images/{f.name}_{view}", getattr(found, f.name))
+        progress((i + 1) / len(views), f"background of {view}, {int(found.stuck.sum())} stuck pixels")
 
 
 def composite_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
@@ -62,7 +65,7 @@ def composite_sources(run: RunFolder, recording: Recording) -> dict[str, Composi
     return {
         view: CompositeSource(
             recording.stream(view),
-            run.read_array(f"images/still_{view}"),
+            Background(*(run.read_array(f"images/{f.name}_{view}") for f in fields(Background))),
             run.read_array(f"plan/moving_{view}"),
             method(plan.images),
         )
@@ -78,11 +81,11 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     cameras = [rig.camera(view) for view in plan.views]
     options = SweepOptions(*depth_range_m(cameras))
     rounds = 1 + (INSTANTS if plan.moving_gaussians else 0)
-    stills = [sources[view].still for view in plan.views]
+    stills = [sources[view].background.image for view in plan.views]
     maps = swept_maps(cameras, stills, options)
     share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
     progress(1 / rounds, f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
-    masks = [~sources[view].moving for view in plan.views]
+    masks = [sources[view].background.trusted for view in plan.views]
     _write_points(run, "still", sample_points(maps, stills, masks, plan.still_gaussians, 0.0, rng), share)
     parts = []
     for i, plane in enumerate(moving_planes(recording.planes) if rounds > 1 else []):
@@ -119,10 +122,10 @@ def _moving_points(
     count: int,
     rng: np.random.Generator,
 ) -> Points:
-    """Points of the moving pixels at one plane, swept at half resolution."""
+    """Points of what moves at one plane, swept at half resolution."""
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
     images = [shrunk(s.at(plane), c) for s, c in zip(sources.values(), half, strict=True)]
-    masks = [shrunk(s.moving.astype(np.float32), c) > 0.5 for s, c in zip(sources.values(), half, strict=True)]
+    masks = [shrunk(s.movers(plane).astype(np.float32), c) > 0.5 for s, c in zip(sources.values(), half, strict=True)]
     near, far = depth_range_m(cameras)
     maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
     return sample_points(maps, images, masks, count, recording.rig.clock.instant_s(plane), rng)
@@ -132,7 +135,7 @@ def _write_points(run: RunFolder, kind: str, points: Points, share: float) -> No
     if kind == "still" and (len(points) < LEAST_POINTS or share < LEAST_SHARE):
         raise StereoError(
             f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels, expected {LEAST_POINTS} "
-            f"and {LEAST_SHARE:.0%}; check that the poses belong to this recording and that the scene is lit and textured"
+            f"and {LEAST_SHARE:.0%}; check the poses, and that the scene is lit and textured"
         )
     for f in fields(Points):
         run.write_array(f"points/{kind}_{f.name}", getattr(points, f.name))

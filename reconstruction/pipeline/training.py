@@ -120,7 +120,7 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     cloud = seed_cloud(read_points(run, "still"), read_points(run, "moving"), clip, INSTANTS)
     sources = composite_sources(run, recording)
     views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
-    white = float(np.mean([np.percentile(source.still, 99.9) for source in sources.values()]))
+    white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
     settings = TrainerSettings(variation=plan.supervision == "variation", white=max(white, 1e-6))
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 

@@ -111,7 +111,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     run = RunFolder.open(run_folder)
     cloud = load_cloud(run.checkpoint)
     frames = load_frames(cameras)
-    still = [run.read_array(f"images/still_{view}") for view in run.plan.views]
+    still = [run.read_array(f"images/image_{view}") for view in run.plan.views]
     white = float(np.mean([np.percentile(image, 99.9) for image in still]))
     out.mkdir(parents=True, exist_ok=True)
     progress = progress_of("render")

@@ -8,7 +8,8 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.composite import CompositeSource, long_mean
+from reconstruction.images.background import background
+from reconstruction.images.composite import CompositeSource
 from reconstruction.images.methods import method
 from reconstruction.images.motion import moving_pixels
 from reconstruction.images.tfi import tfi
@@ -103,12 +104,50 @@ def test_a_clip_too_short_to_tell_is_still():
     assert not moving_pixels(stream_of(periodic(2, planes=3))).any()
 
 
+def blinking(planes=400):
+    """Half rate everywhere; a 10 x 10 block is bright for a fifth of the clip."""
+    spikes = periodic(2, planes=planes, height=24, width=24)
+    spikes[planes // 5 : 2 * planes // 5, 7:17, 7:17] = 1
+    return stream_of(spikes)
+
+
+def source_of(stream):
+    moving = moving_pixels(stream)
+    return CompositeSource(stream, background(stream, moving), moving, tfp)
+
+
 def test_composite_takes_the_clip_where_still_and_the_instant_where_moving():
-    spikes = periodic(2, planes=100, height=4, width=4)
-    spikes[:50, :, 2:] = 0
+    source = source_of(blinking())
+    bright, later = source.at(120), source.at(300)
+    assert (bright[8:16, 8:16] == 1).all()
+    assert np.abs(later[8:16, 8:16] - 0.5).max() <= 1 / 33
+    assert (bright[:3] == 0.5).all()
+
+
+def test_the_background_is_what_is_seen_most_of_the_time():
+    found = source_of(blinking()).background
+    assert np.abs(found.image - 0.5).max() < 0.03
+    assert found.trusted.all()
+
+
+def test_movers_are_marked_while_they_are_there():
+    source = source_of(blinking())
+    assert source.movers(120)[8:16, 8:16].all()
+    assert not source.movers(300).any()
+    assert not source.movers(120)[:2].any()
+
+
+@pytest.mark.parametrize("value", [0, 1])
+def test_a_stuck_pixel_takes_its_neighbours_light(value):
+    spikes = periodic(3, planes=240, height=9, width=9)
+    spikes[:, 4, 4] = value
     stream = stream_of(spikes)
-    moving = np.zeros((4, 4), bool)
-    moving[:, 2:] = True
-    image = CompositeSource(stream, long_mean(stream), moving, tfp).at(20)
-    assert (image[:, :2] == 0.5).all()
-    assert (image[:, 2:] == 0).all()
+    found = background(stream, np.zeros((9, 9), bool))
+    assert found.stuck[4, 4]
+    assert found.stuck.sum() == 1
+    assert found.image[4, 4] == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("value", [0, 1])
+def test_darkness_and_saturation_over_an_area_are_not_stuck(value):
+    assert not background(stream_of(np.full((40, 6, 6), value, np.uint8)), np.zeros((6, 6), bool)).stuck.any()

@@ -31,7 +31,10 @@ def camera_at(x, y, target=(0, 0, 2.0)):
 
 def see_plane(camera, normal, offset, pattern):
     """Image and depth of the textured plane normal . x = offset, by casting each pixel's centre ray."""
-    x, y = np.meshgrid((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx, (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)
+    x, y = np.meshgrid(
+        (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx,
+        (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy,
+    )
     rays = np.stack([x, y, np.ones_like(x)], -1) @ camera.cam_from_rig.rotation
     depth = (offset - camera.center @ normal) / (rays @ normal)
     points = camera.center + rays * depth[..., None]

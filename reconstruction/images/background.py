@@ -1,0 +1,57 @@
+"""What stays when the movers are taken away, and the pixels a sensor has lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.spikes.stream import SpikeStream
+
+WINDOWS = 20  # equal parts of the clip
+SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background
+MOSTLY = 0.4  # share of the parts that may show something else
+STUCK_GAP = 0.05  # spikes per tick a stuck pixel must differ from its neighbours to matter
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """`image` [H, W], spikes per tick: the mean of the clip, or the median part of it where `moving`.
+
+    `trusted` [H, W] where one surface is seen most of the time; `stuck` [H, W] pixels that always or never fire.
+    """
+
+    image: NDArray[np.float32]
+    trusted: NDArray[np.bool_]
+    stuck: NDArray[np.bool_]
+
+
+def background(stream: SpikeStream, moving: NDArray[np.bool_]) -> Background:
+    """The background behind the `moving` pixels [H, W] of a stream; stuck pixels take their neighbours' median."""
+    mean = stream.counts(0, len(stream)).astype(np.float32) / np.float32(len(stream))
+    stuck = stuck_pixels(mean)
+    length = len(stream) // WINDOWS
+    if length == 0 or not moving.any():
+        return Background(mended(mean, stuck), ~moving, stuck)
+    counts = np.stack([stream.counts(i * length, (i + 1) * length) for i in range(WINDOWS)]).astype(np.float32)
+    median = np.median(counts, axis=0).astype(np.float32)
+    elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)
+    image = mean.copy()
+    np.copyto(image, median / np.float32(length), where=moving)
+    trusted = ~moving | (cv2.blur(elsewhere, (3, 3)) < MOSTLY)
+    return Background(mended(image, stuck), np.asarray(trusted, dtype=bool), stuck)
+
+
+def stuck_pixels(mean: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels [H, W] that never or always fired over a clip with this mean while their neighbours did otherwise."""
+    neighbours = cv2.medianBlur(mean, 3)
+    return ((mean <= 0) | (mean >= 1)) & (np.abs(mean - neighbours) > STUCK_GAP)
+
+
+def mended(image: NDArray[np.float32], stuck: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The image [H, W] with stuck pixels replaced by the median of their 3x3 surroundings."""
+    if not stuck.any():
+        return image
+    return np.where(stuck, cv2.medianBlur(image, 3), image).astype(np.float32)
