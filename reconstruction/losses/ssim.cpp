@@ -95,7 +95,8 @@ S4_API void ssim_forward(const float *x, const float *y, int32_t width, int32_t 
         }
 #pragma omp for schedule(static)
         for (int j = 0; j < height; ++j) {
-            for (int k = 0; k < 4; ++k) down_columns(window, scratch + k * n, size, j, lines.data() + size_t(k) * padded);
+            for (int k = 0; k < 4; ++k)
+                down_columns(window, scratch + k * n, size, j, lines.data() + size_t(k) * padded);
             const float *la = lines.data(), *lb = la + padded, *le = lb + padded, *lc = le + padded;
             float *s = similarity + int64_t(j) * width, *sa = slopes + int64_t(j) * width, *se = sa + n, *sc = se + n;
 #pragma omp simd
@@ -140,7 +141,8 @@ S4_API void ssim_backward(const float *x, const float *y, const float *gradient,
         }
 #pragma omp for schedule(static)
         for (int j = 0; j < height; ++j) {
-            for (int k = 0; k < 3; ++k) down_columns(window, scratch + k * n, size, j, lines.data() + size_t(k) * padded);
+            for (int k = 0; k < 3; ++k)
+                down_columns(window, scratch + k * n, size, j, lines.data() + size_t(k) * padded);
             const float *a = lines.data(), *e = a + padded, *c = e + padded;
             const float *xs = x + int64_t(j) * width, *ys = y + int64_t(j) * width;
             float *to = out + int64_t(j) * width;

@@ -1,7 +1,7 @@
 // Tiles of splats to pixels and back; twin of `composite` in reference.py.
 // Letters: T transmittance, w = T alpha weight, B what lies behind a splat, normalised, times the output gradient.
 #include <algorithm>
-#include <cmath>
+#include <cstring>
 
 #include "frame.h"
 
@@ -56,7 +56,8 @@ bool opaque(const Lanes &T) {
     return live == 0;
 }
 
-void blend(const Splat s, int x, int y, Lanes &T, Lanes &intensity, Lanes &depth) {
+void blend(const Splat &splat, int x, int y, Lanes &T, Lanes &intensity, Lanes &depth) {
+    const Splat s = splat;  // a copy that no store can alias
     const Corner c = corner_of(s, x, y);
     for (int j = c.first; j <= c.last; ++j) {
         const float v = c.v + s.r * float(j), v2 = v * v, u_first = c.u + s.q * float(j);
@@ -97,11 +98,13 @@ void forward_tile(Frame &f, const Image &image, int tile) {
     }
 }
 
-struct Scratch {  // alpha and weight of one chunk
+struct Scratch {  // one chunk: its splats side by side, their alphas and weights
+    Splat splats[kChunk];
     Lanes alpha[kChunk], weight[kChunk];
 };
 
-void replay(const Splat s, int x, int y, Lanes &T, Lanes &alpha, Lanes &weight) {
+void replay(const Splat &splat, int x, int y, Lanes &T, Lanes &alpha, Lanes &weight) {
+    const Splat s = splat;  // a copy that no store can alias
     const Corner c = corner_of(s, x, y);
     for (int j = c.first; j <= c.last; ++j) {
         const float v = c.v + s.r * float(j), v2 = v * v, u_first = c.u + s.q * float(j);
@@ -117,12 +120,29 @@ void replay(const Splat s, int x, int y, Lanes &T, Lanes &alpha, Lanes &weight) 
     }
 }
 
+// Sums of four rows at once, by a transposing tree: compilers add a reduction of known length one by one.
+using Four = float __attribute__((vector_size(16)));
+
+inline Four quarter(const float *lane) {
+    Four part[4];
+    std::memcpy(part, lane, sizeof part);
+    return (part[0] + part[1]) + (part[2] + part[3]);
+}
+
+inline Four totals(const float *a, const float *b, const float *c, const float *d) {
+    const Four qa = quarter(a), qb = quarter(b), qc = quarter(c), qd = quarter(d);
+    const Four ab = __builtin_shufflevector(qa, qb, 0, 4, 1, 5) + __builtin_shufflevector(qa, qb, 2, 6, 3, 7);
+    const Four cd = __builtin_shufflevector(qc, qd, 0, 4, 1, 5) + __builtin_shufflevector(qc, qd, 2, 6, 3, 7);
+    return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
+}
+
 struct TileGradient {
     Lanes intensity, depth, alpha;
 };
 
 // One splat of one tile, going from back to front: alpha dL/dalpha = w (c . v - B), without a division by 1 - alpha.
-Moments unblend(const Splat s, int x, int y, const TileGradient &v, const Lanes &alpha, const Lanes &weight, Lanes &B) {
+Moments unblend(const Splat &splat, int x, int y, const TileGradient &v, const Lanes &alpha, const Lanes &weight, Lanes &B) {
+    const Splat s = splat;  // a copy that no store can alias
     const Corner c = corner_of(s, x, y);
     alignas(64) float s0[kTile] = {}, s1[kTile] = {}, s2[kTile] = {}, si[kTile] = {}, sz[kTile] = {};
     for (int j = c.first; j <= c.last; ++j) {
@@ -143,22 +163,28 @@ Moments unblend(const Splat s, int x, int y, const TileGradient &v, const Lanes 
             sz[i] += w[i] * vz[i];
         }
     }
-    float a0 = 0, a1 = 0, a2 = 0, b0 = 0, b1 = 0, c0 = 0, intensity = 0, depth = 0;
-#pragma omp simd reduction(+ : a0, a1, a2, b0, b1, c0, intensity, depth)
+    alignas(64) float us0[kTile], uus0[kTile], us1[kTile];
+#pragma omp simd
     for (int i = 0; i < kTile; ++i) {
         const float u = c.u + s.p * float(i);
-        a0 += s0[i], a1 += u * s0[i], a2 += u * u * s0[i];
-        b0 += s1[i], b1 += u * s1[i], c0 += s2[i];
-        intensity += si[i], depth += sz[i];
+        us0[i] = u * s0[i];
+        uus0[i] = u * us0[i];
+        us1[i] = u * s1[i];
     }
+    const Four by_u = totals(s0, us0, uus0, s1), rest = totals(us1, s2, si, sz);
+    const float a0 = by_u[0], a1 = by_u[1], a2 = by_u[2], b0 = by_u[3], b1 = rest[0], c0 = rest[1];
     return {{a0,
             a1 + s.q * b0,
             c.v * a0 + s.r * b0,
             a2 + 2 * s.q * b1 + s.q * s.q * c0,
             c.v * (a1 + s.q * b0) + s.r * (b1 + s.q * c0),
             c.v * c.v * a0 + 2 * c.v * s.r * b0 + s.r * s.r * c0,
-            intensity,
-            depth}};
+            rest[2],
+            rest[3]}};
+}
+
+inline int64_t slot_of(const Splat &s, int tx, int ty) {
+    return s.slot + int64_t(ty - s.y_first / kTile) * s.tiles_across() + tx - s.x_first / kTile;
 }
 
 void load(const Pinhole &c, int x, int y, const float *from, Lanes &to) {
@@ -180,18 +206,14 @@ void backward_tile(Frame &f, const ImageGradient &gradient, int tile, Scratch &s
         const int64_t first = start + chunk * kChunk;
         const int count = int(std::min<int64_t>(kChunk, end - first));
         std::copy_n(f.checkpoints.data() + (f.checkpoint_start[tile] + chunk) * kPixels, kPixels, T.row[0]);
-        for (int k = 0; k < count; ++k)
-            replay(f.splats[f.entries[first + k]], x, y, T, scratch.alpha[k], scratch.weight[k]);
+        for (int k = 0; k < count; ++k) scratch.splats[k] = f.splats[f.entries[first + k]];
+        for (int k = 0; k < count; ++k) replay(scratch.splats[k], x, y, T, scratch.alpha[k], scratch.weight[k]);
         for (int k = count - 1; k >= 0; --k) {
-            const Splat &s = f.splats[f.entries[first + k]];
-            const int64_t within = int64_t(ty - s.y_first / kTile) * s.tiles_across() + tx - s.x_first / kTile;
-            f.moments[s.slot + within] = unblend(s, x, y, v, scratch.alpha[k], scratch.weight[k], B);
+            const Splat &s = scratch.splats[k];
+            f.moments[slot_of(s, tx, ty)] = unblend(s, x, y, v, scratch.alpha[k], scratch.weight[k], B);
         }
     }
-    for (int64_t k = end; k < f.tile_start[tile + 1]; ++k) {
-        const Splat &s = f.splats[f.entries[k]];
-        f.moments[s.slot + int64_t(ty - s.y_first / kTile) * s.tiles_across() + tx - s.x_first / kTile] = {};
-    }
+    for (int64_t k = end; k < f.tile_start[tile + 1]; ++k) f.moments[slot_of(f.splats[f.entries[k]], tx, ty)] = {};
 }
 
 }  // namespace

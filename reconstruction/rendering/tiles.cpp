@@ -75,7 +75,8 @@ void bin(Frame &frame, int threads) {
     for (int part = 0; part < threads; ++part) {
         int64_t *place = frame.cursor.data() + size_t(part) * tiles;
         for (int64_t rank = n * part / threads; rank < n * (part + 1) / threads; ++rank)
-            each_tile(frame.splats[rank], frame.tiles_x, [&](int tile) { frame.entries[place[tile]++] = int32_t(rank); });
+            each_tile(frame.splats[rank], frame.tiles_x,
+                      [&](int tile) { frame.entries[place[tile]++] = int32_t(rank); });
     }
 }
 
