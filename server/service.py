@@ -9,9 +9,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
+from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
 
+from rigs.toml import load_rig
 from server.catalogue import Catalogue, Entry
+from server.database import prepare_database
 from server.errors import NotFoundError, RigBusyError, StateError, UnknownReferenceError
 from server.jobs import (
     APPLICATION,
@@ -47,7 +49,7 @@ class Service:
         self.catalogue = Catalogue(settings.data)
         self._clock = clock
         self._one_at_a_time = threading.Lock()
-        DBOS.migrate(settings.database_url)  # a client never does, and the worker may start later
+        prepare_database(settings)
         self._engine = DBOSClient(
             system_database_url=settings.database_url,
             serializer=DBOSPortableJSONSerializer(),
@@ -109,16 +111,18 @@ class Service:
     # Jobs
 
     def submit(self, request: JobRequest) -> Job:
-        """Queue a reconstruction; raises UnknownReferenceError and, before the capture is done, StateError."""
+        """Queue a reconstruction.
+
+        Raises UnknownReferenceError, StateError before the capture is done, and RigError for a holdout it lacks.
+        """
         try:
             capture = self.capture(request.capture)
         except NotFoundError as error:
             raise UnknownReferenceError(str(error)) from error
         if capture.status != "done":
             raise StateError(f"found capture {capture.id} {capture.status}, expected it done; wait for it")
-        cameras = self.rigs[capture.rig].ids if capture.rig in self.rigs else ()
-        if request.holdout is not None and request.holdout not in cameras:
-            raise UnknownReferenceError(f"found the holdout {request.holdout}, expected one of {', '.join(cameras)}")
+        if request.holdout is not None:
+            load_rig(self.catalogue.recording(capture.id) / "rig.toml").camera(request.holdout)
         entry = self.catalogue.add("job", request.model_dump())
         self.catalogue.run(entry.id).parent.mkdir()
         self._enqueue(entry, RECONSTRUCT, RECONSTRUCT_QUEUE)

@@ -70,9 +70,14 @@ class ServiceSettings(BaseSettings):
         return host
 
     @property
-    def database_url(self) -> str:
+    def database_path(self) -> Path:
         """The job engine's database."""
-        return f"sqlite:///{self.data / 'dbos.sqlite'}"
+        return self.data / "dbos.sqlite"
+
+    @property
+    def database_url(self) -> str:
+        """Its address."""
+        return f"sqlite:///{self.database_path}"
 
 
 def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> ServiceSettings:

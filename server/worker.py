@@ -13,9 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
+from dbos import error as engine_errors
 
 from rigs.errors import Spike4dgsError
 from server.catalogue import Catalogue, write_json
+from server.database import prepare_database
 from server.errors import ServiceError
 from server.jobs import (
     APPLICATION,
@@ -148,6 +150,7 @@ def _launch(settings: ServiceSettings) -> None:
         "serializer": DBOSPortableJSONSerializer(),
         "log_level": "WARNING",
     }
+    prepare_database(settings)
     DBOS(config=config)
     logging.getLogger("dbos").addFilter(_one_line)
     _register(Stages(settings))
@@ -174,10 +177,11 @@ def _finished(run: Path) -> bool:
 
 
 def _one_line(record: logging.LogRecord) -> bool:
-    """Say an expected failure without its traceback: the catalogue and the stage's log have it already."""
-    if record.exc_info and isinstance(record.exc_info[1], Spike4dgsError):
-        record.msg, record.args, record.exc_info = str(record.exc_info[1]), None, None
-    return True
+    """Keep tracebacks of expected endings out of the engine's log: a failure is one line, a cancelled job none."""
+    error = record.exc_info[1] if record.exc_info else None
+    if isinstance(error, Spike4dgsError):
+        record.msg, record.args, record.exc_info = str(error), None, None
+    return not isinstance(error, engine_errors.DBOSAwaitedWorkflowCancelledError)
 
 
 @contextmanager

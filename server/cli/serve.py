@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import click
@@ -58,7 +58,8 @@ def serve_command(
             address = f"[{settings.host}]" if ":" in settings.host else settings.host
             click.echo(f"http://{address}:{listener.getsockname()[1]}")
             sys.stdout.flush()
-            uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
+            with suppress(KeyboardInterrupt):  # the usual way to stop it
+                uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
 
 
 @click.command()

@@ -10,6 +10,8 @@ import sys
 import time
 from pathlib import Path
 
+from rigs.toml import catalog_rig, dump_rig
+
 METRICS = {
     "psnr_db": 32.5,
     "ssim": 0.95,
@@ -38,6 +40,7 @@ def record(out: Path, ticks: int) -> None:
     aside.mkdir(exist_ok=True)
     report(0.5, "recording")
     time.sleep(0.4 if ticks < 1000 else 30)
+    (aside / "rig.toml").write_text(dump_rig(catalog_rig("lab3x3")))
     (aside / "recording.json").write_text(json.dumps({"ticks": ticks}))
     aside.rename(out)
 

@@ -1,5 +1,6 @@
 """The service over REST, with a real worker whose stages are played by fake_stage.py."""
 
+import errno
 import json
 import os
 import signal
@@ -38,12 +39,18 @@ def http(data: Path) -> Iterator[TestClient]:
 def client(http: TestClient, data: Path) -> Iterator[ServiceClient]:
     """A client of a service that has a worker."""
     environment = os.environ | {"SPIKE4DGS_STAGE_COMMAND": json.dumps(FAKE), "FAKE_STEPS": "100", "FAKE_STEP_S": "0.01"}
-    worker = subprocess.Popen([sys.executable, "-m", "server.cli", "worker", "--data", data], env=environment)
+    worker = subprocess.Popen(
+        [sys.executable, "-m", "server.cli", "worker", "--data", data],
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     service = ServiceClient(http)
     wait_for(lambda: service.checks()["worker"].ok)
     yield service
     worker.terminate()
-    assert worker.wait(20) == 0
+    assert "Traceback" not in worker.communicate(timeout=20)[1]
+    assert worker.returncode == 0
     assert not (data / "worker.json").exists()
 
 
@@ -157,6 +164,16 @@ def test_a_rig_records_one_capture_at_a_time(tmp_path: Path) -> None:
         assert_problem(http.post("/v1/jobs", json={"capture": first.json()["id"]}), 409, "queued")
 
 
+def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url=LOOPBACK) as http:
+        monkeypatch.setattr(os, "fsync", full)
+        assert_problem(http.post("/v1/rigs/lab3x3/captures", json={"ticks": 5}), 507, "No space left")
+        assert http.get("/v1/captures").json() == {"items": []}
+
+
 # With a worker
 
 
@@ -199,7 +216,7 @@ def test_a_failed_capture_says_why(client: ServiceClient, capture: Capture) -> N
 
 
 def test_a_holdout_must_be_a_camera_of_the_rig(client: ServiceClient, capture: Capture) -> None:
-    with pytest.raises(RefusedError, match="cam77, expected one of cam00") as caught:
+    with pytest.raises(RefusedError, match=r"camera cam77.*expected one of cam00") as caught:
         client.submit(JobRequest(capture=capture.id, holdout="cam77"))
     assert caught.value.status == 422
 
@@ -254,6 +271,31 @@ def spike4dgs(*arguments: object, **environment: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+@pytest.mark.parametrize("command", ["serve", "worker"])
+def test_a_data_folder_that_cannot_be_used_is_one_line(tmp_path: Path, command: str) -> None:
+    (tmp_path / "dbos.sqlite").write_bytes(b"no database" * 100)
+    process = spike4dgs(command, "--data", tmp_path)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (2, "")
+    assert err.count("\n") == 1
+    assert f"{tmp_path / 'dbos.sqlite'}: found file is not a database" in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_service_stops_quietly_with_its_worker(tmp_path: Path, number: signal.Signals) -> None:
+    service = spike4dgs("serve", "--port", 0, "--data", tmp_path / "data", "--with-worker")
+    assert service.stdout is not None
+    with ServiceClient.at(service.stdout.readline().strip()) as client:
+        wait_for(lambda: client.checks()["worker"].ok)
+    family = psutil.Process(service.pid).children(recursive=True)
+    assert len(family) == 1
+    service.send_signal(number)
+    _, err = service.communicate(timeout=60)
+    assert (service.returncode, err) == (0 if number == signal.SIGINT else 143, "")
+    assert psutil.wait_procs(family, timeout=0)[1] == []
+    assert not is_locked(tmp_path / "data")
 
 
 @pytest.mark.slow
