@@ -27,7 +27,6 @@ struct Cloud {  // [N, 3], [N, 4], [N, 3], [N], [N]
 struct alignas(64) Splat {
     float x, y, p, q, r, sigma_max, opacity, intensity, depth;
     int32_t x_first, x_last, y_first, y_last;  // pixels whose centre may lie inside, inclusive
-    int32_t source;                            // which Gaussian
     int64_t slot;                              // where its per-tile moments start
     int tiles_across() const { return x_last / kTile - x_first / kTile + 1; }
     int tiles_down() const { return y_last / kTile - y_first / kTile + 1; }
@@ -43,6 +42,7 @@ struct Frame {
     Pinhole camera;
     int tiles_x, tiles_y;
     std::vector<Splat> projected, splats;     // by Gaussian; in depth order
+    std::vector<int32_t> visible;             // which Gaussians became splats, in their order
     std::vector<uint64_t> keys, keys_scratch;
     std::vector<int64_t> tile_start;          // [tiles + 1]
     std::vector<int64_t> cursor;

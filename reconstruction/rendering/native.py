@@ -36,9 +36,10 @@ class _Frame:
 
     def __init__(self, pointer: int) -> None:
         self.pointer = pointer
+        self._release = _kernels().render_release
 
     def __del__(self) -> None:
-        _kernels().render_release(self.pointer)
+        self._release(self.pointer)
 
 
 def _pointers(*tensors: Tensor | None) -> ctypes.Array:

@@ -65,15 +65,20 @@ void project(Frame &frame, const Cloud &cloud, int32_t *radii, int threads) {
             Splat &s = frame.projected[first + i];
             radii[first + i] = splat_of(g, o, frame.camera, i, s);
             s.intensity = cloud.intensities[first + i];
-            s.source = int32_t(first + i);
         }
     }
     frame.keys.clear();
+    frame.visible.clear();
+    frame.slots = 0;
     for (int64_t i = 0; i < cloud.count; ++i) {
         if (radii[i] == 0) continue;
+        Splat &s = frame.projected[i];
+        s.slot = frame.slots;
+        frame.slots += int64_t(s.tiles_across()) * s.tiles_down();
         uint32_t depth_bits;
-        std::memcpy(&depth_bits, &frame.projected[i].depth, 4);  // positive floats order as their bits do
+        std::memcpy(&depth_bits, &s.depth, 4);  // positive floats order as their bits do
         frame.keys.push_back(uint64_t(depth_bits) << 32 | uint32_t(i));
+        frame.visible.push_back(int32_t(i));
     }
 }
 

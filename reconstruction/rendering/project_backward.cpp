@@ -14,9 +14,9 @@ struct alignas(64) Gradient {
     Lane mean[3], quat[4], log_scale[3];
 };
 
-void gather(const Frame &frame, const Cloud &cloud, int64_t rank, int i, Geometry &g, Gradient &d) {
-    const Splat &s = frame.splats[rank];
-    load_gaussian(g, cloud, s.source, i);
+void gather(const Frame &frame, const Cloud &cloud, int32_t source, int i, Geometry &g, Gradient &d) {
+    const Splat &s = frame.projected[source];
+    load_gaussian(g, cloud, source, i);
     const int64_t end = s.slot + int64_t(s.tiles_across()) * s.tiles_down();
     float sum[kMoments] = {};
     for (int64_t slot = s.slot; slot < end; ++slot)
@@ -126,20 +126,20 @@ void scatter(const Geometry &g, const Gradient &d, int64_t source, int i, const 
 }  // namespace
 
 void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out, int threads) {
-    const int64_t n = int64_t(frame.splats.size()), blocks = (n + kLanes - 1) / kLanes;
+    const int64_t n = int64_t(frame.visible.size()), blocks = (n + kLanes - 1) / kLanes;
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t block = 0; block < blocks; ++block) {
         const int64_t first = block * kLanes;
         Geometry g;
         Gradient d;
-        for (int i = 0; i < kLanes; ++i) gather(frame, cloud, std::min(first + i, n - 1), i, g, d);
+        for (int i = 0; i < kLanes; ++i) gather(frame, cloud, frame.visible[std::min(first + i, n - 1)], i, g, d);
         measure(g, frame.camera);
         to_axes(g, d);
         to_factors(g, d);
         to_quaternion(g, d);
         to_mean(g, frame.camera, d);
         for (int i = 0; i < std::min<int64_t>(kLanes, n - first); ++i)
-            scatter(g, d, frame.splats[first + i].source, i, out);
+            scatter(g, d, frame.visible[first + i], i, out);
     }
 }
 

@@ -141,7 +141,8 @@ struct TileGradient {
 };
 
 // One splat of one tile, going from back to front: alpha dL/dalpha = w (c . v - B), without a division by 1 - alpha.
-Moments unblend(const Splat &splat, int x, int y, const TileGradient &v, const Lanes &alpha, const Lanes &weight, Lanes &B) {
+Moments unblend(const Splat &splat, int x, int y, const TileGradient &v, const Lanes &alpha, const Lanes &weight,
+                Lanes &B) {
     const Splat s = splat;  // a copy that no store can alias
     const Corner c = corner_of(s, x, y);
     alignas(64) float s0[kTile] = {}, s1[kTile] = {}, s2[kTile] = {}, si[kTile] = {}, sz[kTile] = {};

@@ -38,12 +38,9 @@ void sort_by_depth(Frame &frame) {
     radix_sort(frame.keys, frame.keys_scratch);
     const size_t n = frame.keys.size();
     frame.splats.resize(n);
-    frame.slots = 0;
     for (size_t rank = 0; rank < n; ++rank) {
-        Splat &s = frame.splats[rank];
-        s = frame.projected[uint32_t(frame.keys[rank])];
-        s.slot = frame.slots;
-        frame.slots += int64_t(s.tiles_across()) * s.tiles_down();
+        __builtin_prefetch(&frame.projected[uint32_t(frame.keys[std::min(rank + 8, n - 1)])]);
+        frame.splats[rank] = frame.projected[uint32_t(frame.keys[rank])];
     }
 }
 
