@@ -99,7 +99,9 @@ function show(id, items, make, nothing) {
 async function refresh() {
   try {
     const [ready, rigs, captures, jobs] = await Promise.all(['/readyz', '/rigs', '/captures', '/jobs'].map((path) => call(path)));
-    document.getElementById('ready').textContent = ready.detail ? `Not ready: ${ready.detail}` : 'Ready';
+    Object.assign(document.getElementById('ready'), {
+      textContent: ready.detail ? `Not ready: ${ready.detail}` : 'Ready', className: ready.detail ? 'failed' : '',
+    });
     show('rigs', rigs.items, rig, 'No rig is configured.');
     show('captures', captures.items, capture, 'No captures yet. Record one with a rig.');
     show('jobs', jobs.items, job, 'No jobs yet. Start one from a capture.');
