@@ -86,7 +86,8 @@ class _Saver:
     def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget):
         self.run, self.trainer, self.budget = run, trainer, budget
         self.last = budget.clock()
-        self.due = [s for s in SNAPSHOT_AT if s > budget.done(trainer.steps)]
+        done = budget.done(trainer.steps)
+        self.due = [s for s in SNAPSHOT_AT if s > done or s == 1.0]  # the last state is always scored
 
     def keep(self, done: float) -> None:
         """Write what is due at this share of the training."""

@@ -140,7 +140,8 @@ class RunFolder:
 def code_revision() -> str:
     """The commit the code stands at, or the installed version outside a checkout."""
     here = Path(__file__).resolve().parent
-    found = subprocess.run(
-        ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    return found.stdout.strip() if found.returncode == 0 else version("spike4dgs")
+    command = ["git", "-C", str(here), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return version("spike4dgs")

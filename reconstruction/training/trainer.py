@@ -35,14 +35,14 @@ class Rates:
     Lengths are in units of the scene (the mean distance from the cameras to the points).
     """
 
-    means: float = 2e-4
-    velocities: float = 8e-4
-    quats_wxyz: float = 2e-3
-    log_scales: float = 8e-3
-    opacity_logits: float = 3e-2
-    intensities: float = 4e-3
-    instants: float = 1e-3
-    log_durations: float = 5e-3
+    means: float = 1e-3
+    velocities: float = 3e-3
+    quats_wxyz: float = 1e-2
+    log_scales: float = 4e-2
+    opacity_logits: float = 6e-2
+    intensities: float = 8e-3
+    instants: float = 4e-3
+    log_durations: float = 2e-2
     final: float = 0.05
 
 

@@ -21,16 +21,18 @@ def progress_of(name: str) -> Progress:
 
 
 def _json_lines(name: str) -> Progress:
-    return _throttled(
-        lambda f, m: print(
-            json.dumps({"event": "progress", "stage": name, "fraction": f, "message": m}), file=sys.stderr, flush=True
-        ),  # noqa: T201
-        every_s=0.2,
-    )
+    def emit(fraction: float, message: str) -> None:
+        _say(json.dumps({"event": "progress", "stage": name, "fraction": fraction, "message": message}))
+
+    return _throttled(emit, every_s=0.2)
 
 
 def _lines(name: str) -> Progress:
-    return _throttled(lambda f, m: print(f"{name} {f:4.0%} {m}", file=sys.stderr, flush=True), every_s=2.0)  # noqa: T201
+    return _throttled(lambda fraction, message: _say(f"{name} {fraction:4.0%} {message}"), every_s=2.0)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 
 def _bar(name: str) -> Progress:

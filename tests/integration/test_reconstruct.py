@@ -1,0 +1,125 @@
+"""Recording to report at 100x64: the stages, resuming, refusing, and that the held-out camera stays unread."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition.devices.open import Simulation
+from acquisition.progress import silent
+from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
+from reconstruction.errors import BadRunError, StereoError
+from reconstruction.pipeline.run import STAGES, reconstruct
+from reconstruction.pipeline.training import StoppedError
+from reconstruction.rendering.view import look
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from reconstruction.training.config import ReconstructionConfig
+from rigs.toml import catalog_rig
+
+pytestmark = pytest.mark.slow
+CONFIG = ReconstructionConfig(holdout="cam11", steps=60, budget_s=None, seed=1, gaussians=3000)
+OUTER = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam22")
+
+
+def quiet(stage):
+    return silent
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recordings") / "rec"
+    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3"), 120, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(recording, tmp_path_factory):
+    return reconstruct(recording, tmp_path_factory.mktemp("runs") / "run", CONFIG, quiet)
+
+
+def test_it_beats_the_nearest_view_and_writes_every_artefact(run):
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"] + 3
+    assert metrics["abs_rel"] < 0.15
+    for name in ("run.json", "error_vs_time.json", "error_vs_time.png", "report.html", "orbit.mp4", "checkpoint.pt"):
+        assert (run.path / name).stat().st_size > 0
+    document = json.loads((run.path / "run.json").read_text())
+    assert document["status"] == "finished"
+    assert set(document["seconds"]) == set(STAGES)
+    assert document["plan"]["model"] == "linear"
+
+
+def test_the_curve_rises_with_time(run):
+    rows = json.loads((run.path / "error_vs_time.json").read_text())["rows"]
+    assert rows[-1]["steps"] == 60
+    assert [r["seconds"] for r in rows] == sorted(r["seconds"] for r in rows)
+    assert rows[-1]["psnr_db"] > rows[0]["psnr_db"]
+
+
+def test_the_report_stands_alone(run):
+    page = (run.path / "report.html").read_text()
+    assert "data:image/png;base64," in page
+    assert 'src="http' not in page
+    assert "depth-warped blend" in page
+
+
+def test_a_finished_run_is_refused_and_unchanged(run, recording):
+    before = (run.path / "metrics.json").read_bytes()
+    with pytest.raises(BadRunError, match="finished run"):
+        reconstruct(recording, run.path, CONFIG, quiet)
+    assert (run.path / "metrics.json").read_bytes() == before
+
+
+def test_depth_shows_parallax(run, recording):
+    """Two outer cameras see near things shifted against far ones by what the rendered depth says."""
+    cloud, rig = load_cloud(run.checkpoint), Recording.open(recording).rig
+    centre = look(cloud, rig.camera("cam11"), 0.003)
+    known = centre.depth[np.isfinite(centre.depth)]
+    assert known.size > 0.8 * centre.depth.size
+    near, far = np.percentile(known, [5, 95])
+    assert far / near > 1.5
+
+
+def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tmp_path):
+    calls = iter(range(10**6))
+    with pytest.raises(StoppedError, match="stopped at step"):
+        for stage in STAGES[:4]:
+            reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage=stage, should_stop=lambda: next(calls) > 40)
+    half_way = load_checkpoint(tmp_path / "run" / "checkpoint.pt")["trainer"]["steps"]
+    assert 0 < half_way < 60
+    resumed = reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train")
+    for (name, a), (_, b) in zip(
+        load_cloud(run.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
+    ):
+        assert torch.equal(a, b), name
+
+
+def test_a_stage_before_its_predecessor_is_refused(recording, tmp_path):
+    with pytest.raises(BadRunError, match="no finished stage plan"):
+        reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train")
+
+
+def test_the_held_out_camera_is_not_read_before_the_report(recording, tmp_path, monkeypatch):
+    read = []
+    stream = Recording.stream
+    monkeypatch.setattr(Recording, "stream", lambda self, c: (read.append(c), stream(self, c))[1])
+    for stage in STAGES[:4]:
+        reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage=stage)
+    assert "cam11" not in read
+    assert "cam00" in read
+
+
+def test_poses_that_do_not_belong_to_the_recording_stop_with_the_reason(recording, tmp_path):
+    wrong = tmp_path / "wrong"
+    wrong.mkdir()
+    for file in recording.glob("*.dat"):
+        (wrong / file.name).symlink_to(file)
+    (wrong / "recording.json").write_text((recording / "recording.json").read_text())
+    shuffled = dict(zip(OUTER, [OUTER[i] for i in (2, 4, 3, 6, 5, 0, 1, 7)], strict=True))
+    rig = re.sub(r"cam\d\d", lambda m: shuffled.get(m[0], m[0]), (recording / "rig.toml").read_text())
+    (wrong / "rig.toml").write_text(rig)
+    with pytest.raises(StereoError, match="check the poses"):
+        reconstruct(wrong, tmp_path / "run", CONFIG, quiet)
