@@ -1,8 +1,12 @@
 """Files that are whole or absent: written aside, flushed to disk, renamed."""
 
+import io
 import json
 import os
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.errors import DiskError
 
@@ -10,7 +14,7 @@ from acquisition.errors import DiskError
 def write_durably(path: Path, data: bytes | str) -> None:
     """Put `data` (text as UTF-8) under `path`; raises DiskError, and leaves `path` as it was, when the disk refuses."""
     raw = data.encode() if isinstance(data, str) else data
-    aside = path.with_name(f".{path.name}.partial")
+    aside = path.with_name(f".{path.name}.{os.getpid()}.partial")  # two processes may write the same name
     try:
         with aside.open("wb") as file:
             file.write(raw)
@@ -27,3 +31,10 @@ def write_durably(path: Path, data: bytes | str) -> None:
 def write_json(path: Path, document: object) -> None:
     """`document` as indented JSON under `path`, durably."""
     write_durably(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+def write_array(path: Path, array: NDArray) -> None:
+    """`array` as .npy under `path`, durably."""
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    write_durably(path, buffer.getvalue())

@@ -11,7 +11,6 @@ DATA/rigs/RIG/              held by flock while the rig records
 from __future__ import annotations
 
 import json
-import os
 import re
 import secrets
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from acquisition.durable import write_json
 from server.errors import NotFoundError
 from server.schemas import Progress
 
@@ -114,19 +114,6 @@ class Catalogue:
         folder = self.data / "rigs" / rig_id
         folder.mkdir(exist_ok=True)
         return folder
-
-
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a JSON file aside, fsync it and rename it."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with aside.open("w") as file:
-            json.dump(document, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:

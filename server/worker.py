@@ -15,8 +15,9 @@ from pathlib import Path
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
 from dbos import error as engine_errors
 
+from acquisition.durable import write_json
 from rigs.errors import Spike4dgsError
-from server.catalogue import Catalogue, write_json
+from server.catalogue import Catalogue
 from server.database import prepare_database
 from server.errors import ServiceError
 from server.jobs import (

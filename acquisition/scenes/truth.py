@@ -7,14 +7,12 @@ camera of the rig has are `novelN/`, without blur. `cameras.json` is nerfstudio'
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acquisition.durable import write_durably, write_json
+from acquisition.durable import write_array, write_durably, write_json
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
 from acquisition.scenes.scene import Scene
@@ -79,7 +77,7 @@ def _write_views(scene: Scene, rig: Rig, camera: Camera, planes: list[int], fold
     for plane in planes:
         frames = raycaster.frames(*scene.placements(np.array([rig.clock.instant_s(plane)])))
         for prefix, image in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
-            _save(folder / camera.id / f"{prefix}{plane:06d}.npy", image[0])
+            write_array(folder / camera.id / f"{prefix}{plane:06d}.npy", image[0])
 
 
 def _write_blur(scene: Scene, rig: Rig, camera: Camera, planes: list[int], folder: Path) -> None:
@@ -89,13 +87,7 @@ def _write_blur(scene: Scene, rig: Rig, camera: Camera, planes: list[int], folde
         instants_s = np.array([rig.clock.instant_s(plane + offset) for offset in offsets])
         light = raycaster.intensity(*scene.placements(instants_s))
         blur = light.mean(axis=0, dtype=np.float64).astype(np.float32)
-        _save(folder / camera.id / f"blur_{plane:06d}.npy", blur)
-
-
-def _save(path: Path, image: NDArray) -> None:
-    buffer = io.BytesIO()
-    np.save(buffer, image)
-    write_durably(path, buffer.getvalue())
+        write_array(folder / camera.id / f"blur_{plane:06d}.npy", blur)
 
 
 def _description(scene: Scene, rig: Rig, ticks: int, every: int) -> dict[str, object]:

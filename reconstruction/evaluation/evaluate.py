@@ -50,7 +50,8 @@ def score_floors(
         views = [(rig.camera(c), source.at(frame.plane)) for c, source in sources.items()]
         blend = depth_blend(held_out.camera, views)
         nearest = View(nearest_view(held_out.camera, views), np.full_like(blend.depth, np.nan))
-        scores["nearest_view"].append(_score(nearest, frame, truth.white))
+        scored = _score(nearest, frame, truth.white)
+        scores["nearest_view"].append({k: v for k, v in scored.items() if "delta" not in k})  # it knows no depth
         scores["depth_blend"].append(_score(blend, frame, truth.white))
         progress((i + 1) / len(frames), f"floors at instant {i + 1} of {len(frames)}")
     return {f"{name}.{key}": value for name, rows in scores.items() for key, value in _mean(rows).items()}

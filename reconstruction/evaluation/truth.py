@@ -53,7 +53,7 @@ class Truth:
         folder = self.path / camera_id
         try:
             intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, EOFError) as error:
             raise BadRunError(f"{folder}: found no readable truth at plane {plane}, expected it whole") from error
         return TruthFrame(plane, intensity, depth, np.isin(ids, self.movers))
 

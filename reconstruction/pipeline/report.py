@@ -21,21 +21,12 @@ from reconstruction.report.curve import draw_curve
 from reconstruction.report.html import embed, report_html
 from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import depth_colours, depth_span_m, difference, encode_png, grey, write_png
+from reconstruction.report.table import score_table
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.run import RunFolder
 
 CURVE_INSTANTS = 4  # truth instants behind each point of the curve
 SHOWN_INSTANTS = 3
-COLUMNS = {
-    "psnr_db": ("PSNR / dB", "{:.2f}"),
-    "ssim": ("SSIM", "{:.3f}"),
-    "dynamic_psnr_db": ("PSNR of movers / dB", "{:.2f}"),
-    "abs_rel": ("depth Abs Rel", "{:.4f}"),
-    "delta_1_25": ("depth delta < 1.25", "{:.3f}"),
-    "counts.mae": ("count error, mean / spikes", "{:.3f}"),
-    "counts.rmse": ("count error, RMS / spikes", "{:.3f}"),
-}
-LINES = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest view": "nearest_view."}
 
 
 def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
@@ -98,6 +89,7 @@ def _white(run: RunFolder) -> float:
 
 def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None, metrics: dict) -> None:
     curve = run.path / "error_vs_time.png"
+    white = truth.white if truth else _white(run)
     document = {
         "title": f"Reconstruction of {recording.path.name}",
         "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at "
@@ -105,28 +97,17 @@ def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth
         f"{run.document.get('steps', 0)} steps, {len(cloud)} Gaussians, revision {run.document['revision']}",
         "camera": run.config.holdout or "No camera held out",
         "rows": _pictures(run, recording, cloud, truth),
-        "table": _table(metrics),
+        "table": score_table(metrics),
+        "note": metrics.get(
+            "note", f"Linear intensity, data range {metrics.get('white')} spikes per tick; means over instants."
+        ),
         "curve": embed(curve.read_bytes()) if curve.exists() else "",
+        "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
         "seconds": run.document["seconds"],
         "decisions": run.document["plan"]["decisions"],
         "configuration": run.document["configuration"],
     }
     write_durably(run.path / "report.html", report_html(document))
-
-
-def _table(metrics: dict) -> dict:
-    columns = {key: spec for key, spec in COLUMNS.items() if key in metrics}
-    lines = []
-    for name, prefix in LINES.items():
-        cells = [
-            spec[1].format(metrics[prefix + key]) if prefix + key in metrics else "" for key, spec in columns.items()
-        ]
-        if any(cells):
-            lines.append({"name": name, "cells": cells})
-    note = metrics.get(
-        "note", f"Linear intensity, data range {metrics.get('white')} spikes per tick, mean over instants."
-    )
-    return {"headings": [spec[0] for spec in columns.values()], "lines": lines, "note": note}
 
 
 def _pictures(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None) -> list[list[dict]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from acquisition.durable import write_durably
 
@@ -21,6 +22,8 @@ def draw_curve(path: Path, rows: Sequence[dict], metric: str, floors: dict[str, 
     for (name, value), colour in zip(floors.items(), ("#888888", "#c26a1b"), strict=False):
         axes.axhline(value, linestyle="--", color=colour, label=name.replace("_", " "))
     axes.set_xscale("log")
+    for axis_formatter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        axis_formatter(LogFormatter(minor_thresholds=(10, 1)))
     axes.set_xlabel("wall seconds since the start, images and initialisation included")
     axes.set_ylabel(LABELS[metric])
     axes.set_title(caption, fontsize=9)

@@ -6,12 +6,10 @@ from importlib import resources
 
 import jinja2
 
-PICTURE = "data:image/png;base64,"
 
-
-def embed(png: bytes) -> str:
-    """A PNG as a data address."""
-    return PICTURE + base64.b64encode(png).decode()
+def embed(data: bytes, media_type: str = "image/png") -> str:
+    """A picture or video as a data address, so that the page stands alone."""
+    return f"data:{media_type};base64,{base64.b64encode(data).decode()}"
 
 
 def report_html(document: Mapping[str, object]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import io
 import json
 import subprocess
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durable import write_durably, write_json
+from acquisition.durable import write_array, write_json
 from reconstruction.errors import BadRunError
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.plan import Plan
@@ -111,11 +110,9 @@ class RunFolder:
 
     def write_array(self, name: str, array: NDArray) -> None:
         """Keep an array as NAME.npy, durably."""
-        buffer = io.BytesIO()
-        np.save(buffer, array)
         file = self.path / f"{name}.npy"
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_durably(file, buffer.getvalue())
+        write_array(file, array)
 
     def read_array(self, name: str) -> NDArray:
         """An array written by `write_array`; raises BadRunError where an earlier stage is missing."""

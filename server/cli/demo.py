@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import click
 
+from reconstruction.report.table import score_table
 from server.cli.progress import progress_of
 from server.cli.serve import stop_process
 from server.errors import ServiceError
@@ -25,20 +26,11 @@ if TYPE_CHECKING:
 
 SCENE = "mock:fan_and_ball"
 HOLDOUT = "cam11"
-BUDGET_S = 60.0
+BUDGET_S = 90.0
 _POLL_S = 0.5
 _START_S = 60.0
 _STOP_S = 20.0
 _W = TypeVar("_W", Capture, Job)
-
-_ROWS = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest view": "nearest_view."}
-_COLUMNS = {
-    "psnr_db": ("PSNR / dB", "{:.2f}"),
-    "ssim": ("SSIM", "{:.3f}"),
-    "abs_rel": ("depth Abs Rel", "{:.4f}"),
-    "delta_1_25": ("delta < 1.25", "{:.3f}"),
-    "dynamic_psnr_db": ("PSNR of movers / dB", "{:.2f}"),
-}
 
 
 class DemoError(ServiceError):
@@ -158,16 +150,11 @@ def _new_folder(out: Path | None) -> Path:
 
 
 def _table(metrics: dict[str, Any]) -> list[str]:
-    """The result beside the floors; a score that is not there is a dash."""
-    columns = {key: head for key, head in _COLUMNS.items() if key in metrics}
-    rows = [(f"centre view ({HOLDOUT})", *(title for title, _ in columns.values()))]
-    for name, prefix in _ROWS.items():
-        scores = [(metrics.get(prefix + key), form) for key, (_, form) in columns.items()]
-        rows.append((name, *("-" if score is None else form.format(score) for score, form in scores)))
+    """The result beside the floors, in columns."""
+    table = score_table(metrics)
+    rows = [(f"centre view ({HOLDOUT})", *table.headings), *((name, *cells) for name, cells in table.lines)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
-        "  ".join(
-            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        )
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
         for row in rows
     ]

@@ -1,0 +1,33 @@
+"""The scores of a run beside its floors, as a person reads them; light enough for a process without torch."""
+
+from dataclasses import dataclass
+
+COLUMNS = {
+    "psnr_db": ("PSNR / dB", "{:.2f}"),
+    "ssim": ("SSIM", "{:.3f}"),
+    "dynamic_psnr_db": ("PSNR of movers / dB", "{:.2f}"),
+    "abs_rel": ("depth Abs Rel", "{:.4f}"),
+    "delta_1_25": ("depth delta < 1.25", "{:.3f}"),
+    "counts.mae": ("count error, mean / spikes", "{:.3f}"),
+    "counts.rmse": ("count error, RMS / spikes", "{:.3f}"),
+}
+LINES = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest view": "nearest_view."}
+
+
+@dataclass(frozen=True)
+class ScoreTable:
+    """Headings of the columns, and lines of a name and one cell a column ("-" where there is no score)."""
+
+    headings: tuple[str, ...]
+    lines: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def score_table(metrics: dict) -> ScoreTable:
+    """The table of a `metrics.json` document; columns and lines without any score are left out."""
+    columns = {key: spec for key, spec in COLUMNS.items() if key in metrics}
+    lines = []
+    for name, prefix in LINES.items():
+        scores = [(metrics.get(prefix + key), form) for key, (_, form) in columns.items()]
+        if any(score is not None for score, _ in scores):
+            lines.append((name, tuple("-" if score is None else form.format(score) for score, form in scores)))
+    return ScoreTable(tuple(heading for heading, _ in columns.values()), tuple(lines))

@@ -1,0 +1,71 @@
+"""`images`: spikes to pictures, without the weight of the training stack."""
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from acquisition.durable import write_array
+from acquisition.errors import BadRecordingError
+from acquisition.recording.reader import Recording
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.methods import METHODS, Method, method
+from reconstruction.report.pictures import grey, write_png
+from server.cli.options import PLANES, SIZE
+from server.cli.progress import progress_of
+
+FOLDER = click.Path(path_type=Path)
+
+
+@click.command("images")
+@click.argument("source", type=FOLDER)
+@click.option("--method", "name", required=True, help=f"One of: {', '.join(METHODS)}.")
+@click.option("--size", type=SIZE, help="WxH of a bare .dat.")
+@click.option("--tick-rate", type=float, help="Planes per second of a bare .dat.")
+@click.option("--ticks", type=PLANES, help="Planes to make images at, A:B:STEP [default: every 20th].")
+@click.option("--allow-partial", is_flag=True, help="Drop an incomplete last plane of a bare .dat.")
+@click.option("--out", type=FOLDER, required=True, help="Folder for NNNNNN.npy, valid_NNNNNN.npy and NNNNNN.png.")
+def images_command(
+    source: Path,
+    name: str,
+    size: tuple[int, int] | None,
+    tick_rate: float | None,
+    ticks: range | None,
+    allow_partial: bool,
+    out: Path,
+) -> None:
+    """Images from the spikes of REC (one folder a camera) or FILE.dat, in spikes per tick, linear."""
+    estimate = method(name)
+    streams = _streams(source, size, tick_rate, allow_partial)
+    shortest = min(len(stream) for stream in streams.values())
+    planes = ticks if ticks is not None else range(0, shortest, 20)
+    if planes[-1] >= shortest:
+        raise BadRecordingError(f"found the instant at plane {planes[-1]}, expected one inside 0:{shortest}")
+    progress, done = progress_of("images"), 0
+    for folder, stream in streams.items():
+        (out / folder).mkdir(parents=True, exist_ok=True)
+        for plane in planes:
+            _write_image(out / folder, stream, plane, estimate)
+            done += 1
+            progress(done / (len(streams) * len(planes)), f"{folder} plane {plane}".strip())
+    click.echo(f"{done} images by {name} in {out}")
+
+
+def _streams(
+    source: Path, size: tuple[int, int] | None, tick_rate: float | None, allow_partial: bool
+) -> dict[str, SpikeStream]:
+    """Streams by the folder their images go to: one a camera for a recording, the top for a bare file."""
+    if source.is_dir():
+        recording = Recording.open(source)
+        return {c: recording.stream(c) for c in recording.camera_ids}
+    if size is None or tick_rate is None:
+        raise BadRecordingError(f"{source}: found a bare file, expected its --size WxH and --tick-rate HZ beside it")
+    return {"": SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)}
+
+
+def _write_image(folder: Path, stream: SpikeStream, plane: int, estimate: Method) -> None:
+    image = estimate(stream, plane)
+    write_array(folder / f"{plane:06d}.npy", image.intensity.astype(np.float32))
+    write_array(folder / f"valid_{plane:06d}.npy", image.valid)
+    write_png(folder / f"{plane:06d}.png", grey(image.intensity, float(np.percentile(image.intensity, 99.9))))

@@ -1,0 +1,96 @@
+"""What an operator types, and what comes back when it is wrong."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack, unpack
+
+
+def spike4dgs(*arguments):
+    command = [sys.executable, "-m", "server.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def refused(result, *words):
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    last = result.stderr.strip().splitlines()[-1]
+    for word in words:
+        assert word in last
+    return True
+
+
+@pytest.fixture
+def dat(tmp_path):
+    planes = np.random.default_rng(0).integers(0, 2, (64, 26, 41))
+    file = tmp_path / "camera.dat"
+    file.write_bytes(pack(planes, PlaneLayout(41, 26)).tobytes())
+    return file
+
+
+@pytest.mark.parametrize("method", ["tfi", "tfp"])
+def test_images_of_a_bare_file(dat, tmp_path, method):
+    out = tmp_path / "out"
+    result = spike4dgs(
+        "images", dat, "--size", "41x26", "--tick-rate", 20000, "--method", method, "--ticks", "10:31:10", "--out", out
+    )
+    assert result.returncode == 0, result.stderr
+    assert sorted(f.name for f in out.iterdir()) == sorted(
+        f"{prefix}{plane:06d}{suffix}"
+        for plane in (10, 20, 30)
+        for prefix, suffix in (("", ".npy"), ("valid_", ".npy"), ("", ".png"))
+    )
+    image = np.load(out / "000010.npy")
+    assert image.dtype == np.float32
+    assert image.shape == (26, 41)
+    assert np.isfinite(image).all()
+
+
+def test_images_refuse_what_they_cannot_use(dat, tmp_path):
+    out, empty = tmp_path / "out", tmp_path / "empty.dat"
+    empty.write_bytes(b"")
+    size = ("--size", "41x26", "--tick-rate", 20000)
+    assert refused(spike4dgs("images", dat, *size, "--method", "crystal", "--out", out), "crystal", "tfi, tfp")
+    assert refused(spike4dgs("images", dat, *size, "--method", "tfi", "--ticks", "90:91:1", "--out", out), "plane 90")
+    assert refused(spike4dgs("images", empty, *size, "--method", "tfi", "--out", out), "empty.dat", "0 bytes")
+    assert refused(spike4dgs("images", dat, "--method", "tfi", "--out", out), "--size")
+    assert refused(
+        spike4dgs("images", dat, "--size", "40x26", "--tick-rate", 20000, "--method", "tfi", "--out", out), "bytes"
+    )
+    assert refused(
+        spike4dgs("images", dat, "--size", "big", "--tick-rate", 20000, "--method", "tfi", "--out", out), "400x250"
+    )
+    assert not out.exists()
+
+
+def test_reconstruct_refuses_what_is_no_recording(tmp_path):
+    assert refused(spike4dgs("reconstruct", tmp_path / "nothing", "--out", tmp_path / "run"), "nothing")
+    assert refused(spike4dgs("render", tmp_path, "--cameras", "t.json", "--out", tmp_path / "o"), "run.json")
+    assert refused(spike4dgs("evaluate", tmp_path / "nothing"), "run.json")
+    assert refused(spike4dgs("levitate"), "levitate")
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_real_car_is_upright_and_both_methods_agree(spikedata, tmp_path):
+    means = {}
+    for method in ("tfi", "tfp"):
+        out = tmp_path / method
+        result = spike4dgs(
+            "images", spikedata / "histsflow_car.dat", "--size", "400x250", "--tick-rate", 20000,
+            "--method", method, "--ticks", "100:101:1", "--out", out,
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr
+        image = np.load(out / "000100.npy")
+        means[method] = image.mean()
+        assert image[:50, :80].mean() > 2 * image[200:, :80].mean()  # bright sky, dark road
+    assert means["tfi"] == pytest.approx(means["tfp"], rel=0.01)
+
+
+def test_the_real_car_packs_back_to_its_own_bytes(spikedata):
+    raw = np.fromfile(spikedata / "histsflow_car.dat", np.uint8).reshape(200, 12500)
+    layout = PlaneLayout(400, 250)
+    assert np.array_equal(pack(unpack(raw, layout), layout), raw)

@@ -1,0 +1,93 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from reconstruction.errors import BadRunError
+from reconstruction.evaluation.floors import depth_blend, nearest_view
+from reconstruction.evaluation.truth import Truth, spread
+from reconstruction.metrics.image import psnr_db
+from rigs.camera import Camera
+from rigs.transform import Transform
+
+W, H = 96, 64
+
+
+def camera_at(x, y):
+    return Camera("view", W, H, 90.0, 90.0, W / 2, H / 2, Transform.looking_at((x, y, 0.0), (0, 0, 2.0)))
+
+
+def see(camera, pattern):
+    """Image and depth of the textured wall z = 2."""
+    columns, rows = (np.arange(W) + 0.5 - camera.cx) / camera.fx, (np.arange(H) + 0.5 - camera.cy) / camera.fy
+    rays = np.stack([*np.meshgrid(columns, rows), np.ones((H, W))], -1) @ camera.cam_from_rig.rotation
+    depth = (2.0 - camera.center[2]) / rays[..., 2]
+    points = camera.center + rays * depth[..., None]
+    u, v = (points[..., 0] * 90 + 128).astype(np.float32), (points[..., 1] * 90 + 128).astype(np.float32)
+    return cv2.remap(pattern, u, v, cv2.INTER_CUBIC), depth.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def wall():
+    noise = np.random.default_rng(0).random((256, 256)).astype(np.float32)
+    pattern = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.6), None, 0.05, 0.55, cv2.NORM_MINMAX)
+    views = [(c, see(c, pattern)[0]) for c in (camera_at(x, y) for x, y in [(-0.2, 0), (0.2, 0), (0, -0.2), (0, 0.2)])]
+    return views, camera_at(0.0, 0.0), see(camera_at(0.0, 0.0), pattern)
+
+
+def test_the_nearest_view_is_an_image_of_a_training_camera(wall):
+    views, wanted, _ = wall
+    assert any(np.array_equal(nearest_view(wanted, views), image) for _, image in views)
+
+
+def test_the_depth_blend_finds_the_wall_and_beats_the_nearest_view(wall):
+    views, wanted, (truth, depth) = wall
+    blend = depth_blend(wanted, views)
+    assert psnr_db(blend.intensity, truth, 0.6) > psnr_db(nearest_view(wanted, views), truth, 0.6) + 8
+    assert np.nanmedian(np.abs(blend.depth / depth - 1)) < 0.01
+
+
+def test_a_blend_of_flat_views_is_that_light(wall):
+    views, wanted, _ = wall
+    flat = [(camera, np.full((H, W), 0.25, np.float32)) for camera, _ in views]
+    assert np.allclose(depth_blend(wanted, flat).intensity, 0.25, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 40])
+def test_spread_keeps_the_ends(count):
+    planes = list(range(0, 400, 20))
+    chosen = spread(planes, count)
+    assert len(chosen) == min(count, 20)
+    assert chosen[0] == 0
+    assert chosen == sorted(set(chosen))
+    assert count == 1 or chosen[-1] == 380
+
+
+def truth_folder(path, planes=(0, 20)):
+    (path / "cam11").mkdir(parents=True)
+    (path / "scene.json").write_text(json.dumps({"white": 0.6, "movers": [{"id": 7, "name": "fan"}]}))
+    for plane in planes:
+        np.save(path / "cam11" / f"{plane:06d}.npy", np.full((4, 5), 0.3, np.float32))
+        np.save(path / "cam11" / f"depth_{plane:06d}.npy", np.full((4, 5), 2.0, np.float32))
+        np.save(path / "cam11" / f"id_{plane:06d}.npy", np.arange(20).reshape(4, 5).astype(np.int8))
+    return path
+
+
+def test_truth_is_read_with_its_movers(tmp_path):
+    truth = Truth.open(truth_folder(tmp_path / "truth"))
+    assert truth.planes("cam11") == [0, 20]
+    frame = truth.frame("cam11", 20)
+    assert frame.moving.sum() == 1
+    assert frame.moving[1, 2]
+
+
+def test_truth_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(BadRunError, match=r"no usable scene\.json"):
+        Truth.open(tmp_path)
+    truth = Truth.open(truth_folder(tmp_path / "truth"))
+    with pytest.raises(BadRunError, match="no truth of cam00"):
+        truth.planes("cam00")
+    (tmp_path / "truth" / "cam11" / "depth_000020.npy").write_bytes(b"")
+    with pytest.raises(BadRunError, match="at plane 20"):
+        truth.frame("cam11", 20)
