@@ -98,9 +98,7 @@ def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth
         "camera": run.config.holdout or "No camera held out",
         "rows": _pictures(run, recording, cloud, truth),
         "table": score_table(metrics),
-        "note": metrics.get(
-            "note", f"Linear intensity, data range {metrics.get('white')} spikes per tick; means over instants."
-        ),
+        "note": metrics.get("note", f"Linear intensity, data range {white:g} spikes per tick; means over instants."),
         "curve": embed(curve.read_bytes()) if curve.exists() else "",
         "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
         "seconds": run.document["seconds"],

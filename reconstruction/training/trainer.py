@@ -48,12 +48,16 @@ class Rates:
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """`half_until`: share of the training at half resolution; `variation_every`: steps between variation losses."""
+    """`half_until`: share of the training at half resolution; `variation_every`: steps between variation losses.
+
+    `solid_weight` is against light that passes through everything: dark texture is not a hole.
+    """
 
     variation: bool
     rates: Rates = field(default_factory=Rates)
     ssim_weight: float = 0.2
-    half_until: float = 0.25
+    solid_weight: float = 0.02
+    half_until: float = 0.1
     variation_every: int = 4
     variation_weight: float = 0.5
     variation_instants: int = 3
@@ -97,11 +101,12 @@ class Trainer:
 
     def _pixels(self, view: TrainingView, plane: int, shrink: int) -> Tensor:
         rendered, target = self._pair(view, plane, shrink)
-        return self._photometric(rendered.intensity[..., 0], target)
+        return self._photometric(rendered, target)
 
-    def _photometric(self, image: Tensor, target: Tensor) -> Tensor:
-        weight, white = self.settings.ssim_weight, self.settings.white
-        return (1 - weight) * (image - target).abs().mean() / white + weight * (1 - ssim(image, target, white))
+    def _photometric(self, rendered: Rendering, target: Tensor) -> Tensor:
+        image, weight, white = rendered.intensity[..., 0], self.settings.ssim_weight, self.settings.white
+        pixels = (1 - weight) * (image - target).abs().mean() / white + weight * (1 - ssim(image, target, white))
+        return pixels + self.settings.solid_weight * (1 - rendered.alpha).mean()
 
     def _variation(self, view: TrainingView, shrink: int) -> Tensor:
         s, planes = self.settings, len(view.source.stream)
@@ -109,9 +114,9 @@ class Trainer:
         first = int(self.rng.integers(max(1, planes - gap * (s.variation_instants - 1))))
         instants = [min(first + i * gap, planes - 1) for i in range(s.variation_instants)]
         pairs = [self._pair(view, plane, shrink) for plane in instants]
+        pixels = torch.stack([self._photometric(r, t) for r, t in pairs]).mean()
         rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])
         target = torch.stack([t for _, t in pairs])
-        pixels = torch.stack([self._photometric(r, t) for r, t in zip(rendered, target, strict=True)]).mean()
         return pixels + s.variation_weight * variation_loss(rendered, target) / s.white
 
     def _pair(self, view: TrainingView, plane: int, shrink: int) -> tuple[Rendering, Tensor]:
