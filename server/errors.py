@@ -12,6 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
+from acquisition.errors import DiskError
 from rigs.errors import RigError, Spike4dgsError
 
 
@@ -46,6 +47,7 @@ STATUS: dict[type[Exception], int] = {
     UnknownReferenceError: 422,
     RigError: 422,
     ForeignRequestError: 403,
+    DiskError: 507,
     Spike4dgsError: 500,
 }
 

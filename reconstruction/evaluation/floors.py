@@ -27,6 +27,7 @@ from rigs.camera import Camera
 
 Image = NDArray[np.float32]
 Posed = tuple[Camera, Image]
+SPECK_PX = 5  # a stray point that lands before its surroundings is taken out
 VISIBLE = 0.02  # relative depth difference up to which a neighbour sees the same surface
 
 
@@ -41,8 +42,8 @@ def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
     chosen = [views[i] for i in neighbours(wanted, [camera for camera, _ in views])]
     options = SweepOptions(*depth_range_m([camera for camera, _ in views]))
     swept = [sweep_view(view, [other for other in chosen if other is not view], options) for view in chosen]
-    maps = consistent(swept, options, agreeing=1)
-    depth = _close_holes(_carry(wanted, maps))
+    maps = consistent(swept, options)
+    depth = np.asarray(cv2.medianBlur(_close_holes(_carry(wanted, maps)), SPECK_PX), dtype=np.float32)
     samples, weights = zip(
         *(_sample(wanted, depth, view, m) for view, m in zip(chosen, maps, strict=True)), strict=True
     )

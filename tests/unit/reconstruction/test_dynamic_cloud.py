@@ -7,7 +7,7 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.initialization.points import Points
-from reconstruction.training.seed import seed_cloud
+from reconstruction.training.seed import LIFE, seed_cloud
 
 CLIP = Clip(0.0, 0.02)
 
@@ -27,7 +27,7 @@ def test_a_moving_gaussian_is_where_its_velocity_takes_it_and_fades_with_its_gat
     cloud.motion.velocities[:] = torch.tensor([1.0, 2.0, 3.0])
     at_birth, later = cloud.at(0.01), cloud.at(0.0125)  # 0 and 1/8 clip after its instant
     assert torch.allclose(later.means[3:] - at_birth.means[3:], torch.tensor([0.125, 0.25, 0.375]), atol=1e-6)
-    duration = 0.6 / 8
+    duration = LIFE / 8
     expected = math.exp(-0.5 * (0.125 / duration) ** 2)
     assert torch.allclose(later.opacities[3:] / at_birth.opacities[3:], torch.full((2,), expected), rtol=1e-4)
 
