@@ -16,10 +16,10 @@ demo: install
 	$(VENV)/bin/spike4dgs demo
 
 test: install
-	$(PY) -m pytest -m "not slow and not gpu and not benchmark"
+	$(PY) -m pytest -m "not slow"
 
 test-slow: install
-	$(PY) -m pytest -m "slow and not gpu"
+	$(PY) -m pytest -m slow
 
 check: install
 	$(VENV)/bin/ruff check .
@@ -28,7 +28,7 @@ check: install
 	$(VENV)/bin/pyright
 
 bench: install
-	$(PY) -m pytest -m benchmark -s
+	for name in images rasterizer training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
 
 serve: install
 	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker

@@ -18,7 +18,7 @@ from reconstruction.training.run import RunFolder
 from reconstruction.training.seed import seed_cloud
 from reconstruction.training.trainer import Trainer, TrainerSettings, TrainingView, train
 
-CHECKPOINT_EVERY_S = 10.0
+CHECKPOINT_EVERY_S = 5.0
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 from pathlib import Path
 
 import click
@@ -15,20 +14,8 @@ from acquisition.scenes.catalog import SCENES
 from acquisition.session.record import record, simulate
 from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig, load_rig
+from server.cli.options import SIZE
 from server.cli.progress import progress_of
-
-
-class SizeType(click.ParamType):
-    """WIDTHxHEIGHT in pixels."""
-
-    name = "WxH"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """The pair of numbers."""
-        match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", str(value))
-        if not match or not int(match[1]) or not int(match[2]):
-            self.fail(f"found the size {value}, expected WIDTHxHEIGHT such as 400x250", param, ctx)
-        return int(match[1]), int(match[2])
 
 
 class ManyDats(click.Command):
@@ -56,7 +43,7 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON doc
 @click.option("--scene", type=click.Choice(SCENES), required=True, help="What the cameras look at.")
 @click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
 @click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes of every camera.")
-@click.option("--size", type=SizeType(), help="Pixels of every camera; scales the rig's intrinsics.")
+@click.option("--size", type=SIZE, help="Pixels of every camera; scales the rig's intrinsics.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
 @click.option("--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="In planes.")
@@ -99,7 +86,7 @@ def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool)
 )
 @click.option("--tick-rate", "tick_rate_hz", type=float, required=True, help="Planes a second.")
 @click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal ones are estimated later.")
-@click.option("--size", type=SizeType(), help="Pixels of every camera, where the cameras' file has none.")
+@click.option("--size", type=SIZE, help="Pixels of every camera, where the cameras' file has none.")
 @click.option("--bit-order", type=click.Choice(["lsb", "msb"]), default="lsb", show_default=True)
 @click.option("--row-order", type=click.Choice(["bottom", "top"]), default="bottom", show_default=True)
 @click.option("--allow-partial", is_flag=True, help="Drop what lies beyond the last whole plane, and record how much.")

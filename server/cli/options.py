@@ -13,9 +13,9 @@ class SizeType(click.ParamType):
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"(\d+)x(\d+)", str(value))
-        if not found:
-            self.fail(f"found {value!r}, expected WIDTHxHEIGHT, for example 400x250", param, ctx)
+        found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", str(value))
+        if not found or not int(found[1]) or not int(found[2]):
+            self.fail(f"found the size {value}, expected WIDTHxHEIGHT such as 400x250", param, ctx)
         return int(found[1]), int(found[2])
 
 

@@ -37,6 +37,13 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint [default: {DEFAULT_BUDGET_S:g}].")
 @click.option("--steps", type=int, help="Training steps instead of a budget; repeatable to the bit.")
 @click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--device",
+    type=click.Choice(["auto", "cpu"]),
+    default="auto",
+    expose_value=False,
+    help="auto is cpu: the only one yet.",
+)
 @click.option("--stage", type=click.Choice(STAGES), help="Run this stage alone.")
 @click.option("--json", "as_json", is_flag=True, help="Print the metrics as one JSON document.")
 @click.pass_obj

@@ -1,5 +1,6 @@
 // Lists rigs, captures and jobs, once a second while the page is seen.
 const seen = new Map(); // what each list showed last: a list is only rebuilt when it changes, so focus stays put
+const camerasOf = new Map(); // rig id to camera ids
 
 function element(tag, properties = {}, ...children) {
   const made = Object.assign(document.createElement(tag), properties);
@@ -56,14 +57,24 @@ function rig(item) {
     element('div', { className: 'actions' }, ticks, element('span', { className: 'quiet' }, 'ticks'), record));
 }
 
+function heldOut(item) {
+  const cameras = camerasOf.get(item.rig) ?? [];
+  const choice = element('select', { id: `holdout-${item.id}`, ariaLabel: `Camera to keep out of ${item.id} and score on` },
+    element('option', { value: '' }, 'train on all'),
+    ...cameras.map((camera) => element('option', { value: camera }, `score on ${camera}`)));
+  choice.value = cameras[Math.floor(cameras.length / 2)] ?? '';
+  return choice;
+}
+
 function capture(item) {
-  const start = button('Reconstruct', `start-${item.id}`, () => call('/jobs', { capture: item.id }));
+  const holdout = heldOut(item);
+  const start = button('Reconstruct', `start-${item.id}`, () => call('/jobs', { capture: item.id, ...(holdout.value && { holdout: holdout.value }) }));
   return element('li', {},
     title(item.name ?? item.id, item.status),
     element('p', { className: 'quiet' }, `${when(item)} · ${item.rig} · ${item.ticks} ticks`),
     bar(item, item.id),
     item.error && element('p', { className: 'failed' }, item.error),
-    element('div', { className: 'actions' }, item.status === 'done' ? start : null));
+    element('div', { className: 'actions' }, ...(item.status === 'done' ? [holdout, start] : [])));
 }
 
 function job(item) {
@@ -89,7 +100,7 @@ function show(id, items, make, nothing) {
   if (seen.get(id) === text) return;
   seen.set(id, text);
   const focused = document.activeElement?.id;
-  const typed = new Map([...document.querySelectorAll('input')].map((input) => [input.id, input.value]));
+  const typed = new Map([...document.querySelectorAll('input, select')].map((input) => [input.id, input.value]));
   const made = items.length ? items.map(make) : [element('li', { className: 'quiet' }, nothing)];
   document.getElementById(id).replaceChildren(...made);
   for (const [name, value] of typed) { const input = document.getElementById(name); if (input) input.value = value; }
@@ -102,6 +113,7 @@ async function refresh() {
     Object.assign(document.getElementById('ready'), {
       textContent: ready.detail ? `Not ready: ${ready.detail}` : 'Ready', className: ready.detail ? 'failed' : '',
     });
+    for (const item of rigs.items) camerasOf.set(item.id, item.cameras.map((camera) => camera.id));
     show('rigs', rigs.items, rig, 'No rig is configured.');
     show('captures', captures.items, capture, 'No captures yet. Record one with a rig.');
     show('jobs', jobs.items, job, 'No jobs yet. Start one from a capture.');
