@@ -15,8 +15,8 @@ from reconstruction.training.config import ReconstructionConfig
 
 BUDGETS_S = (30.0, 60.0, 120.0)
 TARGETS_DB = (25, 27, 28, 30)
-METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "delta_1_25")
-FLOORS = ("nearest_view", "depth_blend")
+METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25")
+FLOORS = {"nearest_view": METRICS[:3], "depth_blend": METRICS}  # the nearest view knows no depth
 
 
 def bench_training(
@@ -39,7 +39,8 @@ def bench_training(
     for budget_s in budgets_s:
         rows = [r for r in document.rows if r["budget_s"] == budget_s]
         document.summary |= {f"{rows[0]['method']}.{m}@{budget_s:g}": _median(rows, m) for m in METRICS}
-    document.summary |= {f"{f}.{m}": _median(document.rows, f"{f}.{m}") for f in FLOORS for m in METRICS[:2]}
+    floors = [f"{floor}.{metric}" for floor, metrics in FLOORS.items() for metric in metrics]
+    document.summary |= {name: _median(document.rows, name) for name in floors}
     _times_to(document)
     longest = [r for r in document.rows if r["budget_s"] == max(budgets_s)]
     document.summary |= {f"seconds.{s}": _median(longest, f"seconds.{s}") for s in STAGES}
@@ -56,12 +57,13 @@ def _row(out: Path, budget_s: float) -> dict:
     curve = json.loads((out / "error_vs_time.json").read_text())["rows"]
     return {
         "method": run["plan"]["model"],
+        "revision": run["revision"],
         "budget_s": budget_s,
         "seconds": curve[-1]["seconds"],
         "steps": run["steps"],
         "steps_per_s": run["steps"] / run["seconds"]["train"],
         **{m: metrics[m] for m in METRICS},
-        **{f"{f}.{m}": metrics[f"{f}.{m}"] for f in FLOORS for m in METRICS[:2]},
+        **{f"{f}.{m}": metrics[f"{f}.{m}"] for f, names in FLOORS.items() for m in names},
         **{f"seconds.{s}": run["seconds"][s] for s in STAGES},
         "curve": [{"seconds": r["seconds"], "psnr_db": r["psnr_db"]} for r in curve],
     }
