@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -281,6 +282,17 @@ def test_a_data_folder_that_cannot_be_used_is_one_line(tmp_path: Path, command: 
     assert (process.returncode, out) == (2, "")
     assert err.count("\n") == 1
     assert f"{tmp_path / 'dbos.sqlite'}: found file is not a database" in err
+
+
+def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        process = spike4dgs("serve", "--port", port, "--data", tmp_path)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (2, "")
+    assert (
+        err == f"spike4dgs: found port {port} on 127.0.0.1: address already in use; stop what uses it or pass --port\n"
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
