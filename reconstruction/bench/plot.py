@@ -31,7 +31,7 @@ def plot_training(path: Path, document: dict) -> None:
             document["summary"][f"{name}.psnr_db"], linestyle=style, color="#777", label=name.replace("_", " ")
         )
     axes.set_xscale("log")
-    axes.set_xlabel("wall seconds, images and initialisation included, evaluation not")
+    axes.set_xlabel("wall seconds, images and initialisation included, evaluation and imports not")
     axes.set_ylabel("PSNR of the held-out centre view / dB")
     device = document["device"]
     axes.set_title(f"{device['processor']}, {device['threads']} threads; revision {document['revision']}", fontsize=8)
