@@ -10,6 +10,7 @@ from acquisition.errors import BadRecordingError
 from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.stream import SpikeStream
+from acquisition.spikes.suspicion import suspected_bit_order
 from reconstruction.images.methods import METHODS, Method, method
 from reconstruction.report.pictures import grey, write_png
 from server.cli.options import PLANES, SIZE
@@ -61,7 +62,11 @@ def _streams(
         return {c: recording.stream(c) for c in recording.camera_ids}
     if size is None or tick_rate is None:
         raise BadRecordingError(f"{source}: found a bare file, expected its --size WxH and --tick-rate HZ beside it")
-    return {"": SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)}
+    stream = SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)
+    doubt = suspected_bit_order(stream)
+    if doubt:
+        click.echo(f"warning: {doubt}", err=True)
+    return {"": stream}
 
 
 def _write_image(folder: Path, stream: SpikeStream, plane: int, estimate: Method) -> None:
