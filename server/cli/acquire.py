@@ -42,7 +42,7 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON doc
 
 
 @click.command("simulate")
-@click.option("--scene", type=click.Choice(SCENES), required=True, help="What the cameras look at.")
+@click.option("--scene", type=click.Choice(tuple(SCENES)), required=True, help="What the cameras look at.")
 @click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
 @click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes of every camera.")
 @click.option("--size", type=SIZE, help="Pixels of every camera; scales the rig's intrinsics.")
