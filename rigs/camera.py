@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from rigs.transform import Floats, Transform
 class Camera:
     """A pinhole camera with OpenCV distortion (k1, k2, p1, p2); lengths in pixels, `cam_from_rig` in metres.
 
+    `pixels` is the file with the gain, offset and defects of its pixels, where they were measured.
     The id names files: letters, digits, `_` and `-`. Raises RigError, naming the camera, for another id, a size or
     focal length that is not positive, or a number that is not finite.
     """
@@ -30,6 +32,7 @@ class Camera:
     cam_from_rig: Transform
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     serial: str = ""
+    pixels: Path | None = None
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.id):
@@ -53,8 +56,8 @@ class Camera:
         return self.cam_from_rig.center
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same lens over a sensor sampled at another size."""
+        """The same lens over a sensor sampled at another size, whose pixels are others."""
         sx, sy = width / self.width, height / self.height
-        return replace(
-            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
-        )
+        pixels = self.pixels if (sx, sy) == (1, 1) else None
+        lens = {"fx": self.fx * sx, "fy": self.fy * sy, "cx": self.cx * sx, "cy": self.cy * sy}
+        return replace(self, width=width, height=height, pixels=pixels, **lens)

@@ -21,7 +21,7 @@ from rigs.transform import Transform
 
 RIG_FIELDS = ("name", "tick_rate_hz", "poses", "calibration", "camera")
 CALIBRATION_FIELDS = ("date", "residual_px", "rotation_sd_deg")
-CAMERA_FIELDS = ("id", "serial", "width", "height", "fx", "fy", "cx", "cy", "distortion", "cam_from_rig")
+CAMERA_FIELDS = ("id", "serial", "width", "height", "fx", "fy", "cx", "cy", "distortion", "cam_from_rig", "pixels")
 POSE_FIELDS = ("quat_wxyz", "translation_m")
 GRID_ID = re.compile(r"cam(\d)(\d)")
 
@@ -34,11 +34,14 @@ def load_rig(path: Path) -> Rig:
         raise RigError(f"{path}: cannot be read ({error.strerror}); give an existing rig file") from error
     except UnicodeDecodeError as error:
         raise RigError(f"{path}: found bytes that are not UTF-8, expected a rig in TOML") from error
-    return _parse(text, str(path))
+    return _parse(text, str(path), path.parent)
 
 
 def dump_rig(rig: Rig) -> str:
-    """The rig as TOML text; `load_rig` of it gives the same numbers back."""
+    """The rig as TOML text; `load_rig` of it gives the same numbers back.
+
+    Pixel calibrations are named as files that lie beside the text; whoever writes it puts them there.
+    """
     document: dict[str, object] = {"name": rig.name, "tick_rate_hz": float(rig.tick_rate_hz), "poses": rig.poses}
     if rig.calibration:
         document["calibration"] = {
@@ -59,7 +62,7 @@ def catalog_rig(name: str) -> Rig:
     """A rig that comes with the package; raises RigError listing the known names."""
     if name not in catalog_names():
         raise RigError(f"found no rig {name!r} in the catalog, expected one of {', '.join(catalog_names())}")
-    return _parse((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml")
+    return _parse((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml", Path())
 
 
 def refuse_holes(camera_ids: Iterable[str], where: str) -> None:
@@ -79,13 +82,13 @@ def _catalog() -> Traversable:
     return importlib.resources.files("rigs") / "catalog"
 
 
-def _parse(text: str, where: str) -> Rig:
+def _parse(text: str, where: str, folder: Path) -> Rig:
     try:
         fields = Fields(tomllib.loads(text), where)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RigError(f"{where}: found text that is not TOML ({error}), expected a rig file") from error
     fields.refuse_others(RIG_FIELDS)
-    cameras = tuple(_camera(entry, where, number) for number, entry in enumerate(fields.list_at("camera")))
+    cameras = tuple(_camera(entry, where, number, folder) for number, entry in enumerate(fields.list_at("camera")))
     calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
     name, rate_hz, poses = fields.word("name"), fields.number("tick_rate_hz"), fields.word("poses")
     with located(where):
@@ -104,7 +107,7 @@ def _calibration(fields: Fields) -> Calibration:
     return Calibration(date, fields.number("residual_px"), fields.number("rotation_sd_deg"))
 
 
-def _camera(entry: object, where: str, number: int) -> Camera:
+def _camera(entry: object, where: str, number: int, folder: Path) -> Camera:
     fields = Fields(entry, f"{where}: {Fields(entry, f'{where}: camera {number}').word('id')}")
     fields.refuse_others(CAMERA_FIELDS)
     pose = fields.table_at("cam_from_rig")
@@ -113,13 +116,22 @@ def _camera(entry: object, where: str, number: int) -> Camera:
     fx, fy, cx, cy = (fields.number(name) for name in ("fx", "fy", "cx", "cy"))
     k1, k2, p1, p2 = fields.numbers("distortion", (4,), (0.0, 0.0, 0.0, 0.0)).tolist()
     quat_wxyz, translation_m = pose.numbers("quat_wxyz", (4,)), pose.numbers("translation_m", (3,))
-    serial = fields.word("serial", "")
+    extras = {"serial": fields.word("serial", ""), "pixels": _pixels(fields, folder)}
     with located(pose.where):
         cam_from_rig = Transform.from_quat_wxyz(quat_wxyz, translation_m)
     with located(where):
         return Camera(
-            fields.word("id"), width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2), serial=serial
+            fields.word("id"), width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2), **extras
         )
+
+
+def _pixels(fields: Fields, folder: Path) -> Path | None:
+    name = fields.word("pixels", "")
+    if not name:
+        return None
+    if Path(name).name != name or not (folder / name).is_file():
+        raise RigError(f"{fields.where}: found pixels = {name!r}, expected a file of that name beside the rig file")
+    return folder / name
 
 
 def _camera_table(camera: Camera) -> dict[str, object]:
@@ -129,6 +141,8 @@ def _camera_table(camera: Camera) -> dict[str, object]:
         "width": camera.width,
         "height": camera.height,
     }
+    if camera.pixels:
+        table["pixels"] = camera.pixels.name
     table |= {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
     table["distortion"] = [float(k) for k in camera.distortion]
     table["cam_from_rig"] = {

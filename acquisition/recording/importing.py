@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
 
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
-from acquisition.recording.manifest import Manifest, block_planes_of
+from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of
 from acquisition.recording.writer import RecordingWriter, StreamWriter
+from acquisition.spikes import m1k40
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.stream import SpikeStream
+from acquisition.spikes.suspicion import suspected_bit_order
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Poses, Rig
 from rigs.toml import GRID_ID
 
+SourceFormat = Literal["vidar", "vidar416", "m1k40"]
+FORMATS: tuple[SourceFormat, ...] = get_args(SourceFormat)
+TRAILING_COLUMNS = {"vidar": 0, "vidar416": 16}  # 400 pixels and 16 bits of a header in each stored row
 _NAMED = re.compile(r"([A-Za-z0-9_-]+)=(.+)")
 
 
@@ -27,39 +36,69 @@ class ImportOptions:
 
     `size` (width, height) is needed where the cameras' file has none; `poses` None keeps a RIG.toml's own flag and
     means calibrated elsewhere; `allow_partial` drops what lies beyond the last whole plane, and the manifest says so.
+    `format`: `vidar` rows of pixels alone, `vidar416` with 16 bits behind each row, `m1k40` segments with trailers,
+    which fix size and orders. Orders that are None are lsb and bottom.
     """
 
     tick_rate_hz: float
     size: tuple[int, int] | None = None
     poses: Poses | None = None
-    bit_order: BitOrder = "lsb"
-    row_order: RowOrder = "bottom"
+    bit_order: BitOrder | None = None
+    row_order: RowOrder | None = None
     allow_partial: bool = False
+    format: SourceFormat = "vidar"
+
+    def __post_init__(self) -> None:
+        if self.format not in FORMATS:
+            raise BadRecordingError(f"found the format {self.format!r}, expected one of {', '.join(FORMATS)}")
+        if self.format == "m1k40" and (self.bit_order or self.row_order):
+            raise BadRecordingError("found a bit or row order for m1k40, expected none: the format fixes them")
+
+    @property
+    def camera_size(self) -> tuple[int, int] | None:
+        """The size (width, height) all cameras must have, where it is known before their file is read."""
+        return (m1k40.SIDE, m1k40.SIDE) if self.format == "m1k40" and not self.size else self.size
+
+
+Stream = SpikeStream | m1k40.M1K40Stream
 
 
 def import_recording(
-    dats: Sequence[str], cameras: Path, out: Path, options: ImportOptions, progress: Progress = silent
+    dats: Sequence[str],
+    cameras: Path,
+    out: Path,
+    options: ImportOptions,
+    progress: Progress = silent,
+    *,
+    warn: Callable[[str], None] | None = None,
 ) -> Manifest:
-    """Copy `dats` (`FILE` in the rig's order, or `camRC=FILE`) bit for bit into the recording `out`.
+    """Copy `dats` (`FILE` in the rig's order, or `camRC=FILE`) into the recording `out`.
 
+    Planes are kept bit for bit, those of M1K40 streams decoded to plain ones, as the manifest says. `warn` takes a
+    line for each doubt: a bit order that fits worse than the other, segments that are missing.
     Raises BadRecordingError or RigError naming the camera that does not fit; then nothing is left behind.
     """
     named = _named(dats)
     grid = named is None or all(GRID_ID.fullmatch(camera_id) for camera_id in named)
     ids = None if grid or named is None else list(named)
-    rig = load_cameras(cameras, options.tick_rate_hz, size=options.size, ids=ids)
+    rig = load_cameras(cameras, options.tick_rate_hz, size=options.camera_size, ids=ids)
     if options.poses:
         rig = dataclasses.replace(rig, poses=options.poses)
     streams = {camera_id: _open(camera_id, path, rig, options) for camera_id, path in _match(dats, named, rig).items()}
-    total = sum(stream.packed.nbytes for stream in streams.values())
+    layouts = {camera_id: _layout(stream) for camera_id, stream in streams.items()}
+    for camera_id, stream in streams.items() if warn else ():
+        doubt = _doubt(stream)
+        if warn and doubt:
+            warn(f"{camera_id}: {doubt}")
+    total = sum(len(stream) * layouts[camera_id].plane_bytes for camera_id, stream in streams.items())
     with RecordingWriter(out, rig, total) as recording:
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)
-            writer = recording.stream(camera_id, stream.layout)
+            writer = recording.stream(camera_id, layouts[camera_id])
             _copy(stream, writer)
-            entries.append(writer.entry())
-            done += stream.packed.nbytes
+            entries.append(_entry(stream, writer))
+            done += len(stream) * writer.layout.plane_bytes
         manifest = recording.commit(entries, "import")
     progress(1.0, f"{len(streams)} cameras")
     return manifest
@@ -93,20 +132,67 @@ def _match(dats: Sequence[str], named: dict[str, Path] | None, rig: Rig) -> dict
     return {camera_id: files[camera_id] for camera_id in rig.ids}
 
 
-def _open(camera_id: str, path: Path, rig: Rig, options: ImportOptions) -> SpikeStream:
+def _open(camera_id: str, path: Path, rig: Rig, options: ImportOptions) -> Stream:
     camera = rig.camera(camera_id)
-    layout = PlaneLayout(camera.width, camera.height, options.bit_order, options.row_order)
     try:
+        if options.format == "m1k40":
+            return _open_m1k40(path, (camera.width, camera.height), options.allow_partial)
+        trailing = TRAILING_COLUMNS[options.format]
+        orders = options.bit_order or "lsb", options.row_order or "bottom"
+        layout = PlaneLayout(camera.width, camera.height, *orders, trailing)
         return SpikeStream.open(path, layout, rig.tick_rate_hz, allow_partial=options.allow_partial)
     except BadRecordingError as error:
         raise BadRecordingError(f"{camera_id}: {error}") from error
 
 
-def _copy(stream: SpikeStream, writer: StreamWriter) -> None:
-    step = block_planes_of(stream.layout)
+def _open_m1k40(path: Path, size: tuple[int, int], allow_partial: bool) -> m1k40.M1K40Stream:
+    if size != (m1k40.SIDE, m1k40.SIDE):
+        raise BadRecordingError(
+            f"found a camera of {size[0]}x{size[1]}, expected {m1k40.SIDE}x{m1k40.SIDE} of an M1K40"
+        )
+    try:
+        data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.empty(0, dtype=np.uint8)
+    except OSError as error:
+        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); give an existing .dat") from error
+    try:
+        stream = m1k40.locate(data)
+    except BadRecordingError as error:
+        raise BadRecordingError(f"{path}: {error}") from error
+    if stream.partial_bytes and not allow_partial:
+        raise BadRecordingError(
+            f"{path}: found {stream.partial_bytes} bytes behind the last of {len(stream)} whole planes, expected none; "
+            "allow a partial last plane"
+        )
+    return stream
+
+
+def _layout(stream: Stream) -> PlaneLayout:
+    return stream.layout if isinstance(stream, SpikeStream) else m1k40.LAYOUT
+
+
+def _doubt(stream: Stream) -> str | None:
+    if isinstance(stream, SpikeStream):
+        return suspected_bit_order(stream)
+    if not stream.missing:
+        return None
+    some = ", ".join(map(str, list(stream.missing)[:5])) + ("..." if len(stream.missing) > 5 else "")
+    return f"{sum(stream.missing.values())} segments are missing and will be zero, in the planes {some}"
+
+
+def _copy(stream: Stream, writer: StreamWriter) -> None:
+    step = block_planes_of(writer.layout)
     try:
         for first in range(0, len(stream), step):
             writer.append(stream.window(first, min(first + step, len(stream))))
     finally:
         writer.close()
     writer.partial_bytes = stream.partial_bytes
+
+
+def _entry(stream: Stream, writer: StreamWriter) -> CameraFile:
+    entry = writer.entry()
+    if isinstance(stream, SpikeStream):
+        return entry
+    missing = tuple(stream.missing.items())
+    conversion = Conversion("m1k40", hashlib.sha256(stream.data.data).hexdigest(), stream.skipped_bytes, missing)
+    return dataclasses.replace(entry, conversion=conversion)

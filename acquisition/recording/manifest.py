@@ -39,8 +39,22 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class Conversion:
+    """A file that could not be kept bit for bit: its `source_format`, what of it is gone, and its SHA-256.
+
+    `skipped_bytes` lay before the first whole plane; `missing_segments` lists (plane, segments lost from it), whose
+    pixels are zero.
+    """
+
+    source_format: str
+    source_sha256: str
+    skipped_bytes: int = 0
+    missing_segments: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True)
 class CameraFile:
-    """One camera's `.dat`: pure planes in the camera's own `layout`.
+    """One camera's `.dat`: pure planes in the camera's own `layout`, or in ours where it was converted.
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
     the file. `skew_s` is how far its first plane was from the trigger (None where nothing measured it); `partial_bytes`
@@ -58,6 +72,7 @@ class CameraFile:
     gaps: tuple[Gap, ...] = ()
     skew_s: float | None = None
     partial_bytes: int = 0
+    conversion: Conversion | None = None
 
     def __post_init__(self) -> None:
         if self.planes < 1 or self.block_planes < 1:
@@ -133,7 +148,15 @@ def _camera(table: dict[str, Any]) -> CameraFile:
     layout = PlaneLayout(**table.pop("layout"))
     gaps = tuple(Gap(**gap) for gap in table.pop("gaps"))
     digests = tuple(table.pop("block_digests"))
-    camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, **table)
+    conversion = _conversion(table.pop("conversion", None))
+    camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, conversion=conversion, **table)
     if drops != camera.drops:
         raise BadRecordingError(f"{camera.id}: found the drops {drops}, expected {camera.drops} as the gaps say")
     return camera
+
+
+def _conversion(table: dict[str, Any] | None) -> Conversion | None:
+    if table is None:
+        return None
+    missing = tuple((int(plane), int(segments)) for plane, segments in table.pop("missing_segments"))
+    return Conversion(missing_segments=missing, **table)

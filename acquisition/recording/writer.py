@@ -164,6 +164,8 @@ class RecordingWriter:
         rig_sha256 = hashlib.sha256(rig_text.encode()).hexdigest()
         manifest = Manifest(self.rig.tick_rate_hz, trigger, writer, rig_sha256, tuple(cameras))
         with disk_errors(self.folder):
+            for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
+                shutil.copyfile(pixels, self.folder / pixels.name)
             (self.folder / RIG_FILE).write_text(rig_text, encoding="utf-8")
             (self.folder / MANIFEST_FILE).write_text(dump_manifest(manifest), encoding="utf-8")
             for path in (*self.folder.rglob("*"), self.folder):

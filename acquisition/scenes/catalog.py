@@ -1,6 +1,7 @@
 """The named scenes. World frame: the centre camera's (x right, y down, z forward), metres."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,7 @@ from acquisition.scenes.motion import GRAVITY_M_S2, Motion
 from acquisition.scenes.scene import Scene
 from rigs.transform import Transform
 
-SCENES: tuple[str, ...] = ("fan_and_ball",)
-
+FLAT_LEVEL = 0.5  # spikes per tick everywhere in `flat`
 FLOOR_Y_M, WALL_Z_M = 0.62, 3.2
 EVEN, DETAIL, SPECKLE, CHECKS, STRIPES, PEBBLES = range(6)
 
@@ -24,7 +24,7 @@ def build_scene(name: str, seed: int) -> Scene:
         raise BadRecordingError(f"found the scene {name!r}, expected one of {', '.join(SCENES)}")
     if seed < 0:
         raise BadRecordingError(f"found the seed {seed}, expected a whole number from 0")
-    return _fan_and_ball(seed)
+    return SCENES[name](seed)
 
 
 def _fan_and_ball(seed: int) -> Scene:
@@ -33,6 +33,25 @@ def _fan_and_ball(seed: int) -> Scene:
     bodies = (*_room(rng), *_furniture(rng), _fan(rng), _ball(rng))
     images = textures.build(np.random.default_rng([seed, 0]))
     return Scene("fan_and_ball", seed, bodies, images, center=(0.0, 0.0, 1.8), to_sun=(-0.42, -0.5, -0.75))
+
+
+def _even_field(name: str, seed: int, level: float) -> Scene:
+    """Nothing but one surface of even light, far wider than any camera's field."""
+    finish = Finish(0, 1.0, (1.0, 1.0) if level else (0.0, 0.0))
+    screen = still("screen", (0.0, 0.0, WALL_Z_M), Shape("rectangle", (500.0, 500.0), finish))
+    even = np.ones((1, 4, 4), dtype=np.float32)
+    light = {"white": level or FLAT_LEVEL, "ambient": 1.0, "background": level}
+    return Scene(name, seed, (screen,), even, center=(0.0, 0.0, 1.8), to_sun=(0.0, 0.0, -1.0), **light)
+
+
+def _flat(seed: int) -> Scene:
+    """An even field of `FLAT_LEVEL`, as an integrating sphere gives, for the gain of each pixel."""
+    return _even_field("flat", seed, FLAT_LEVEL)
+
+
+def _dark(seed: int) -> Scene:
+    """No light at all, as behind a lens cap, for the dark current of each pixel."""
+    return _even_field("dark", seed, 0.0)
 
 
 def _finish(rng: np.random.Generator, texture: int, texel_m: float, low: float, high: float) -> Finish:
@@ -114,3 +133,6 @@ def _ball(rng: np.random.Generator) -> Body:
         bounce_s=2 * speed / gravity,
     )
     return Body("ball", (Shape("sphere", (radius,), _finish(rng, PEBBLES, 0.0045, 0.02, 0.9)),), motion)
+
+
+SCENES: dict[str, Callable[[int], Scene]] = {"fan_and_ball": _fan_and_ball, "flat": _flat, "dark": _dark}

@@ -16,18 +16,20 @@ Bytes = NDArray[np.uint8]
 
 
 def pack(planes: NDArray, layout: PlaneLayout) -> Bytes:
-    """Planes [T, H, W] (non-zero is a spike) to packed bytes [T, B]."""
+    """Planes [T, H, W] (non-zero is a spike) to packed bytes [T, B]; trailing columns are zero."""
     if planes.ndim != 3 or planes.shape[1:] != (layout.height, layout.width):
         raise BadRecordingError(f"found planes {planes.shape}, expected (T, {layout.height}, {layout.width})")
     rows = planes[:, ::-1] if layout.row_order == "bottom" else planes
-    bits = np.ascontiguousarray(rows != 0).reshape(len(planes), layout.height * layout.width)
+    stored = np.pad(rows != 0, ((0, 0), (0, 0), (0, layout.trailing_columns)))
+    bits = stored.reshape(len(planes), layout.height * layout.stored_width)
     return np.packbits(bits, axis=1, bitorder="little" if layout.bit_order == "lsb" else "big")
 
 
 def unpack_reference(packed: Bytes, layout: PlaneLayout) -> Bytes:
     """Packed bytes [T, B] to planes [T, H, W] of 0 and 1: the definition of the format, in NumPy."""
     bits = np.unpackbits(packed, axis=1, bitorder="little" if layout.bit_order == "lsb" else "big")
-    planes = bits[:, : layout.height * layout.width].reshape(len(packed), layout.height, layout.width)
+    stored = bits[:, : layout.height * layout.stored_width].reshape(len(packed), layout.height, layout.stored_width)
+    planes = stored[:, :, : layout.width]
     return np.ascontiguousarray(planes[:, ::-1] if layout.row_order == "bottom" else planes)
 
 
@@ -38,16 +40,16 @@ def counts_reference(packed: Bytes, layout: PlaneLayout) -> NDArray[np.uint32]:
 
 def unpack(packed: Bytes, layout: PlaneLayout) -> Bytes:
     """Packed bytes [T, B] to planes [T, H, W] of 0 and 1; native twin of `unpack_reference`."""
-    out = np.empty((len(packed), layout.height, layout.width), dtype=np.uint8)
+    out = np.empty((len(packed), layout.height, layout.stored_width), dtype=np.uint8)
     load_library("acquisition").unpack_planes(*_native_arguments(packed, layout), _pointer(out))
-    return out
+    return np.ascontiguousarray(out[:, :, : layout.width])
 
 
 def counts(packed: Bytes, layout: PlaneLayout) -> NDArray[np.uint32]:
     """Spikes of each pixel [H, W] over packed planes [T, B]; native twin of `counts_reference`."""
-    out = np.empty((layout.height, layout.width), dtype=np.uint32)
+    out = np.empty((layout.height, layout.stored_width), dtype=np.uint32)
     load_library("acquisition").count_planes(*_native_arguments(packed, layout), _pointer(out))
-    return out
+    return np.ascontiguousarray(out[:, : layout.width])
 
 
 def _pointer(array: NDArray) -> ctypes.c_void_p:
@@ -61,7 +63,7 @@ def _native_arguments(packed: Bytes, layout: PlaneLayout) -> tuple:
     return (
         _pointer(contiguous),
         ctypes.c_int64(len(packed)),
-        ctypes.c_int32(layout.width),
+        ctypes.c_int32(layout.stored_width),
         ctypes.c_int32(layout.height),
         ctypes.c_int32(layout.bit_order == "msb"),
         ctypes.c_int32(layout.row_order == "bottom"),

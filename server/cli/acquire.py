@@ -7,8 +7,10 @@ from pathlib import Path
 import click
 
 from acquisition.devices.open import Simulation
-from acquisition.recording.importing import ImportOptions, import_recording
+from acquisition.errors import BadRecordingError
+from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, import_recording
 from acquisition.recording.manifest import Manifest
+from acquisition.recording.spikecv import read_config, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import SCENES
 from acquisition.session.record import record, simulate
@@ -40,22 +42,32 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON doc
 
 
 @click.command("simulate")
-@click.option("--scene", type=click.Choice(SCENES), required=True, help="What the cameras look at.")
+@click.option("--scene", type=click.Choice(tuple(SCENES)), required=True, help="What the cameras look at.")
 @click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
 @click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes of every camera.")
 @click.option("--size", type=SIZE, help="Pixels of every camera; scales the rig's intrinsics.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
 @click.option("--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="In planes.")
+@click.option("--spikecv", is_flag=True, help="Also write the config.yaml that SpikeCV reads.")
 @_out
 @_json
 def simulate_command(
-    scene: str, rig: str, ticks: int, size: tuple[int, int] | None, out: Path, as_json: bool, **simulation
+    scene: str,
+    rig: str,
+    ticks: int,
+    size: tuple[int, int] | None,
+    spikecv: bool,
+    out: Path,
+    as_json: bool,
+    **simulation,
 ) -> None:
     """Record a simulated scene, with its ground truth beside the spikes."""
     found = _rig(rig)
     found = found.scaled(*size) if size else found
     manifest = simulate(Simulation(scene, **simulation), found, ticks, out, progress_of("simulate"))
+    if spikecv:
+        write_config(out, manifest)
     _print_recording(out, manifest, as_json)
 
 
@@ -76,6 +88,9 @@ def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool)
     _print_recording(out, manifest, as_json)
 
 
+_FORMATS_HELP = "Rows of pixels; with 16 bits behind each; M1K40 segments, decoded to plain planes."
+
+
 @click.command("import", cls=ManyDats)
 @click.option("--dat", "dats", multiple=True, required=True, metavar="FILE...", help="In row order, or camRC=FILE.")
 @click.option(
@@ -87,14 +102,27 @@ def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool)
 @click.option("--tick-rate", "tick_rate_hz", type=float, required=True, help="Planes a second.")
 @click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal ones are estimated later.")
 @click.option("--size", type=SIZE, help="Pixels of every camera, where the cameras' file has none.")
-@click.option("--bit-order", type=click.Choice(["lsb", "msb"]), default="lsb", show_default=True)
-@click.option("--row-order", type=click.Choice(["bottom", "top"]), default="bottom", show_default=True)
+@click.option("--spikecv", type=click.Path(path_type=Path), help="SpikeCV's config.yaml, which has the size.")
+@click.option("--format", type=click.Choice(FORMATS), default="vidar", show_default=True, help=_FORMATS_HELP)
+@click.option("--bit-order", type=click.Choice(["lsb", "msb"]), help="[default: lsb]")
+@click.option("--row-order", type=click.Choice(["bottom", "top"]), help="Which is stored first. [default: bottom]")
 @click.option("--allow-partial", is_flag=True, help="Drop what lies beyond the last whole plane, and record how much.")
 @_out
 @_json
-def import_command(dats: tuple[str, ...], cameras: Path, out: Path, as_json: bool, **options) -> None:
+def import_command(
+    dats: tuple[str, ...],
+    cameras: Path,
+    size: tuple[int, int] | None,
+    spikecv: Path | None,
+    out: Path,
+    as_json: bool,
+    **options,
+) -> None:
     """Make a recording of `.dat` files, kept bit for bit."""
-    manifest = import_recording(dats, cameras, out, ImportOptions(**options), progress_of("import"))
+    if spikecv:
+        size = _size_of(spikecv, size, options["format"])
+    chosen = ImportOptions(size=size, **options)
+    manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=_warn)
     _print_recording(out, manifest, as_json)
 
 
@@ -114,6 +142,21 @@ def verify_command(recording: Path, as_json: bool) -> None:
 
 def _rig(name: str) -> Rig:
     return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))
+
+
+def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) -> tuple[int, int]:
+    """The pixels a SpikeCV config.yaml states; it counts stored columns, an M1K40's as pixels."""
+    config = read_config(spikecv)
+    found = config.spike_w - TRAILING_COLUMNS.get(source_format, 0), config.spike_h
+    if size and size != found:
+        raise BadRecordingError(
+            f"{spikecv}: found {found[0]}x{found[1]} pixels, expected the --size {size[0]}x{size[1]}; leave one out"
+        )
+    return found
+
+
+def _warn(doubt: str) -> None:
+    click.echo(f"warning: {doubt}", err=True)
 
 
 def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:

@@ -10,7 +10,9 @@ from acquisition.errors import BadRecordingError
 from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.stream import SpikeStream
+from acquisition.spikes.suspicion import suspected_bit_order
 from reconstruction.images.methods import METHODS, Method, method
+from reconstruction.images.pixels import PixelCalibration, read_pixels
 from reconstruction.report.pictures import grey, write_png
 from server.cli.options import PLANES, SIZE
 from server.cli.progress import progress_of
@@ -35,9 +37,12 @@ def images_command(
     allow_partial: bool,
     out: Path,
 ) -> None:
-    """Images from the spikes of REC (one folder a camera) or FILE.dat, in spikes per tick, linear."""
+    """Images from the spikes of REC (one folder a camera) or FILE.dat, in spikes per tick, linear.
+
+    Pixels are evened out where the rig of REC has their calibration.
+    """
     estimate = method(name)
-    streams = _streams(source, size, tick_rate, allow_partial)
+    streams, pixels = _streams(source, size, tick_rate, allow_partial), _pixels(source)
     shortest = min(len(stream) for stream in streams.values())
     planes = ticks if ticks is not None else range(0, shortest, 20)
     if planes[-1] >= shortest:
@@ -46,7 +51,7 @@ def images_command(
     for folder, stream in streams.items():
         (out / folder).mkdir(parents=True, exist_ok=True)
         for plane in planes:
-            _write_image(out / folder, stream, plane, estimate)
+            _write_image(out / folder, stream, plane, estimate, pixels.get(folder))
             done += 1
             progress(done / (len(streams) * len(planes)), f"{folder} plane {plane}".strip())
     click.echo(f"{done} images by {name} in {out}")
@@ -61,11 +66,24 @@ def _streams(
         return {c: recording.stream(c) for c in recording.camera_ids}
     if size is None or tick_rate is None:
         raise BadRecordingError(f"{source}: found a bare file, expected its --size WxH and --tick-rate HZ beside it")
-    return {"": SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)}
+    stream = SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)
+    doubt = suspected_bit_order(stream)
+    if doubt:
+        click.echo(f"warning: {doubt}", err=True)
+    return {"": stream}
 
 
-def _write_image(folder: Path, stream: SpikeStream, plane: int, estimate: Method) -> None:
+def _pixels(source: Path) -> dict[str, PixelCalibration]:
+    """The pixel calibrations of the cameras of a recording that have one."""
+    cameras = Recording.open(source).rig.cameras if source.is_dir() else ()
+    return {camera.id: read_pixels(camera.pixels) for camera in cameras if camera.pixels}
+
+
+def _write_image(
+    folder: Path, stream: SpikeStream, plane: int, estimate: Method, pixels: PixelCalibration | None
+) -> None:
     image = estimate(stream, plane)
-    write_array(folder / f"{plane:06d}.npy", image.intensity.astype(np.float32))
-    write_array(folder / f"valid_{plane:06d}.npy", image.valid)
-    write_png(folder / f"{plane:06d}.png", grey(image.intensity, float(np.percentile(image.intensity, 99.9))))
+    intensity = pixels.corrected(image.intensity) if pixels else image.intensity.astype(np.float32)
+    write_array(folder / f"{plane:06d}.npy", intensity)
+    write_array(folder / f"valid_{plane:06d}.npy", image.valid & ~pixels.defect if pixels else image.valid)
+    write_png(folder / f"{plane:06d}.png", grey(intensity, float(np.percentile(intensity, 99.9))))

@@ -100,6 +100,27 @@ def test_import_takes_what_a_shell_pattern_gives(spike4dgs, recorded, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
+def test_import_takes_its_size_from_spikecv_and_doubts_a_bit_order(spike4dgs, tmp_path):
+    source = tmp_path / "source"
+    made = spike4dgs(
+        "simulate", "--scene", "fan_and_ball", "--size", "80x50", "--ticks", 40, "--spikecv", "--out", source
+    )
+    assert made[0] == 0
+    args = ("import", "--dat", *sorted(source.glob("*.dat")), "--cameras", source / "rig.toml", "--tick-rate", 20000)
+    config = ("--spikecv", source / "config.yaml")
+    code, _, err = spike4dgs(*args, *config, "--out", tmp_path / "right")
+    assert code == 0
+    assert not [line for line in err if line.startswith("warning")]
+    code, _, err = spike4dgs(*args, *config, "--bit-order", "msb", "--out", tmp_path / "wrong")
+    assert code == 0
+    doubts = [line for line in err if line.startswith("warning: cam")]
+    assert len(doubts) == 9
+    assert all(line.endswith("import it with --bit-order lsb") for line in doubts)
+    code, _, err = spike4dgs(*args, *config, "--size", "40x25", "--out", tmp_path / "other")
+    assert code == 2
+    assert "found 80x50 pixels, expected the --size 40x25" in err[-1]
+
+
 @pytest.mark.parametrize(
     ("args", "word"),
     [

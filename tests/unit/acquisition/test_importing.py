@@ -1,3 +1,4 @@
+import hashlib
 import json
 import math
 
@@ -6,6 +7,7 @@ import pytest
 
 from acquisition.errors import BadRecordingError
 from acquisition.recording.importing import ImportOptions, import_recording
+from acquisition.recording.manifest import Conversion
 from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
 from rigs.errors import RigError
@@ -127,3 +129,75 @@ def test_a_rate_or_size_that_cannot_be_is_refused(tmp_path, transforms, dats, op
     with pytest.raises(RigError):
         import_recording([str(d) for d in dats], transforms(), tmp_path / "rec", options)
     assert not (tmp_path / "rec").exists()
+
+
+def one_camera(tmp_path, width, height):
+    camera = {"camera_id": "cam00", "transform_matrix": np.eye(4).tolist()}
+    path = tmp_path / "one.json"
+    path.write_text(json.dumps({"fl_x": 45.0, "w": width, "h": height, "frames": [camera]}))
+    return path
+
+
+def test_rows_with_a_header_are_kept_bit_for_bit(tmp_path):
+    data = np.random.default_rng(2).bytes(5 * 416 * 250 // 8)
+    (tmp_path / "a.dat").write_bytes(data)
+    options = ImportOptions(20_000.0, format="vidar416")
+    import_recording([str(tmp_path / "a.dat")], one_camera(tmp_path, 400, 250), tmp_path / "rec", options)
+    assert (tmp_path / "rec/cam00.dat").read_bytes() == data
+    assert verify(tmp_path / "rec") == []
+    stream = Recording.open(tmp_path / "rec").stream("cam00")
+    bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little").reshape(5, 250, 416)
+    np.testing.assert_array_equal(stream.planes(0, 5), bits[:, ::-1, :400])
+
+
+def test_an_m1k40_stream_is_decoded_and_the_manifest_says_so(tmp_path):
+    planes = (np.random.default_rng(3).random((4, 1000, 1000)) < 0.2).astype(np.uint8)
+    written = m1k40_bytes(planes)
+    data = np.delete(written, [2500, 2501], axis=0).tobytes()[640:]
+    (tmp_path / "a.dat").write_bytes(data)
+    options, doubts = ImportOptions(20_000.0, format="m1k40"), []
+    cameras = one_camera(tmp_path, 1000, 1000)
+    import_recording([str(tmp_path / "a.dat")], cameras, tmp_path / "rec", options, warn=doubts.append)
+    assert doubts == ["cam00: 2 segments are missing and will be zero, in the planes 0"]
+    recording = Recording.open(tmp_path / "rec")
+    conversion = recording.manifest.camera("cam00").conversion
+    assert conversion == Conversion("m1k40", hashlib.sha256(data).hexdigest(), 128_000 - 640, ((0, 2),))
+    expected = planes[1:].copy()
+    expected[0, 250] = 0  # the two halves of a row
+    np.testing.assert_array_equal(recording.stream("cam00").planes(0, 3), expected)
+    assert verify(tmp_path / "rec") == []
+
+
+def m1k40_bytes(planes):
+    names = [(500, 0), *((n, c) for c in range(4) for n in range(1, 501) if (n, c % 3) != (500, 0)), (500, 3)]
+    bits = np.zeros((len(planes), 2000, 512), dtype=np.uint8)
+    bits[:, :, :500] = planes.reshape(len(planes), 2000, 500)
+    trailer = np.array([line << 4 | channel << 14 for line, channel in names])
+    bits[:, :, 500:] = trailer[:, None] >> np.arange(4, 16) & 1
+    return np.packbits(bits, axis=2, bitorder="little").reshape(-1, 64)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"format": "m1k40", "row_order": "top"}, "the format fixes them"),
+        ({"format": "m2k"}, "vidar416"),
+    ],
+)
+def test_formats_that_cannot_be_are_refused(change, word):
+    with pytest.raises(BadRecordingError, match=word):
+        ImportOptions(20_000.0, **change)
+
+
+def test_an_m1k40_camera_of_another_size_and_a_cut_file_are_refused(tmp_path):
+    planes = (np.random.default_rng(3).random((3, 1000, 1000)) < 0.2).astype(np.uint8)
+    (tmp_path / "a.dat").write_bytes(m1k40_bytes(planes).tobytes()[:-100])
+    name = [str(tmp_path / "a.dat")]
+    options, cameras = ImportOptions(2e4, size=(400, 250), format="m1k40"), one_camera(tmp_path, 400, 250)
+    with pytest.raises(BadRecordingError, match="cam00: found a camera of 400x250"):
+        import_recording(name, cameras, tmp_path / "rec", options)
+    cameras = one_camera(tmp_path, 1000, 1000)
+    with pytest.raises(BadRecordingError, match=r"cam00: .*127900 bytes behind the last of 2 whole planes"):
+        import_recording(name, cameras, tmp_path / "rec", ImportOptions(2e4, format="m1k40"))
+    import_recording(name, cameras, tmp_path / "rec", ImportOptions(2e4, format="m1k40", allow_partial=True))
+    assert Recording.open(tmp_path / "rec").manifest.camera("cam00").partial_bytes == 127_900

@@ -6,10 +6,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.errors import BadRecordingError
-from acquisition.recording.manifest import CameraFile, Gap, Manifest, block_planes_of, dump_manifest, load_manifest
+from acquisition.recording.manifest import (
+    CameraFile,
+    Conversion,
+    Gap,
+    Manifest,
+    block_planes_of,
+    dump_manifest,
+    load_manifest,
+)
 from acquisition.spikes.layout import PlaneLayout
 
 gaps = st.builds(Gap, st.integers(0, 10**9), st.integers(1, 10**6), st.sampled_from(["device", "link"]))
+conversions = st.builds(
+    Conversion,
+    st.just("m1k40"),
+    st.just("ef" * 32),
+    st.integers(0, 10**6),
+    st.lists(st.tuples(st.integers(0, 500), st.integers(1, 2000)), max_size=3).map(tuple),
+)
 
 
 @st.composite
@@ -18,7 +33,9 @@ def cameras(draw, camera_id: str) -> CameraFile:
     return CameraFile(
         camera_id,
         f"{camera_id}.dat",
-        PlaneLayout(draw(st.integers(1, 999)), 7, draw(st.sampled_from(["lsb", "msb"])), "top"),
+        PlaneLayout(
+            draw(st.integers(1, 999)), 7, draw(st.sampled_from(["lsb", "msb"])), "top", draw(st.integers(0, 9))
+        ),
         planes,
         0,
         block,
@@ -27,6 +44,7 @@ def cameras(draw, camera_id: str) -> CameraFile:
         tuple(draw(st.lists(gaps, max_size=3))),
         draw(st.none() | st.floats(-1, 1)),
         draw(st.integers(0, 12_499)),
+        draw(st.none() | conversions),
     )
 
 
@@ -57,7 +75,8 @@ def test_the_json_says_what_the_architecture_promises():
     assert {"schema_version", "tick_rate_hz", "trigger", "writer", "rig_sha256", "cameras"} == set(document)
     camera = document["cameras"][0]
     assert camera["drops"] == {"device": 0, "link": 2}
-    assert camera["layout"] == {"width": 9, "height": 5, "bit_order": "lsb", "row_order": "bottom"}
+    layout = {"width": 9, "height": 5, "bit_order": "lsb", "row_order": "bottom", "trailing_columns": 0}
+    assert camera["layout"] == layout
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{}", "nonsense", '{"schema_version": 1}', "[" * 100_000])

@@ -1,6 +1,7 @@
 """The named scenes: what they promise a reconstruction, for every seed and any length; motions; simulated cameras."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -8,10 +9,11 @@ import pytest
 from acquisition.errors import AcquisitionError, BadRecordingError
 from acquisition.scenes import textures
 from acquisition.scenes.bodies import still
-from acquisition.scenes.catalog import SCENES, build_scene
+from acquisition.scenes.catalog import FLAT_LEVEL, SCENES, build_scene
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import SceneSource
+from acquisition.scenes.truth import write_truth
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
@@ -152,3 +154,15 @@ def test_a_source_whose_sizes_differ_is_refused():
         SceneSource(
             build_scene("fan_and_ball", 0), SMALL, RigClock(1.0), 1, Sensor(9, 9, "ideal", 0, 0), PlaneLayout(41, 26)
         )
+
+
+@pytest.mark.parametrize(("name", "level"), [("flat", FLAT_LEVEL), ("dark", 0.0)])
+def test_calibration_scenes_are_even_for_every_camera(name, level, tmp_path):
+    rig = catalog_rig("lab3x3").scaled(40, 25)
+    for camera in rig.cameras:
+        frames = build_scene(name, 0).render(camera, np.array([0.0, 1.0]), 2)
+        np.testing.assert_allclose(frames.intensity, level, rtol=1e-6)
+        assert np.isfinite(frames.depth).all()
+    write_truth(build_scene(name, 0), rig, 40, 20, tmp_path / "truth", samples=1)
+    np.testing.assert_allclose(np.load(tmp_path / "truth/novel1/000020.npy"), level, rtol=1e-6)
+    assert json.loads((tmp_path / "truth/scene.json").read_text())["white"] == FLAT_LEVEL

@@ -163,3 +163,20 @@ def test_the_rig_file_in_the_readme_loads(tmp_path):
     path = tmp_path / "bench.toml"
     path.write_text(readme.split("```toml\n")[1].split("```")[0])
     assert load_rig(path).ids == ("cam00",)
+
+
+def test_pixel_calibrations_are_files_beside_the_rig(tmp_path):
+    rig = catalog_rig("lab3x3").only(["cam00"])
+    (tmp_path / "maps.npz").write_bytes(b"maps")
+    measured = replace(rig.camera("cam00"), pixels=tmp_path / "maps.npz")
+    path = tmp_path / "a.toml"
+    path.write_text(dump_rig(replace(rig, cameras=(measured,))))
+    assert 'pixels = "maps.npz"' in path.read_text()
+    loaded = load_rig(path)
+    assert loaded.cameras[0].pixels == tmp_path / "maps.npz"
+    assert loaded.scaled(40, 25).cameras[0].pixels is None
+    assert loaded.scaled(400, 250).cameras[0].pixels == tmp_path / "maps.npz"
+    for name in ("other.npz", "../maps.npz", "/etc/passwd", "."):
+        path.write_text(dump_rig(rig).replace('serial = "S4D-00"', f'pixels = "{name}"'))
+        with pytest.raises(RigError, match=r"a\.toml: cam00: found pixels = .*beside the rig file"):
+            load_rig(path)

@@ -1,0 +1,120 @@
+"""Pixel calibration: what a flat and a dark recording say of each pixel, and images corrected by it.
+
+A pixel fires gain * light + offset spikes per tick. The offset is its rate in the dark, the gain its rate under even
+light above that, with a mean of 1 over the good pixels; so light that is not even goes into the gain. Counts of T
+planes leave errors of about 0.4 / T in the offset and 0.4 / (T * light) in the gain.
+"""
+
+from __future__ import annotations
+
+import io
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durable import write_durably
+from acquisition.errors import BadRecordingError
+from acquisition.spikes.stream import SpikeStream
+
+LEAST_SPIKES = 200  # a pixel, of the light alone: its gain to 0.2 %
+BRIGHTEST = 0.95  # spikes per tick; pixels fire at most once a tick
+HOT_ABOVE, HOT_SPREADS = 0.02, 8.0  # spikes per tick, or robust standard deviations, above the median in the dark
+DEAD_BELOW = 0.2  # of the median light
+_NO_ARCHIVE = (ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError, BadZipFile, zlib.error)
+_ARRAYS = ("gain", "offset", "hot", "dead")
+
+
+@dataclass(frozen=True, eq=False)
+class PixelCalibration:
+    """`gain` (mean 1) and `offset` in spikes per tick, float32 [H, W]; `hot` and `dead` [H, W] are of no use."""
+
+    gain: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    hot: NDArray[np.bool_]
+    dead: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        arrays = [getattr(self, name) for name in _ARRAYS]
+        if len({array.shape for array in arrays}) > 1 or self.gain.ndim != 2:
+            raise BadRecordingError(f"found pixel maps of {[array.shape for array in arrays]}, expected one size")
+        if not (np.isfinite(self.gain).all() and np.isfinite(self.offset).all() and (self.gain > 0).all()):
+            raise BadRecordingError("found a gain or offset that is not finite or not positive, expected numbers")
+
+    @property
+    def defect(self) -> NDArray[np.bool_]:
+        """Pixels [H, W] that are hot or dead."""
+        return self.hot | self.dead
+
+    def corrected(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """An image [H, W] in spikes per tick with even pixels; defects take the median of their good neighbours."""
+        if image.shape != self.gain.shape:
+            raise BadRecordingError(f"found an image of {image.shape}, expected {self.gain.shape} as calibrated")
+        even = np.maximum((image - self.offset) / self.gain, 0).astype(np.float32)
+        good = np.pad(np.where(self.defect, np.nan, even), 1, constant_values=np.nan)
+        for row, column in np.argwhere(self.defect):
+            around = good[row : row + 3, column : column + 3]
+            known = around[~np.isnan(around)]
+            even[row, column] = np.median(known) if known.size else np.median(even[~self.defect])
+        return even
+
+
+def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
+    """The calibration of one camera from planes under even light and planes without light.
+
+    Raises BadRecordingError where they differ in size, or the light is too little or too much to tell pixels apart.
+    """
+    sizes = [(stream.layout.width, stream.layout.height) for stream in (flat, dark)]
+    if sizes[0] != sizes[1]:
+        raise BadRecordingError(
+            f"found a flat of {sizes[0][0]}x{sizes[0][1]} and a dark of {sizes[1][0]}x{sizes[1][1]}, expected one size"
+        )
+    lit, unlit = _rate(flat), _rate(dark)
+    light = lit - unlit
+    _refuse_useless(float(np.median(lit)), float(np.median(light)), len(flat))
+    spread = 1.4826 * float(np.median(np.abs(unlit - np.median(unlit))))
+    hot = unlit > np.median(unlit) + max(HOT_ABOVE, HOT_SPREADS * spread)
+    dead = ~hot & (light < DEAD_BELOW * np.median(light))
+    good = ~(hot | dead)
+    gain = np.where(good, light / light[good].mean(), 1.0)
+    return PixelCalibration(gain.astype(np.float32), unlit.astype(np.float32), hot, dead)
+
+
+def write_pixels(path: Path, calibration: PixelCalibration) -> None:
+    """Put the calibration under `path` as .npz, durably."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{name: getattr(calibration, name) for name in _ARRAYS})
+    write_durably(path, buffer.getvalue())
+
+
+def read_pixels(path: Path) -> PixelCalibration:
+    """What `write_pixels` put under `path`; raises BadRecordingError naming the file for anything else."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); calibrate again") from error
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            gain, offset, hot, dead = (np.asarray(archive[name]) for name in _ARRAYS)
+        return PixelCalibration(gain.astype(np.float32), offset.astype(np.float32), hot.astype(bool), dead.astype(bool))
+    except (*_NO_ARCHIVE, BadRecordingError) as error:
+        raise BadRecordingError(f"{path}: found no pixel calibration ({error}); calibrate again") from error
+
+
+def _rate(stream: SpikeStream) -> NDArray[np.float64]:
+    return stream.counts(0, len(stream)) / len(stream)
+
+
+def _refuse_useless(lit: float, light: float, planes: int) -> None:
+    if light * planes < LEAST_SPIKES:
+        raise BadRecordingError(
+            f"found {max(0.0, light) * planes:.0f} spikes a pixel of light in {planes} planes of the flat, expected "
+            f"at least {LEAST_SPIKES}; give it more light or record longer"
+        )
+    if lit > BRIGHTEST:
+        raise BadRecordingError(
+            f"found {lit:.2f} spikes per tick in the flat, expected at most {BRIGHTEST}: pixels saturate; dim the light"
+        )
