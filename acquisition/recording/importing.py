@@ -11,7 +11,8 @@ from pathlib import Path
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
 from acquisition.recording.manifest import Manifest, block_planes_of
-from acquisition.recording.writer import RecordingWriter, StreamWriter
+from acquisition.recording.stream_writer import StreamWriter
+from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.stream import SpikeStream
 from rigs.exchange.cameras import load_cameras
@@ -56,7 +57,7 @@ def import_recording(
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)
-            writer = recording.stream(camera_id, stream.layout)
+            writer = recording.stream(camera_id, stream.layout, len(stream))
             _copy(stream, writer)
             entries.append(writer.entry())
             done += stream.packed.nbytes

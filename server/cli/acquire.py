@@ -11,9 +11,10 @@ from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import SCENES
-from acquisition.session.record import record, simulate
+from acquisition.session.record import Take, record, simulate
 from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig, load_rig
+from server.cli.operator import operator_control
 from server.cli.options import SIZE
 from server.cli.progress import progress_of
 
@@ -61,7 +62,18 @@ def simulate_command(
 
 @click.command("record")
 @click.option("--rig", required=True, help="RIG.toml, or a rig of the catalog.")
-@click.option("--ticks", required=True, type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--ticks", type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--until-stopped", is_flag=True, help="Record until SIGINT (Ctrl-C) or SIGTERM.")
+@click.option(
+    "--pre-trigger",
+    "pre_trigger_ms",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="MS",
+    help="Keep the last MS ms in memory; a line on standard input (Enter) saves from there on.",
+)
+@click.option(
+    "--keep-free", default=256, show_default=True, type=click.IntRange(min=0), help="MB of the disk to leave free."
+)
 @click.option(
     "--devices",
     default="usb:",
@@ -70,9 +82,25 @@ def simulate_command(
 )
 @_out
 @_json
-def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool) -> None:
-    """Arm all cameras of a rig, start them together, and record."""
-    manifest = record(_rig(rig), devices, ticks, out, progress_of("record"))
+def record_command(
+    rig: str,
+    ticks: int | None,
+    until_stopped: bool,
+    pre_trigger_ms: float | None,
+    keep_free: int,
+    devices: str,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Arm all cameras of a rig, start them together, and record.
+
+    A camera that fails costs the others nothing: the recording is kept, marked incomplete, and the exit code is 1.
+    """
+    if (ticks is None) != until_stopped:
+        raise click.UsageError("expected either --ticks N or --until-stopped")
+    with operator_control(until_stopped=until_stopped, saves=pre_trigger_ms is not None) as control:
+        take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control)
+        manifest = record(_rig(rig), devices, take, out, progress_of("record"))
     _print_recording(out, manifest, as_json)
 
 
