@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from acquisition.devices.open import Simulation
+from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.verify import verify
@@ -140,6 +141,15 @@ def verify_command(recording: Path, as_json: bool) -> None:
     raise SystemExit(1 if damages else 0)
 
 
+@click.command("finalise")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@_json
+def finalise_command(recording: Path, as_json: bool) -> None:
+    """Finish what a crash left: keep the blocks its journal proves. Does nothing to a finished recording."""
+    found = finalise(recording, progress_of("finalise"))
+    _print_recording(found.path, found.manifest, as_json)
+
+
 def _rig(name: str) -> Rig:
     return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))
 
@@ -147,10 +157,10 @@ def _rig(name: str) -> Rig:
 def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
     if as_json:
-        click.echo(json.dumps({"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz, "cameras": cameras}))
+        head = {"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz}
+        click.echo(json.dumps({**head, "status": manifest.status, "reason": manifest.reason, "cameras": cameras}))
         return
     lost = sum(sum(camera.drops.values()) for camera in manifest.cameras)
     planes = min(camera.planes for camera in manifest.cameras)
-    click.echo(
-        f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
-    )
+    line = f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
+    click.echo(f"{line}; incomplete: {manifest.reason}" if manifest.reason else line)

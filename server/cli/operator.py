@@ -27,7 +27,7 @@ def operator_control(*, until_stopped: bool, saves: bool) -> Iterator[Control]:
 
         def stop(number: int, frame: object) -> None:
             control.stop.set()
-            signal.signal(number, before[number])
+            signal.signal(number, before[signal.Signals(number)])
 
         for number in before:
             signal.signal(number, stop)
