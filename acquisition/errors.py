@@ -21,3 +21,13 @@ class DiskError(AcquisitionError):
     """The disk refused what a recording needs; nothing was left under its final name."""
 
     exit_code = 2
+
+
+class RigBusyError(DeviceError):
+    """Somebody else records with the rig."""
+
+    exit_code = 2
+
+
+class IncompleteError(DeviceError):
+    """A recording that has its name but not all that was asked for."""

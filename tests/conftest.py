@@ -17,3 +17,15 @@ def spikedata() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recordings at {folder}; set SPIKE4DGS_SHARED to the folder that holds spikedata")
     return folder
+
+
+@pytest.fixture(autouse=True, scope="session")
+def own_locks(tmp_path_factory):
+    """Tests lock rigs among themselves, not against whoever else works on this machine."""
+    before = os.environ.get("SPIKE4DGS_LOCKS")
+    os.environ["SPIKE4DGS_LOCKS"] = str(tmp_path_factory.mktemp("locks"))
+    yield
+    if before is None:
+        del os.environ["SPIKE4DGS_LOCKS"]
+    else:
+        os.environ["SPIKE4DGS_LOCKS"] = before

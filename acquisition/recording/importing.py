@@ -15,7 +15,8 @@ import numpy as np
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
 from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of
-from acquisition.recording.writer import RecordingWriter, StreamWriter
+from acquisition.recording.stream_writer import StreamWriter
+from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes import m1k40
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.stream import SpikeStream
@@ -95,7 +96,7 @@ def import_recording(
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)
-            writer = recording.stream(camera_id, layouts[camera_id])
+            writer = recording.stream(camera_id, layouts[camera_id], len(stream))
             _copy(stream, writer)
             entries.append(_entry(stream, writer))
             done += len(stream) * writer.layout.plane_bytes

@@ -15,9 +15,12 @@ MANIFEST_FILE = "recording.json"
 RIG_FILE = "rig.toml"
 TRUTH_FOLDER = "truth"
 BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
+MAX_BLOCK_PLANES = 1 << 20
 
-Layer = Literal["device", "link"]
+Layer = Literal["device", "link", "ring", "disk"]
 Trigger = Literal["line", "software", "import"]
+Status = Literal["armed", "recording", "complete", "incomplete"]
+UNFINISHED: tuple[Status, ...] = ("armed", "recording")
 
 
 def block_planes_of(layout: PlaneLayout) -> int:
@@ -27,14 +30,19 @@ def block_planes_of(layout: PlaneLayout) -> int:
 
 @dataclass(frozen=True)
 class Gap:
-    """Planes [first_plane, first_plane + planes) were lost in `layer`; they are zeros in the file: time stays right."""
+    """Planes [first_plane, first_plane + planes) were lost in `layer`; they are zeros in the file: time stays right.
+
+    `device`: the camera's own memory overran; `link`: lost on the way to the host; `ring`: the host's memory was full;
+    `disk`: the disk refused them.
+    """
 
     first_plane: int
     planes: int
     layer: Layer
 
     def __post_init__(self) -> None:
-        if self.first_plane < 0 or self.planes < 1 or self.layer not in get_args(Layer):
+        whole = type(self.first_plane) is type(self.planes) is int
+        if not whole or self.first_plane < 0 or self.planes < 1 or self.layer not in get_args(Layer):
             raise BadRecordingError(f"found the gap {self}, expected planes from 0 lost in one of {get_args(Layer)}")
 
 
@@ -57,8 +65,8 @@ class CameraFile:
     """One camera's `.dat`: pure planes in the camera's own `layout`, or in ours where it was converted.
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
-    the file. `skew_s` is how far its first plane was from the trigger (None where nothing measured it); `partial_bytes`
-    what an imported file held beyond its last whole plane.
+    the file (None while it is being recorded). `skew_s` is how far its first plane was from the trigger (None where
+    nothing measured it); `partial_bytes` what an imported file held beyond its last whole plane.
     """
 
     id: str
@@ -68,43 +76,65 @@ class CameraFile:
     first_tick: int
     block_planes: int
     block_digests: tuple[str, ...]
-    sha256: str
+    sha256: str | None
     gaps: tuple[Gap, ...] = ()
     skew_s: float | None = None
     partial_bytes: int = 0
     conversion: Conversion | None = None
 
     def __post_init__(self) -> None:
-        if self.planes < 1 or self.block_planes < 1:
+        whole = type(self.planes) is type(self.block_planes) is int
+        if not whole or self.planes < 0 or not 1 <= self.block_planes <= MAX_BLOCK_PLANES:
             found = f"found {self.planes} planes, {self.block_planes} a block"
-            raise BadRecordingError(f"{self.id}: {found}; expected at least one each")
+            raise BadRecordingError(f"{self.id}: {found}; expected none or more, and at least one a block")
         blocks = -(-self.planes // self.block_planes)
         if len(self.block_digests) != blocks:
             raise BadRecordingError(f"{self.id}: found {len(self.block_digests)} block digests, expected {blocks}")
-        if "/" in self.file or self.file in ("", ".", ".."):
+        if not set("/\0").isdisjoint(self.file) or self.file in ("", ".", ".."):
             raise BadRecordingError(f"{self.id}: found the file {self.file!r}, expected a name inside the recording")
+        known = 0
+        for gap in self.gaps:
+            if gap.first_plane < known or gap.first_plane + gap.planes > self.planes:
+                raise BadRecordingError(f"{self.id}: found {gap}, expected gaps in order inside {self.planes} planes")
+            known = gap.first_plane + gap.planes
 
     @property
     def drops(self) -> dict[str, int]:
         """Planes lost, by layer."""
         return {layer: sum(g.planes for g in self.gaps if g.layer == layer) for layer in get_args(Layer)}
 
+    @property
+    def written(self) -> int:
+        """Planes that are in the file as the camera sent them: those offered without those dropped."""
+        return self.planes - sum(self.drops.values())
+
 
 @dataclass(frozen=True)
 class Manifest:
-    """The whole of `recording.json`; `writer` names the program and version that wrote it."""
+    """The whole of `recording.json`; `writer` names the program and version that wrote it.
+
+    `reason` says why an incomplete recording is one. `direct_io` is false where the file system made the writer go
+    through the page cache. `trigger_plane` is the plane at which a run with a pre-trigger was told to save.
+    """
 
     tick_rate_hz: float
     trigger: Trigger
     writer: str
     rig_sha256: str
     cameras: tuple[CameraFile, ...]
+    status: Status = "complete"
+    reason: str | None = None
+    direct_io: bool | None = None
+    trigger_plane: int | None = None
 
     def __post_init__(self) -> None:
         if not self.tick_rate_hz > 0:
             raise BadRecordingError(f"found the tick rate {self.tick_rate_hz} Hz, expected a positive number")
         if self.trigger not in get_args(Trigger):
             raise BadRecordingError(f"found the trigger {self.trigger!r}, expected one of {get_args(Trigger)}")
+        if self.status not in get_args(Status) or (self.reason is None) != (self.status != "incomplete"):
+            found = f"found the status {self.status!r} with the reason {self.reason!r}"
+            raise BadRecordingError(f"{found}, expected one of {get_args(Status)}, and a reason where incomplete")
         ids = [camera.id for camera in self.cameras]
         if not ids or len(set(ids)) < len(ids):
             raise BadRecordingError(f"found the cameras {ids}, expected at least one, each once")
@@ -122,7 +152,7 @@ def dump_manifest(manifest: Manifest) -> str:
     """The manifest as JSON text."""
     document = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(manifest)}
     for table, camera in zip(document["cameras"], manifest.cameras, strict=True):
-        table["drops"] = camera.drops
+        table.update(offered=camera.planes, written=camera.written, drops=camera.drops)
     return json.dumps(document, indent=1) + "\n"
 
 
@@ -145,13 +175,17 @@ def load_manifest(text: str | bytes) -> Manifest:
 def _camera(table: dict[str, Any]) -> CameraFile:
     table = dict(table)
     drops = table.pop("drops")
+    offered, written = table.pop("offered", None), table.pop("written", None)
     layout = PlaneLayout(**table.pop("layout"))
     gaps = tuple(Gap(**gap) for gap in table.pop("gaps"))
     digests = tuple(table.pop("block_digests"))
     conversion = _conversion(table.pop("conversion", None))
     camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, conversion=conversion, **table)
-    if drops != camera.drops:
+    if drops != {layer: lost for layer, lost in camera.drops.items() if lost or layer in drops}:
         raise BadRecordingError(f"{camera.id}: found the drops {drops}, expected {camera.drops} as the gaps say")
+    if (offered, written) not in ((None, None), (camera.planes, camera.written)):
+        found = f"found {offered} planes offered, {written} written"
+        raise BadRecordingError(f"{camera.id}: {found}, expected {camera.planes} and {camera.written} as the gaps say")
     return camera
 
 

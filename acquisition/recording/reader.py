@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.errors import BadRecordingError
-from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, TRUTH_FOLDER, Manifest, load_manifest
+from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, TRUTH_FOLDER, UNFINISHED, Manifest, load_manifest
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.stream import SpikeStream
 from rigs.rig import Rig
@@ -71,7 +71,16 @@ class Recording:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The manifest of the recording in `path`; raises BadRecordingError naming the folder."""
+    """The manifest of the finished recording in `path`; raises BadRecordingError naming the folder."""
+    manifest = read_any_manifest(path)
+    if manifest.status in UNFINISHED:
+        found = f"found it {manifest.status}, expected a finished recording"
+        raise BadRecordingError(f"{path}: {found}; if nothing records it any more, run `spike4dgs finalise {path}`")
+    return manifest
+
+
+def read_any_manifest(path: Path) -> Manifest:
+    """The manifest in `path`, of a recording that may still be made; raises BadRecordingError naming the folder."""
     try:
         text = (path / MANIFEST_FILE).read_bytes()
     except OSError as error:

@@ -70,7 +70,7 @@ def dump_config(config: SpikeCVConfig) -> str:
         "labeled_data_type": list(config.labeled_data_type),
         "labeled_data_suffix": config.labeled_data_suffix or "None",
     }
-    return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=False)
 
 
 def write_config(recording: Path, manifest: Manifest) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import fcntl
 import hashlib
@@ -10,136 +11,66 @@ import importlib.metadata
 import os
 import shutil
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
-import xxhash
-from numpy.typing import NDArray
-
+from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError, DiskError
-from acquisition.recording.manifest import (
-    MANIFEST_FILE,
-    RIG_FILE,
-    CameraFile,
-    Gap,
-    Manifest,
-    Trigger,
-    block_planes_of,
-    dump_manifest,
-)
+from acquisition.recording.journal import SUFFIX
+from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, CameraFile, Manifest, Trigger, dump_manifest
+from acquisition.recording.stream_writer import RING_BYTES, StreamSpace, StreamWriter
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from rigs.toml import dump_rig
 
-_MARGIN_BYTES = 1 << 20  # the manifest and the rig
+MARGIN_BYTES = 1 << 20  # the manifest and the rig
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-class StreamWriter:
-    """One camera's `.dat`, written in order by one thread, hashed on the way."""
+@dataclasses.dataclass(frozen=True)
+class DiskUse:
+    """What a recording may take of the disk and of the memory before it.
 
-    def __init__(self, folder: Path, camera_id: str, layout: PlaneLayout):
-        self.camera_id = camera_id
-        self.layout = layout
-        self.planes = 0
-        self.skew_s: float | None = None
-        self.partial_bytes = 0
-        self._path = folder / f"{camera_id}.dat"
-        self._file = self._path.open("xb", buffering=0)
-        self._sha256 = hashlib.sha256()
-        self._block = xxhash.xxh3_64()
-        self._digests: list[str] = []
-        self._gaps: list[Gap] = []
+    `needed_bytes` must be free at the start, beside the `keep_free_bytes` that are left free at the end; `ring_bytes`
+    is the memory between each camera and its file; `replace_left_over` lets go of what a killed writer left behind.
+    """
 
-    def append(self, packed: NDArray[np.uint8]) -> None:
-        """Write planes [n, B]; raises DiskError when the disk is full."""
-        if not len(packed):
-            return
-        block_planes = block_planes_of(self.layout)
-        data = np.ascontiguousarray(packed)
-        with disk_errors(self._path):
-            left = data.data.cast("B")
-            while left:
-                left = left[self._file.write(left) or 0 :]
-        self._sha256.update(data.data)
-        while len(data):
-            part = data[: block_planes - self.planes % block_planes]
-            self._block.update(part.data)
-            self.planes += len(part)
-            data = data[len(part) :]
-            if self.planes % block_planes == 0:
-                self._end_block()
-
-    def append_lost(self, gaps: list[Gap]) -> None:
-        """Write zeros for planes that were lost, and list them."""
-        for gap in gaps:
-            for start in range(0, gap.planes, block_planes_of(self.layout)):
-                count = min(block_planes_of(self.layout), gap.planes - start)
-                self.append(np.zeros((count, self.layout.plane_bytes), dtype=np.uint8))
-            self._gaps.append(gap)
-
-    def close(self) -> None:
-        """Put what was written on the disk."""
-        with disk_errors(self._path), self._file:
-            os.fsync(self._file.fileno())
-
-    def abandon(self) -> None:
-        """Close a file that will be removed, if it is still open."""
-        self._file.close()
-
-    def entry(self) -> CameraFile:
-        """The manifest's entry of what was written."""
-        if self.planes % block_planes_of(self.layout):
-            self._end_block()
-        return CameraFile(
-            id=self.camera_id,
-            file=self._path.name,
-            layout=self.layout,
-            planes=self.planes,
-            first_tick=0,
-            block_planes=block_planes_of(self.layout),
-            block_digests=tuple(self._digests),
-            sha256=self._sha256.hexdigest(),
-            gaps=tuple(self._gaps),
-            skew_s=self.skew_s,
-            partial_bytes=self.partial_bytes,
-        )
-
-    def _end_block(self) -> None:
-        self._digests.append(self._block.hexdigest())
-        self._block.reset()
+    needed_bytes: int = 0
+    keep_free_bytes: int = MARGIN_BYTES
+    ring_bytes: int = RING_BYTES
+    replace_left_over: bool = True
 
 
 class RecordingWriter:
     """A recording in the making; use as a context: what is not committed when it ends is removed.
 
-    Raises BadRecordingError where `path` is taken, DiskError where `needed_bytes` are not free.
+    Raises BadRecordingError where `path` is taken, DiskError where `use` does not fit the disk. `full` says that the
+    disk guard took no more of the disk; with `problems` the recording is committed as incomplete, for these reasons.
     """
 
-    def __init__(self, path: Path, rig: Rig, needed_bytes: int):
+    def __init__(self, path: Path, rig: Rig, use: DiskUse | int = 0):
         self.path = path
         self.rig = rig
-        self.folder = path.parent / f"{path.name}.partial"  # where the files lie until `commit`
-        self._needed_bytes = needed_bytes + _MARGIN_BYTES
+        self.folder = partial_of(path)  # where the files lie until `commit`
+        self.full: str | None = None
+        self.problems: list[str] = []
+        self.trigger_plane: int | None = None
+        self._use = use if isinstance(use, DiskUse) else DiskUse(use)
         self._lock = -1
         self._streams: list[StreamWriter] = []
 
     def __enter__(self) -> RecordingWriter:
         refuse_taken(self.path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        free = free_bytes(self.path.parent)
-        if free < self._needed_bytes:
+        free, needed = free_bytes(self.path.parent), self._use.needed_bytes + self._use.keep_free_bytes
+        if free < needed:
             raise DiskError(
-                f"{self.path}: found {free} bytes free, expected at least {self._needed_bytes}; "
+                f"{self.path}: found {free} bytes free, expected at least {needed}; "
                 "free some space or record fewer ticks"
             )
         self.folder.mkdir(exist_ok=True)
-        self._lock = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(self._lock)
-            raise BadRecordingError(f"{self.folder}: is being recorded now; choose another --out") from error
+        self._lock = lock_folder(self.folder)
+        self._refuse_left_over()
         for left_over in self.folder.iterdir():  # of a writer that was killed
             shutil.rmtree(left_over) if left_over.is_dir() else left_over.unlink()
         return self
@@ -151,29 +82,102 @@ class RecordingWriter:
             shutil.rmtree(self.folder)
         os.close(self._lock)
 
-    def stream(self, camera_id: str, layout: PlaneLayout) -> StreamWriter:
-        """The writer of one camera's file."""
+    def stream(self, camera_id: str, layout: PlaneLayout, planes: int | None = None) -> StreamWriter:
+        """The writer of one camera's file, which gets room for `planes` planes where that is known."""
+        space = StreamSpace(self._use.ring_bytes, planes, self._allows)
         with disk_errors(self.folder):
-            self._streams.append(StreamWriter(self.folder, camera_id, layout))
+            self._streams.append(StreamWriter(self.folder, camera_id, layout, space))
         return self._streams[-1]
+
+    def mark_armed(self, trigger: Trigger) -> None:
+        """Write the rig, and a manifest that says the cameras are armed."""
+        self._mark(Manifest(**self._fields(trigger), cameras=self._drafts(), status="armed"))
+
+    def mark_recording(self, trigger: Trigger) -> None:
+        """Write a manifest that says planes are being recorded."""
+        self._mark(Manifest(**self._fields(trigger), cameras=self._drafts(), status="recording"))
 
     def commit(self, cameras: list[CameraFile], trigger: Trigger) -> Manifest:
         """Write manifest and rig, bring everything to the disk, and give the recording its name."""
-        rig_text = dump_rig(self.rig)
-        writer = f"spike4dgs {importlib.metadata.version('spike4dgs')}"
-        rig_sha256 = hashlib.sha256(rig_text.encode()).hexdigest()
-        manifest = Manifest(self.rig.tick_rate_hz, trigger, writer, rig_sha256, tuple(cameras))
+        self.problems += [stream.damage for stream in self._streams if stream.damage]
+        manifest = Manifest(
+            **self._fields(trigger),
+            cameras=tuple(cameras),
+            status="incomplete" if self.problems else "complete",
+            reason="; ".join(self.problems) or None,
+            trigger_plane=self.trigger_plane,
+        )
+        self._mark(manifest)
         with disk_errors(self.folder):
             for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
                 shutil.copyfile(pixels, self.folder / pixels.name)
-            (self.folder / RIG_FILE).write_text(rig_text, encoding="utf-8")
-            (self.folder / MANIFEST_FILE).write_text(dump_manifest(manifest), encoding="utf-8")
-            for path in (*self.folder.rglob("*"), self.folder):
-                _sync(path)
-            refuse_taken(self.path)
-            self.folder.rename(self.path)
-            _sync(self.path.parent)
+        publish(self.folder, self.path)
         return manifest
+
+    def entries(self) -> list[CameraFile]:
+        """The entries of all streams, which are closed; their files are read back side by side."""
+        with ThreadPoolExecutor(min(len(self._streams), len(os.sched_getaffinity(0)))) as pool:
+            return list(pool.map(StreamWriter.entry, self._streams))
+
+    def _fields(self, trigger: Trigger) -> dict:
+        return {
+            "tick_rate_hz": self.rig.tick_rate_hz,
+            "trigger": trigger,
+            "writer": f"spike4dgs {importlib.metadata.version('spike4dgs')}",
+            "rig_sha256": hashlib.sha256(dump_rig(self.rig).encode()).hexdigest(),
+            "direct_io": all(stream.direct for stream in self._streams),
+        }
+
+    def _drafts(self) -> tuple[CameraFile, ...]:
+        return tuple(stream.draft() for stream in self._streams)
+
+    def _mark(self, manifest: Manifest) -> None:
+        write_durably(self.folder / RIG_FILE, dump_rig(self.rig))
+        write_durably(self.folder / MANIFEST_FILE, dump_manifest(manifest))
+
+    def _allows(self, size: int) -> bool:
+        """The disk guard: whether `size` more bytes leave free what is to be kept free."""
+        free = free_bytes(self.folder)
+        if free - size < self._use.keep_free_bytes and not self.full:
+            self.full = f"the disk had {free} bytes free, {self._use.keep_free_bytes} are kept free"
+        return not self.full
+
+    def _refuse_left_over(self) -> None:
+        kept = [path for path in self.folder.glob(f"*{SUFFIX}") if path.stat().st_size]
+        if kept and not self._use.replace_left_over:
+            os.close(self._lock)
+            raise BadRecordingError(
+                f"{self.folder}: found what a killed recorder left, expected nothing; "
+                f"save it by `spike4dgs finalise {self.path}`, or remove it"
+            )
+
+
+def partial_of(path: Path) -> Path:
+    """Where the recording `path` lies until it is whole."""
+    return path.parent / f"{path.name}.partial"
+
+
+def lock_folder(folder: Path) -> int:
+    """A handle that holds `folder` for one writer until it is closed; raises BadRecordingError where another does."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(handle)
+        raise BadRecordingError(f"{folder}: is being recorded now; choose another --out") from error
+    return handle
+
+
+def publish(folder: Path, path: Path) -> None:
+    """Give the whole recording in `folder` its name `path`, without its journals, and bring all to the disk."""
+    with disk_errors(folder):
+        for journal in folder.glob(f"*{SUFFIX}"):
+            journal.unlink()
+        for inside in (*folder.rglob("*"), folder):
+            _sync(inside)
+        refuse_taken(path)
+        folder.rename(path)
+        _sync(path.parent)
 
 
 def refuse_taken(path: Path) -> None:

@@ -2,56 +2,98 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.devices.open import Simulation, open_cameras, parse_devices
-from acquisition.errors import BadRecordingError
+from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.progress import Progress, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
-from acquisition.recording.writer import RecordingWriter, disk_errors
+from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
 from acquisition.scenes.truth import write_truth
-from acquisition.session.session import record_session
+from acquisition.session.rig_lock import rig_lock
+from acquisition.session.session import Control, Extent, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 
 _TRUTH_BYTES_PER_PIXEL = 16  # light, depth, object, blur
 _RECORDING_SHARE, _WRITTEN = 0.8, 0.99  # of the work: after the planes where truth follows them, before the name
+_RING_S, _MIN_RING_BYTES = 0.5, 4 << 20  # a pause of the disk that loses nothing
+_ENDLESS = 1 << 62
 
 
-def record(rig: Rig, devices: str, planes: int, out: Path, progress: Progress = silent) -> Manifest:
-    """Record `planes` planes of every camera of `rig`, opened by the URI `devices`, as the folder `out`.
+@dataclass(frozen=True)
+class Take:
+    """How long to record and what to leave of the disk.
 
-    Raises DeviceError naming the camera that failed, DiskError for a full disk; then nothing is left under `out`.
+    `planes` of every camera, None until `control` stops it; `pre_trigger_ms` keeps the last so many milliseconds until
+    `control` saves, and counts among `planes`; the run ends before less than `keep_free_bytes` are free.
     """
-    return _record(rig, parse_devices(devices), planes, out, progress)
+
+    planes: int | None
+    pre_trigger_ms: float | None = None
+    keep_free_bytes: int = MARGIN_BYTES
+    control: Control = field(default_factory=Control)
+
+    def __post_init__(self) -> None:
+        if self.planes is not None and self.planes < 1:
+            raise BadRecordingError(f"found {self.planes} ticks, expected at least 1")
+        if self.pre_trigger_ms is not None and not 0 < self.pre_trigger_ms < float("inf"):
+            raise BadRecordingError(f"found a pre-trigger of {self.pre_trigger_ms} ms, expected more than 0")
+
+
+def record(rig: Rig, devices: str, take: Take | int, out: Path, progress: Progress = silent) -> Manifest:
+    """Record every camera of `rig`, opened by the URI `devices`, as the folder `out`; an int is so many planes.
+
+    Raises RigBusyError where somebody else records with the rig, DeviceError where a camera does not arm, DiskError
+    for a full disk: then nothing is left under `out`. Raises IncompleteError naming the camera that failed on the way,
+    or the disk that filled: `out` then holds what was recorded, marked incomplete.
+    """
+    take = Take(take) if isinstance(take, int) else take
+    opened = parse_devices(devices)
+    with rig_lock(rig.name, out):
+        return _record(rig, opened, take, out, progress)
 
 
 def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: Progress = silent) -> Manifest:
-    """`record` with simulated cameras."""
-    return _record(rig, simulation, ticks, out, progress)
+    """`record` with simulated cameras, which nobody else can be using."""
+    return _record(rig, simulation, Take(ticks), out, progress)
 
 
-def _record(rig: Rig, devices: Simulation | None, planes: int, out: Path, progress: Progress) -> Manifest:
-    if planes < 1:
-        raise BadRecordingError(f"found {planes} ticks, expected at least 1")
+def _record(rig: Rig, devices: Simulation | None, take: Take, out: Path, progress: Progress) -> Manifest:
+    pre_planes = None if take.pre_trigger_ms is None else round(take.pre_trigger_ms * 1e-3 * rig.tick_rate_hz)
+    extent = Extent(take.planes, pre_planes)
     share = _RECORDING_SHARE if devices else _WRITTEN
-    with RecordingWriter(out, rig, _needed_bytes(rig, devices, planes)) as recording:
-        with open_cameras(rig, devices, planes) as opened:
-            streams = record_session(opened.cameras, opened.trigger, planes, recording, _part(progress, 0.0, share))
-        if devices and opened.scene:
-            every, folder = devices.truth_every, recording.folder / TRUTH_FOLDER
+    with RecordingWriter(out, rig, _disk_use(rig, devices, take)) as recording:
+        with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
+            streams = record_session(
+                opened.cameras,
+                opened.trigger,
+                extent,
+                recording,
+                _part(progress, 0.0, share),
+                control=take.control,
+                waits=devices is not None,
+            )
+        if devices and opened.scene and pre_planes is None:
+            planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
             with disk_errors(folder):
                 report = _part(progress, share, _WRITTEN)
                 write_truth(opened.scene, rig, planes, every, folder, report, sensor=devices.sensor)
-        manifest = recording.commit([stream.entry() for stream in streams], opened.trigger.kind)
-    progress(1.0, f"{len(streams)} cameras, {planes} planes each")
+        manifest = recording.commit(recording.entries(), opened.trigger.kind)
+    progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
+    if manifest.reason:
+        raise IncompleteError(f"{manifest.reason}; {out} keeps what was recorded, marked incomplete")
     return manifest
 
 
-def _needed_bytes(rig: Rig, devices: Simulation | None, planes: int) -> int:
-    spikes = planes * sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)
+def _disk_use(rig: Rig, devices: Simulation | None, take: Take) -> DiskUse:
+    plane_bytes = [PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras]
+    planes = take.planes or 0
     instants = -(-planes // devices.truth_every) if devices else 0
-    return spikes + instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
+    truth = instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
+    ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
+    return DiskUse(planes * sum(plane_bytes) + truth, take.keep_free_bytes, ring, devices is not None)
 
 
 def _part(progress: Progress, first: float, last: float) -> Progress:

@@ -5,38 +5,19 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
-from acquisition.devices.protocol import Block
 from acquisition.errors import DeviceError
 from acquisition.progress import Progress, silent
-from acquisition.recording.manifest import Gap, Trigger
-from acquisition.recording.writer import RecordingWriter, StreamWriter
-from acquisition.spikes.layout import PlaneLayout
+from acquisition.recording.manifest import Trigger
+from acquisition.recording.stream_writer import StreamWriter
+from acquisition.recording.writer import RecordingWriter
+from acquisition.session.capture import Capture, CaptureRules, SessionCamera
+from acquisition.session.health import describe
 
-READ_TIMEOUT_S = 1.0
-SILENT_READS = 5  # so many reads without a byte are a camera that has stopped sending
-_REPORT_S = 0.2
-
-
-class SessionCamera(Protocol):
-    """What a session needs of a camera; `acquisition.devices.usb.UsbCamera` is one."""
-
-    id: str
-    layout: PlaneLayout
-
-    def arm(self) -> None:
-        """Get ready for the trigger, and confirm it."""
-        ...
-
-    def read_block(self, timeout_s: float) -> Block | None:
-        """The next whole block, or None."""
-        ...
-
-    def ensure_stopped(self) -> None:
-        """Stop sending, whatever it was doing."""
-        ...
+_REPORT_S, _SAVE_POLL_S = 0.2, 0.005
+_STOP_MARGIN_S = 0.05  # after the furthest camera, so that all can end at the same plane
 
 
 class TriggerLine(Protocol):
@@ -52,99 +33,131 @@ class TriggerLine(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class Control:
+    """What a person tells a session while it runs: `stop` ends it cleanly, `save` begins it after a pre-trigger."""
+
+    stop: threading.Event = field(default_factory=threading.Event)
+    save: threading.Event = field(default_factory=threading.Event)
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What is recorded: `planes` of every camera, None until stopped; with `pre_planes`, from so many before `save`."""
+
+    planes: int | None
+    pre_planes: int | None = None
+
+
 def record_session(
     cameras: Sequence[SessionCamera],
     trigger: TriggerLine,
-    planes: int,
+    extent: Extent | int,
     recording: RecordingWriter,
     progress: Progress = silent,
+    *,
+    control: Control | None = None,
+    waits: bool = False,
 ) -> list[StreamWriter]:
-    """Record `planes` planes of every camera into `recording`, which stays to be committed; a thread a camera.
+    """Record every camera into `recording`, which stays to be committed; a thread a camera and one a file.
 
-    Raises DeviceError naming the camera that failed, after all others were stopped too.
+    A camera that fails, or a disk that fills, is noted in `recording.problems` and the others go on, or end together.
+    `waits`: the cameras wait for the host, so that a full ring holds them up instead of losing planes.
+    Raises DeviceError naming the camera that does not arm, or the first to fail where none sent a plane.
     """
-    rate = recording.rig.tick_rate_hz
-    captures = [_Capture(camera, recording.stream(camera.id, camera.layout), planes, rate) for camera in cameras]
-    stop = threading.Event()
+    extent = Extent(extent) if isinstance(extent, int) else extent
+    rules = CaptureRules(recording.rig.tick_rate_hz, trigger.kind, waits, extent.pre_planes)
+    captures = [Capture(c, recording.stream(c.id, c.layout, extent.planes), rules) for c in cameras]
+    run = _Run(captures, extent, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:
         try:
+            recording.mark_armed(trigger.kind)
             for camera in cameras:
                 camera.arm()
-            tasks = [pool.submit(capture.run, trigger.kind, stop) for capture in captures]
+            run.steer()
+            tasks = [pool.submit(capture.run, run.abort) for capture in captures]
             trigger.fire()
-            _watch(tasks, captures, progress)
+            recording.mark_recording(trigger.kind)
+            run.watch(tasks, progress)
         finally:
-            stop.set()
+            run.abort.set()
             for camera in cameras:
                 camera.ensure_stopped()
+    run.conclude()
     return [capture.writer for capture in captures]
 
 
-def _watch(tasks: list[Future[None]], captures: list[_Capture], progress: Progress) -> None:
-    """Report until all are done; raise what the first one to fail raised."""
-    total = sum(capture.planes for capture in captures)
-    waiting = set(tasks)
-    while waiting:
-        done, waiting = wait(waiting, _REPORT_S, FIRST_EXCEPTION)
-        for task in done:
-            task.result()
-        written = sum(capture.writer.planes for capture in captures)
-        progress(written / total, f"{written // len(captures)} of {captures[0].planes} planes")
+class _Run:
+    """Decides from which plane to which the cameras of one session are recorded."""
 
+    def __init__(self, captures: list[Capture], extent: Extent, recording: RecordingWriter, control: Control):
+        self.abort = threading.Event()
+        self._captures = captures
+        self._extent = extent
+        self._recording = recording
+        self._control = control
+        self._began = self._ended = False
 
-@dataclass(frozen=True, eq=False)
-class _Capture:
-    """One camera on its way to its file."""
+    def watch(self, tasks: list[Future[None]], progress: Progress) -> None:
+        """Steer and report until all are done."""
+        waiting = set(tasks)
+        while waiting:
+            done, waiting = wait(waiting, _REPORT_S if self._began else _SAVE_POLL_S, FIRST_EXCEPTION)
+            for task in done:
+                task.result()
+            self.steer()
+            progress(*self._so_far())
 
-    camera: SessionCamera
-    writer: StreamWriter
-    planes: int
-    tick_rate_hz: float
+    def steer(self) -> None:
+        """Begin and end all cameras at common planes, when it is time."""
+        if not self._began and (self._extent.pre_planes is None or self._control.save.is_set()):
+            self._begin()
+        refused = any(capture.writer.failure for capture in self._captures)
+        if not self._ended and (self._control.stop.is_set() or self._recording.full or refused):
+            self._end()
 
-    def run(self, trigger: Trigger, stop: threading.Event) -> None:
-        """Read and write until all planes are there or `stop` is set."""
-        silent_reads = dropped = 0
-        try:
-            while self.writer.planes < self.planes and not stop.is_set():
-                block = self.camera.read_block(READ_TIMEOUT_S)
-                silent_reads = 0 if block else silent_reads + 1
-                if silent_reads == SILENT_READS:
-                    found = f"found no data for {SILENT_READS} reads after {self.writer.planes} of {self.planes} planes"
-                    raise DeviceError(f"{self.camera.id}: {found}, expected blocks; check its cable and trigger")
-                if block:
-                    if self.writer.planes == 0:
-                        self.writer.skew_s = self._skew_s(block, trigger)
-                    dropped = self._write(block, dropped)
-        finally:
-            self.writer.close()
+    def conclude(self) -> None:
+        """Note what went wrong; raise where nothing was recorded."""
+        failures = [capture.failure for capture in self._captures if capture.failure]
+        if not any(capture.writer.planes for capture in self._captures):
+            if not self._began and not failures:
+                raise DeviceError("stopped before it was told to save, so nothing was kept")
+            raise failures[0] if failures else DeviceError("stopped before the first plane, so nothing was kept")
+        problems = list(map(str, failures))
+        problems += [str(c.writer.disk_error()) for c in self._captures if c.writer.failure]
+        problems += [self._recording.full] if self._recording.full else []
+        self._recording.problems += problems
 
-    def _skew_s(self, block: Block, trigger: Trigger) -> float | None:
-        """How far the camera's plane 0 began after the trigger pulse that set its clock to zero."""
-        if trigger == "software":
-            return None
-        return block.device_time_ns * 1e-9 - block.first_plane / self.tick_rate_hz
+    def _begin(self) -> None:
+        self._began = True
+        first = 0
+        if self._extent.pre_planes is not None:
+            reached = min((c.position for c in self._captures if not c.failure), default=0)
+            first = max(0, reached - self._extent.pre_planes)
+            self._recording.trigger_plane = reached - first
+        for capture in self._captures:
+            if self._extent.planes is not None:
+                capture.end_at(first + self._extent.planes)
+            capture.begin_at(first)
 
-    def _write(self, block: Block, dropped: int) -> int:
-        if block.layout != self.writer.layout:
-            found = f"found planes of {block.layout}, expected {self.writer.layout}"
-            raise DeviceError(f"{self.camera.id}: {found}; reconnect it")
-        lost = block.first_plane - self.writer.planes
-        if lost < 0:
-            raise DeviceError(
-                f"{self.camera.id}: found plane {block.first_plane} again, expected {self.writer.planes}; reconnect it"
-            )
-        lost = min(lost, self.planes - self.writer.planes)
-        self.writer.append_lost(_gaps(self.writer.planes, lost, block.dropped_planes - dropped))
-        self.writer.append(block.packed[: self.planes - self.writer.planes])
-        return block.dropped_planes
+    def _end(self) -> None:
+        self._ended = True
+        if not self._began:
+            self.abort.set()
+            return
+        margin = round(_STOP_MARGIN_S * self._recording.rig.tick_rate_hz)
+        last = max(capture.position for capture in self._captures) + margin
+        for capture in self._captures:
+            capture.end_at(last)
 
-
-def _gaps(first: int, lost: int, dropped_by_device: int) -> list[Gap]:
-    """The device says how many of the lost planes it dropped itself; the others were lost on the link."""
-    device = min(lost, max(0, dropped_by_device))
-    gaps = []
-    if device:
-        gaps.append(Gap(first, device, "device"))
-    if lost > device:
-        gaps.append(Gap(first + device, lost - device, "link"))
-    return gaps
+    def _so_far(self) -> tuple[float, str]:
+        health = describe(self._captures)
+        if not self._began:
+            return 0.0, f"waiting to be told to save, {health}"
+        written = sum(capture.writer.planes for capture in self._captures)
+        each = written // len(self._captures)
+        if self._extent.planes is None:
+            return 0.0, f"{each} planes, {health}"
+        return written / (
+            self._extent.planes * len(self._captures)
+        ), f"{each} of {self._extent.planes} planes, {health}"

@@ -8,14 +8,16 @@ import click
 
 from acquisition.devices.open import Simulation
 from acquisition.errors import BadRecordingError
+from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, import_recording
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.spikecv import read_config, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import SCENES
-from acquisition.session.record import record, simulate
+from acquisition.session.record import Take, record, simulate
 from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig, load_rig
+from server.cli.operator import operator_control
 from server.cli.options import SIZE
 from server.cli.progress import progress_of
 
@@ -73,7 +75,18 @@ def simulate_command(
 
 @click.command("record")
 @click.option("--rig", required=True, help="RIG.toml, or a rig of the catalog.")
-@click.option("--ticks", required=True, type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--ticks", type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--until-stopped", is_flag=True, help="Record until SIGINT (Ctrl-C) or SIGTERM.")
+@click.option(
+    "--pre-trigger",
+    "pre_trigger_ms",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="MS",
+    help="Keep the last MS ms in memory; a line on standard input (Enter) saves from there on.",
+)
+@click.option(
+    "--keep-free", default=256, show_default=True, type=click.IntRange(min=0), help="MB of the disk to leave free."
+)
 @click.option(
     "--devices",
     default="usb:",
@@ -82,9 +95,25 @@ def simulate_command(
 )
 @_out
 @_json
-def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool) -> None:
-    """Arm all cameras of a rig, start them together, and record."""
-    manifest = record(_rig(rig), devices, ticks, out, progress_of("record"))
+def record_command(
+    rig: str,
+    ticks: int | None,
+    until_stopped: bool,
+    pre_trigger_ms: float | None,
+    keep_free: int,
+    devices: str,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Arm all cameras of a rig, start them together, and record.
+
+    A camera that fails costs the others nothing: the recording is kept, marked incomplete, and the exit code is 1.
+    """
+    if (ticks is None) != until_stopped:
+        raise click.UsageError("expected either --ticks N or --until-stopped")
+    with operator_control(until_stopped=until_stopped, saves=pre_trigger_ms is not None) as control:
+        take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control)
+        manifest = record(_rig(rig), devices, take, out, progress_of("record"))
     _print_recording(out, manifest, as_json)
 
 
@@ -140,6 +169,15 @@ def verify_command(recording: Path, as_json: bool) -> None:
     raise SystemExit(1 if damages else 0)
 
 
+@click.command("finalise")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@_json
+def finalise_command(recording: Path, as_json: bool) -> None:
+    """Finish what a crash left: keep the blocks its journal proves. Does nothing to a finished recording."""
+    found = finalise(recording, progress_of("finalise"))
+    _print_recording(found.path, found.manifest, as_json)
+
+
 def _rig(name: str) -> Rig:
     return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))
 
@@ -162,10 +200,10 @@ def _warn(doubt: str) -> None:
 def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
     if as_json:
-        click.echo(json.dumps({"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz, "cameras": cameras}))
+        head = {"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz}
+        click.echo(json.dumps({**head, "status": manifest.status, "reason": manifest.reason, "cameras": cameras}))
         return
     lost = sum(sum(camera.drops.values()) for camera in manifest.cameras)
     planes = min(camera.planes for camera in manifest.cameras)
-    click.echo(
-        f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
-    )
+    line = f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
+    click.echo(f"{line}; incomplete: {manifest.reason}" if manifest.reason else line)

@@ -14,6 +14,7 @@ COMMANDS = {  # name: (module, what it does)
     "record": ("server.cli.acquire", "Record with the cameras of a rig."),
     "import": ("server.cli.acquire", "Make a recording of .dat files and their cameras."),
     "verify": ("server.cli.acquire", "Check that a recording is whole."),
+    "finalise": ("server.cli.acquire", "Finish what a crash left of a recording."),
     "calibrate": ("server.cli.calibrate", "Measure the pixels of a rig's cameras."),
     "images": ("server.cli.images", "Turn spikes into images."),
     "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),

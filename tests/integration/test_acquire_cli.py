@@ -14,6 +14,7 @@ from acquisition.recording.reader import Recording
 from rigs.toml import catalog_rig, dump_rig
 from server.cli.main import main
 
+LAYERS = ("device", "link", "ring", "disk")
 SMALL = ("--size", "40x25", "--ticks", "30", "--truth-every", "30")
 
 
@@ -40,7 +41,7 @@ def recorded(tmp_path_factory):
 def test_simulate_says_what_it_made(spike4dgs, tmp_path):
     code, out, err = spike4dgs("simulate", "--scene", "fan_and_ball", *SMALL, "--json", "--out", tmp_path / "rec")
     assert code == 0
-    assert json.loads(out)["cameras"]["cam11"] == {"planes": 30, "drops": {"device": 0, "link": 0}}
+    assert json.loads(out)["cameras"]["cam11"] == {"planes": 30, "drops": dict.fromkeys(LAYERS, 0)}
     assert err[-1].startswith("simulate 100%")
     recording = Recording.open(tmp_path / "rec")
     assert recording.rig.cameras[0].width == 40
@@ -76,6 +77,79 @@ def test_record_takes_a_rig_file_and_a_device_uri(spike4dgs, recorded, tmp_path)
     assert "9 cameras, 30 planes each at 20000 Hz, 0 planes lost" in out
     for path in recorded.glob("*.dat"):
         assert (tmp_path / "rec" / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("length", [(), ("--ticks", 3, "--until-stopped")])
+def test_record_wants_one_length(spike4dgs, tmp_path, length):
+    code, out, err = spike4dgs("record", "--rig", "lab3x3", *length, "--out", tmp_path / "rec")
+    assert (code, out) == (2, "")
+    assert "expected either --ticks N or --until-stopped" in err[-1]
+
+
+@pytest.fixture
+def recording(tmp_path, small_rig):
+    """Starts `record` of a simulated rig in a process of its own."""
+    running = []
+
+    def start(*args, out="rec"):
+        command = [sys.executable, "-m", "server.cli", "record", "--rig", str(small_rig), "--out", str(tmp_path / out)]
+        uri = "mock:fan_and_ball?samples=1&truth_every=1000000"
+        command += ["--devices", uri, *map(str, args)]
+        running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def small_rig(tmp_path):
+    (tmp_path / "small.toml").write_text(dump_rig(catalog_rig("lab3x3").scaled(40, 25)))
+    return tmp_path / "small.toml"
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_until_stopped_ends_cleanly(spike4dgs, recording, tmp_path, how):
+    process = recording("--until-stopped")
+    wait_for_bytes(process, tmp_path / "rec.partial")
+    process.send_signal(how)
+    out, err = process.communicate()
+    assert (process.returncode, b"Traceback" in err) == (0, False), err
+    assert b"9 cameras" in out
+    found = Recording.open(tmp_path / "rec")
+    assert found.manifest.status == "complete"
+    assert len({camera.planes for camera in found.manifest.cameras}) == 1
+    assert spike4dgs("verify", tmp_path / "rec")[0] == 0
+
+
+def test_a_line_saves_from_before_it(recording, tmp_path):
+    process = recording("--ticks", 300, "--pre-trigger", 5)
+    while not (line := process.stderr.readline()).startswith(b"record   0% waiting to be told to save, 9 of 9"):
+        assert line
+    process.stdin.write(b"\n")
+    process.stdin.flush()
+    _, err = process.communicate()
+    assert process.returncode == 0, err
+    manifest = Recording.open(tmp_path / "rec").manifest
+    assert {camera.planes for camera in manifest.cameras} == {300}
+    assert 0 <= manifest.trigger_plane <= 100
+
+
+def test_a_second_operator_is_refused_by_the_rigs_name(spike4dgs, recording, tmp_path, small_rig):
+    process = recording("--until-stopped")
+    wait_for_bytes(process, tmp_path / "rec.partial")
+    uri = "mock:fan_and_ball"
+    args = ("--rig", small_rig, "--ticks", 3, "--devices", uri, "--out", tmp_path / "other")
+    code, out, err = spike4dgs("record", *args)
+    assert (code, out) == (2, "")
+    assert "rig lab3x3: found it in use by" in err[-1]
+    assert f"process {process.pid}, recording {tmp_path / 'rec'}" in err[-1]
+    assert not (tmp_path / "other").exists()
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert spike4dgs("record", *args)[0] == 0
 
 
 def test_record_names_the_camera_that_is_missing(spike4dgs, tmp_path):

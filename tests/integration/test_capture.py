@@ -1,6 +1,7 @@
 """Nine cameras to the disk, and what a camera, a person or a disk can do to that."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from acquisition.recording.manifest import Gap
 from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
-from acquisition.session import session as session_module
+from acquisition.session import capture as capture_module
+from acquisition.session.capture import gaps_of
 from acquisition.session.record import record, simulate
 from acquisition.session.session import record_session
 from acquisition.spikes.layout import PlaneLayout
@@ -138,12 +140,12 @@ def test_a_lost_block_is_zeros_in_its_place_and_listed(tmp_path):
 
 
 def test_planes_the_device_dropped_are_told_from_those_the_link_lost():
-    assert session_module._gaps(80, 50, 30) == [Gap(80, 30, "device"), Gap(110, 20, "link")]
-    assert session_module._gaps(0, 5, 99) == [Gap(0, 5, "device")]
-    assert session_module._gaps(7, 0, 0) == []
+    assert gaps_of(80, 50, 30) == [Gap(80, 30, "device"), Gap(110, 20, "link")]
+    assert gaps_of(0, 5, 99) == [Gap(0, 5, "device")]
+    assert gaps_of(7, 0, 0) == []
 
 
-def test_an_unplugged_camera_stops_all_by_its_name(tmp_path):
+def test_an_unplugged_camera_costs_the_others_nothing(tmp_path):
     bench = Bench()
     source = bench.sources["cam12"]
     deliver = source.next_planes
@@ -154,17 +156,36 @@ def test_an_unplugged_camera_stops_all_by_its_name(tmp_path):
         return deliver(count)
 
     source.next_planes = pull_the_plug
-    with pytest.raises(DeviceError, match=r"cam12 \(serial S-cam12\): it is not connected"):
-        bench.record(tmp_path / "rec")
-    assert list(tmp_path.iterdir()) == []
-    assert bench.states() - {"IDLE"} == {"RUNNING"}  # the one that is gone
+    bench.record(tmp_path / "rec")
+    recording = Recording.open(tmp_path / "rec")
+    assert recording.manifest.status == "incomplete"
+    assert re.fullmatch(r"cam12 \(serial S-cam12\): it is not connected any more; .*", recording.manifest.reason)
+    for camera_id, source in bench.sources.items():
+        planes = 160 if camera_id == "cam12" else PLANES
+        assert (tmp_path / f"rec/{camera_id}.dat").read_bytes() == source.all[:planes].tobytes(), camera_id
+        assert recording.manifest.camera(camera_id).written == planes
+    assert verify(tmp_path / "rec") == []
     assert [m.serial for m in bench.models if m.state.name == "RUNNING"] == ["S-cam12"]
 
 
-def test_a_camera_that_stays_silent_stops_all_by_its_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(session_module, "READ_TIMEOUT_S", 0.01)
+def test_a_camera_that_stays_silent_costs_the_others_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.01)
     bench = Bench(odd=DeafModel)
-    with pytest.raises(DeviceError, match=r"cam12: found no data .* after 0 of 250 planes"):
+    bench.record(tmp_path / "rec")
+    recording = Recording.open(tmp_path / "rec")
+    assert recording.manifest.reason.startswith("cam12: found no data for 5 reads after 0 planes")
+    assert {c.planes for c in recording.manifest.cameras if c.id != "cam12"} == {PLANES}
+    assert verify(tmp_path / "rec") == []
+    with pytest.raises(BadRecordingError, match=r"cam12\.dat: found 0 bytes"):
+        recording.stream("cam12")
+    assert bench.states() == {"IDLE"}
+
+
+def test_where_no_camera_sends_anything_nothing_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.01)
+    bench = Bench()
+    bench.trigger = MockTriggerLine([])
+    with pytest.raises(DeviceError, match=r"cam00: found no data .* after 0 planes"):
         bench.record(tmp_path / "rec")
     assert list(tmp_path.iterdir()) == []
     assert bench.states() == {"IDLE"}

@@ -17,7 +17,6 @@ from acquisition.recording.manifest import (
 )
 from acquisition.spikes.layout import PlaneLayout
 
-gaps = st.builds(Gap, st.integers(0, 10**9), st.integers(1, 10**6), st.sampled_from(["device", "link"]))
 conversions = st.builds(
     Conversion,
     st.just("m1k40"),
@@ -25,6 +24,15 @@ conversions = st.builds(
     st.integers(0, 10**6),
     st.lists(st.tuples(st.integers(0, 500), st.integers(1, 2000)), max_size=3).map(tuple),
 )
+
+
+@st.composite
+def gaps(draw, planes: int) -> tuple[Gap, ...]:
+    """In order, inside `planes` planes."""
+    edges = sorted(draw(st.sets(st.integers(0, planes), max_size=6)))
+    layers = st.sampled_from(["device", "link", "ring", "disk"])
+    pairs = zip(edges[::2], edges[1::2], strict=False)
+    return tuple(Gap(first, last - first, draw(layers)) for first, last in pairs)
 
 
 @st.composite
@@ -41,7 +49,7 @@ def cameras(draw, camera_id: str) -> CameraFile:
         block,
         tuple(f"{i:016x}" for i in range(-(-planes // block))),
         "ab" * 32,
-        tuple(draw(st.lists(gaps, max_size=3))),
+        draw(gaps(planes)),
         draw(st.none() | st.floats(-1, 1)),
         draw(st.integers(0, 12_499)),
         draw(st.none() | conversions),
@@ -72,11 +80,23 @@ def test_a_manifest_survives_the_disk(manifest):
 
 def test_the_json_says_what_the_architecture_promises():
     document = json.loads(dump_manifest(EXAMPLE))
-    assert {"schema_version", "tick_rate_hz", "trigger", "writer", "rig_sha256", "cameras"} == set(document)
+    assert {"schema_version", "tick_rate_hz", "trigger", "writer", "rig_sha256", "cameras"} <= set(document)
+    assert (document["status"], document["reason"]) == ("complete", None)
     camera = document["cameras"][0]
-    assert camera["drops"] == {"device": 0, "link": 2}
+    assert camera["drops"] == {"device": 0, "link": 2, "ring": 0, "disk": 0}
+    assert (camera["offered"], camera["written"]) == (3, 1)
     layout = {"width": 9, "height": 5, "bit_order": "lsb", "row_order": "bottom", "trailing_columns": 0}
     assert camera["layout"] == layout
+
+
+def test_a_manifest_of_an_earlier_writer_is_read():
+    document = json.loads(dump_manifest(EXAMPLE))
+    for key in ("status", "reason", "direct_io", "trigger_plane"):
+        del document[key]
+    camera = document["cameras"][0]
+    camera["drops"] = {"device": 0, "link": 2}
+    del camera["offered"], camera["written"]
+    assert load_manifest(json.dumps(document)) == EXAMPLE
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{}", "nonsense", '{"schema_version": 1}', "[" * 100_000])
@@ -97,6 +117,14 @@ def test_what_is_no_manifest_is_refused(text):
         (("cameras", 0, "planes"), 81),
         (("cameras", 0, "file"), "../cam00.dat"),
         (("cameras", 0, "drops", "link"), 1),
+        (("cameras", 0, "offered"), 4),
+        (("cameras", 0, "written"), 2),
+        (("cameras", 0, "planes"), 1.5),
+        (("cameras", 0, "gaps", 0, "first_plane"), 2),
+        (("cameras", 0, "file"), "cam00\0.dat"),
+        (("status",), "incomplete"),
+        (("status",), "lost"),
+        (("reason",), "no reason"),
         (("cameras", 0, "layout", "width"), -4),
         (("cameras", 0, "gaps", 0, "layer"), "moon"),
     ],

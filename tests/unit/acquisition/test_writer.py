@@ -1,6 +1,6 @@
 import errno
+import functools
 import hashlib
-import io
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +9,10 @@ import xxhash
 
 from acquisition.errors import BadRecordingError, DiskError
 from acquisition.recording import writer as writer_module
+from acquisition.recording.direct import DirectFile
 from acquisition.recording.manifest import Gap
 from acquisition.recording.reader import Recording
+from acquisition.recording.stream_writer import StreamSpace
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes.layout import PlaneLayout
@@ -61,7 +63,7 @@ def test_lost_planes_are_zeros_and_listed(tmp_path):
     expected = PLANES.copy()
     expected[3:104] = 0
     np.testing.assert_array_equal(recording.stream("cam00").packed, expected)
-    assert recording.manifest.cameras[0].drops == {"device": 100, "link": 1}
+    assert recording.manifest.cameras[0].drops == {"device": 100, "link": 1, "ring": 0, "disk": 0}
     assert verify(tmp_path / "rec") == []
 
 
@@ -118,19 +120,13 @@ def test_a_disk_without_room_is_refused_with_both_numbers(tmp_path, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 
-class FullDisk(io.BytesIO):
-    def write(self, data):
+class FullDisk(DirectFile):
+    def write(self, data, offset):
         raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_disk_that_fills_up_is_one_clear_error(tmp_path):
-    def fill_up():
-        with RecordingWriter(tmp_path / "rec", rig_of("cam00"), 0) as recording:
-            stream = recording.stream("cam00", LAYOUT)
-            stream.abandon()
-            stream._file = FullDisk()
-            stream.append(PLANES)
-
-    with pytest.raises(DiskError, match=r"cam00\.dat: the disk is full"):
-        fill_up()
+def test_a_disk_that_fills_up_is_one_clear_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer_module, "StreamSpace", functools.partial(StreamSpace, open_file=FullDisk))
+    with pytest.raises(DiskError, match=r"cam00\.dat: the disk is full or failing \(No space left"):
+        write(tmp_path / "rec")
     assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,136 @@
+"""Makes a recording of what a killed recorder left: the blocks its journals prove, and nothing behind them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import xxhash
+
+from acquisition.durable import write_durably
+from acquisition.errors import BadRecordingError
+from acquisition.progress import Progress, silent
+from acquisition.recording.journal import SUFFIX, clip_gaps, read_journal
+from acquisition.recording.manifest import (
+    MANIFEST_FILE,
+    TRUTH_FOLDER,
+    UNFINISHED,
+    CameraFile,
+    Manifest,
+    dump_manifest,
+)
+from acquisition.recording.reader import read_any_manifest
+from acquisition.recording.stream_writer import digests_of
+from acquisition.recording.writer import disk_errors, lock_folder, partial_of, publish, refuse_taken
+
+_REASON = "the recorder was killed; its journal proves what is kept"
+
+
+@dataclass(frozen=True)
+class Finalised:
+    """What `finalise` made of a recording: where it lies, its manifest, and whether anything had to be changed."""
+
+    path: Path
+    manifest: Manifest
+    changed: bool
+
+
+def finalise(path: Path, progress: Progress = silent) -> Finalised:
+    """Finish the recording `path` (or the `.partial` folder beside it); a finished one is left as it is.
+
+    What a crash left is cut to whole blocks that the journal lists and whose bytes are the listed ones, gets its
+    SHA-256, is marked incomplete, and takes its name. A finished recording without SHA-256 gets them.
+    Raises BadRecordingError where there is no recording, no whole block in it, or it is being recorded now.
+    """
+    if path.suffix == ".partial":
+        path = path.with_suffix("")
+        refuse_taken(path)
+    folder = partial_of(path)
+    if path.is_dir() and any(path.iterdir()):
+        return _complete(path, progress)
+    if not folder.is_dir():
+        raise BadRecordingError(f"{path}: found no recording and no {folder.name}, expected what `record` wrote")
+    lock = lock_folder(folder)
+    try:
+        manifest = read_any_manifest(folder)
+        if manifest.status in UNFINISHED:
+            manifest = _repair(folder, manifest, progress)
+        publish(folder, path)
+    finally:
+        os.close(lock)
+    progress(1.0, f"{len(manifest.cameras)} files")
+    return Finalised(path, manifest, changed=True)
+
+
+def _complete(path: Path, progress: Progress) -> Finalised:
+    manifest = read_any_manifest(path)
+    if manifest.status in UNFINISHED:
+        raise BadRecordingError(
+            f"{path}: found it {manifest.status}, expected that only in {partial_of(path).name}; move it there"
+        )
+    bare = [camera for camera in manifest.cameras if camera.sha256 is None]
+    if not bare:
+        return Finalised(path, manifest, changed=False)
+    cameras = []
+    for number, camera in enumerate(manifest.cameras):
+        progress(number / len(manifest.cameras), camera.file)
+        if camera in bare:
+            sha256, digests = digests_of(path / camera.file, camera.block_planes * camera.layout.plane_bytes)
+            if digests != camera.block_digests:
+                raise BadRecordingError(f"{path / camera.file}: found other bytes than were recorded; verify it")
+            camera = dataclasses.replace(camera, sha256=sha256)
+        cameras.append(camera)
+    manifest = dataclasses.replace(manifest, cameras=tuple(cameras))
+    write_durably(path / MANIFEST_FILE, dump_manifest(manifest))
+    return Finalised(path, manifest, changed=True)
+
+
+def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
+    """The manifest of what the journals prove, written into `folder`, whose files are cut to it."""
+    cameras = []
+    for number, camera in enumerate(manifest.cameras):
+        progress(number / len(manifest.cameras), camera.file)
+        cameras.append(_prove(folder, camera))
+    if not any(camera.planes for camera in cameras):
+        raise BadRecordingError(f"{folder}: found no whole block in its journals, expected one; remove the folder")
+    with disk_errors(folder):
+        for camera in cameras:
+            os.truncate(folder / camera.file, camera.planes * camera.layout.plane_bytes)
+        if (folder / TRUTH_FOLDER).exists():  # it is written after the planes, so it was not whole
+            shutil.rmtree(folder / TRUTH_FOLDER)
+        for aside in folder.glob(".*.partial"):
+            aside.unlink()
+    manifest = dataclasses.replace(manifest, cameras=tuple(cameras), status="incomplete", reason=_REASON)
+    write_durably(folder / MANIFEST_FILE, dump_manifest(manifest))
+    return manifest
+
+
+def _prove(folder: Path, camera: CameraFile) -> CameraFile:
+    """The entry of the longest run of whole blocks from the first on that are on the disk as the journal says."""
+    path = folder / camera.file
+    journalled = read_journal(path.with_suffix(SUFFIX), camera.block_planes)
+    plane_bytes = camera.layout.plane_bytes
+    sha256, sound, planes = hashlib.sha256(), 0, 0
+    try:
+        with path.open("rb") as file:
+            for digest in journalled.digests:
+                wanted = min(camera.block_planes, journalled.planes - planes)
+                data = file.read(wanted * plane_bytes)
+                if len(data) < wanted * plane_bytes or xxhash.xxh3_64_hexdigest(data) != digest:
+                    break
+                sha256.update(data)
+                sound, planes = sound + 1, planes + wanted
+    except OSError as error:
+        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}), expected a camera's planes") from error
+    return dataclasses.replace(
+        camera,
+        planes=planes,
+        block_digests=journalled.digests[:sound],
+        sha256=sha256.hexdigest(),
+        gaps=clip_gaps(list(journalled.gaps), planes),
+        skew_s=journalled.skew_s,
+    )

@@ -1,0 +1,88 @@
+"""What of a stream is on the disk, a line a block: it says after a crash how far a file can be trusted.
+
+A line is JSON: `{"block": 3, "planes": 80, "xxh3": "..."}` once all bytes of the block were written,
+`{"gap": [first plane, planes, layer]}` before the block in which the gap ends, `{"skew_s": ...}` once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquisition.errors import BadRecordingError
+from acquisition.recording.manifest import Gap
+
+SUFFIX = ".journal"
+
+
+class Journal:
+    """Lines that wait until the file holds what they promise."""
+
+    def __init__(self, path: Path):
+        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        self._waiting: deque[tuple[int, str]] = deque()
+
+    def promise(self, end: int, record: dict) -> None:
+        """Note that `record` holds when the file's first `end` bytes are written."""
+        self._waiting.append((end, json.dumps(record) + "\n"))
+
+    def keep(self, written: int) -> None:
+        """Append what holds now that the file's first `written` bytes are on the disk."""
+        lines = []
+        while self._waiting and self._waiting[0][0] <= written:
+            lines.append(self._waiting.popleft()[1])
+        if lines:
+            os.write(self._handle, "".join(lines).encode())
+
+    def close(self) -> None:
+        """Forget what was not kept."""
+        handle, self._handle = self._handle, -1
+        if handle >= 0:
+            os.close(handle)
+
+
+@dataclass(frozen=True)
+class Journalled:
+    """What a journal proves: whole blocks from the first on, the gaps among them."""
+
+    digests: tuple[str, ...]
+    planes: int
+    gaps: tuple[Gap, ...]
+    skew_s: float | None
+
+
+def read_journal(path: Path, block_planes: int) -> Journalled:
+    """The journal up to its first line that is torn or makes no sense; one that is missing proves nothing."""
+    digests: list[str] = []
+    gaps: list[Gap] = []
+    planes, skew_s = 0, None
+    try:
+        lines = path.read_bytes().split(b"\n")[:-1]  # behind the last newline lies at most a torn line
+    except OSError:
+        lines = []
+    for line in lines:
+        try:
+            record = json.loads(line)
+            if "gap" in record:
+                gaps.append(Gap(*record["gap"]))
+            elif "skew_s" in record:
+                skew_s = float(record["skew_s"])
+            elif record["block"] == len(digests) and planes == len(digests) * block_planes:
+                planes += min(max(1, int(record["planes"])), block_planes)
+                digests.append(str(record["xxh3"]))
+            else:
+                break
+        except (ValueError, TypeError, KeyError, BadRecordingError, RecursionError):
+            break
+    return Journalled(tuple(digests), planes, clip_gaps(gaps, planes), skew_s)
+
+
+def clip_gaps(gaps: list[Gap], planes: int) -> tuple[Gap, ...]:
+    """The gaps inside the first `planes` planes."""
+    inside = [
+        Gap(g.first_plane, min(g.planes, planes - g.first_plane), g.layer) for g in gaps if g.first_plane < planes
+    ]
+    return tuple(inside)

@@ -1,0 +1,48 @@
+"""How each camera of a running session is doing, for the operator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from acquisition.session.capture import Capture
+
+_BUSY = 0.4  # of the ring: from here on a pause of the disk will lose planes
+
+
+@dataclass(frozen=True)
+class CameraHealth:
+    """One camera: planes received, planes lost, the part of its ring in use, and why it stopped, if it did."""
+
+    camera_id: str
+    planes: int
+    lost: dict[str, int]
+    ring: float
+    failure: str | None
+
+    @property
+    def good(self) -> bool:
+        """Whether there is nothing to tell."""
+        return not self.failure and not self.lost and self.ring < _BUSY
+
+    def __str__(self) -> str:
+        if self.failure:
+            return f"{self.camera_id} failed after {self.planes} planes"
+        lost = ", ".join(f"{planes} lost ({layer})" for layer, planes in self.lost.items())
+        return f"{self.camera_id} " + ", ".join(filter(None, (lost, f"ring {self.ring:.0%} full")))
+
+
+def health_of(capture: Capture) -> CameraHealth:
+    """What can be said of one camera now."""
+    lost: dict[str, int] = {}
+    for gap in capture.writer.gaps:
+        lost[gap.layer] = lost.get(gap.layer, 0) + gap.planes
+    failure = str(capture.failure) if capture.failure else None
+    return CameraHealth(capture.camera.id, capture.position, lost, capture.writer.fullness, failure)
+
+
+def describe(captures: Sequence[Capture]) -> str:
+    """All cameras in a few words: how many are well, and what is wrong with each other one."""
+    found = [health_of(capture) for capture in captures]
+    unwell = [str(health) for health in found if not health.good]
+    return ", ".join([f"{len(found) - len(unwell)} of {len(found)} cameras good", *unwell])

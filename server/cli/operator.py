@@ -1,0 +1,53 @@
+"""What the person at the terminal tells a running capture: signals end it, a line on standard input saves it."""
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+
+from acquisition.session.session import Control
+
+_POLL_S = 0.1
+
+
+@contextlib.contextmanager
+def operator_control(*, until_stopped: bool, saves: bool) -> Iterator[Control]:
+    """Set `stop` on the first SIGINT or SIGTERM where `until_stopped` (the second one interrupts as usual).
+
+    Where it `saves`, the first line on standard input sets `save`; its end without a line does not.
+    """
+    control = Control()
+    left = threading.Event()
+    before = {}
+    if until_stopped:
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+        def stop(number: int, frame: object) -> None:
+            control.stop.set()
+            signal.signal(number, before[signal.Signals(number)])
+
+        for number in before:
+            signal.signal(number, stop)
+    if saves:
+        threading.Thread(target=_wait_for_line, args=(control, left), name="standard input", daemon=True).start()
+    try:
+        yield control
+    finally:
+        left.set()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _wait_for_line(control: Control, left: threading.Event) -> None:
+    """Not through sys.stdin: its lock, held by a thread that waits, cannot be taken when the interpreter ends."""
+    handle = sys.__stdin__.fileno() if sys.__stdin__ else -1
+    while not left.is_set() and handle >= 0:
+        if select.select([handle], [], [], _POLL_S)[0]:
+            data = os.read(handle, 4096)
+            if b"\n" in data:
+                control.save.set()
+            if not data or control.save.is_set():
+                return

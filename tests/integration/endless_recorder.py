@@ -1,0 +1,61 @@
+"""Records three endless cameras until it is killed: OUT RATE_BLOCKS_PER_S RECEIVED, a file of u64 planes received."""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.devices.protocol import Block
+from acquisition.recording.writer import DiskUse, RecordingWriter
+from acquisition.session.session import Extent, record_session
+from acquisition.spikes.layout import PlaneLayout
+from rigs.camera import Camera
+from rigs.rig import Rig
+from rigs.transform import Transform
+
+LAYOUT = PlaneLayout(400, 250)
+BLOCK_PLANES, CAMERAS, RATE_HZ = 8, 3, 20_000.0
+RING_BYTES = 4 << 20
+
+
+class Endless:
+    """Plane k of camera c is full of the byte 1 + (k * 7 + c * 31) % 255; every 50th block is lost on the way."""
+
+    layout = LAYOUT
+
+    def __init__(self, number: int, pause_s: float, received: np.ndarray):
+        self.id = f"cam0{number}"
+        self.number, self.pause_s, self.received = number, pause_s, received
+        self.block = 0
+
+    def arm(self) -> None: ...
+
+    def ensure_stopped(self) -> None: ...
+
+    def read_block(self, timeout_s: float) -> Block:
+        time.sleep(self.pause_s)
+        self.block += 2 if self.block % 50 == 49 else 1
+        first = (self.block - 1) * BLOCK_PLANES
+        values = 1 + (np.arange(first, first + BLOCK_PLANES) * 7 + self.number * 31) % 255
+        packed = np.repeat(values.astype(np.uint8)[:, None], LAYOUT.plane_bytes, axis=1)
+        self.received[self.number] = first
+        return Block(self.block, first, 0, LAYOUT, packed)
+
+
+class Pulse:
+    kind = "line"
+
+    def fire(self) -> None: ...
+
+
+def main(out: str, blocks_per_s: str, received: str) -> None:
+    counts = np.memmap(received, dtype=np.uint64, mode="r+", shape=(CAMERAS,))
+    cameras = [Endless(n, 1 / float(blocks_per_s), counts) for n in range(CAMERAS)]
+    rig = Rig("x", RATE_HZ, tuple(Camera(c.id, 400, 250, 450, 450, 200, 125, Transform.identity()) for c in cameras))
+    with RecordingWriter(Path(out), rig, DiskUse(ring_bytes=RING_BYTES)) as recording:
+        record_session(cameras, Pulse(), Extent(None), recording)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
