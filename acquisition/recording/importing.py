@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -61,6 +61,7 @@ class ImportOptions:
 
 
 Stream = SpikeStream | m1k40.M1K40Stream
+Align = Callable[[Mapping[str, Stream]], Mapping[str, tuple[float, float]]]  # to skew and standard deviation, s
 
 
 def import_recording(
@@ -71,11 +72,13 @@ def import_recording(
     progress: Progress = silent,
     *,
     warn: Callable[[str], None] | None = None,
+    align: Align | None = None,
 ) -> Manifest:
     """Copy `dats` (`FILE` in the rig's order, or `camRC=FILE`) into the recording `out`.
 
     Planes are kept bit for bit, those of M1K40 streams decoded to plain ones, as the manifest says. `warn` takes a
-    line for each doubt: a bit order that fits worse than the other, segments that are missing.
+    line for each doubt: a bit order that fits worse than the other, segments that are missing. `align` says how
+    far each camera's first plane began after the rig clock's zero.
     Raises BadRecordingError or RigError naming the camera that does not fit; then nothing is left behind.
     """
     named = _named(dats)
@@ -85,19 +88,20 @@ def import_recording(
     if options.poses:
         rig = dataclasses.replace(rig, poses=options.poses)
     streams = {camera_id: _open(camera_id, path, rig, options) for camera_id, path in _match(dats, named, rig).items()}
-    layouts = {camera_id: _layout(stream) for camera_id, stream in streams.items()}
     for camera_id, stream in streams.items() if warn else ():
         doubt = _doubt(stream)
         if warn and doubt:
             warn(f"{camera_id}: {doubt}")
-    total = sum(len(stream) * layouts[camera_id].plane_bytes for camera_id, stream in streams.items())
+    skews = align(streams) if align else {}
+    total = sum(len(stream) * stream.layout.plane_bytes for stream in streams.values())
     with RecordingWriter(out, rig, total) as recording:
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)
-            writer = recording.stream(camera_id, layouts[camera_id])
+            writer = recording.stream(camera_id, stream.layout)
             _copy(stream, writer)
-            entries.append(_entry(stream, writer))
+            skew_s, skew_sd_s = skews.get(camera_id, (None, None))
+            entries.append(dataclasses.replace(_entry(stream, writer), skew_s=skew_s, skew_sd_s=skew_sd_s))
             done += len(stream) * writer.layout.plane_bytes
         manifest = recording.commit(entries, "import")
     progress(1.0, f"{len(streams)} cameras")
@@ -164,10 +168,6 @@ def _open_m1k40(path: Path, size: tuple[int, int], allow_partial: bool) -> m1k40
             "allow a partial last plane"
         )
     return stream
-
-
-def _layout(stream: Stream) -> PlaneLayout:
-    return stream.layout if isinstance(stream, SpikeStream) else m1k40.LAYOUT
 
 
 def _doubt(stream: Stream) -> str | None:

@@ -57,8 +57,8 @@ class CameraFile:
     """One camera's `.dat`: pure planes in the camera's own `layout`, or in ours where it was converted.
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
-    the file. `skew_s` is how far its first plane was from the trigger (None where nothing measured it); `partial_bytes`
-    what an imported file held beyond its last whole plane.
+    the file. `skew_s` is how far its first plane was from the trigger (None where nothing measured it), `skew_sd_s` its
+    standard deviation where that was estimated; `partial_bytes` what an imported file held beyond its last whole plane.
     """
 
     id: str
@@ -73,6 +73,7 @@ class CameraFile:
     skew_s: float | None = None
     partial_bytes: int = 0
     conversion: Conversion | None = None
+    skew_sd_s: float | None = None
 
     def __post_init__(self) -> None:
         if self.planes < 1 or self.block_planes < 1:

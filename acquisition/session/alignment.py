@@ -12,13 +12,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.session.timing import TimingError
-from acquisition.spikes.stream import SpikeStream
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
 
 Rates = NDArray[np.float64]
 LARGEST_LAG = 1000  # planes
@@ -45,14 +46,30 @@ class Alignment:
         return dataclasses.asdict(self)
 
 
-def firing_rate(stream: SpikeStream) -> Rates:
+class Stream(Protocol):
+    """What `firing_rate` needs of a stream of planes."""
+
+    @property
+    def layout(self) -> PlaneLayout:
+        """How a plane lies in bytes."""
+        ...
+
+    def __len__(self) -> int:
+        """How many planes there are."""
+        ...
+
+    def window(self, first: int, last: int, /) -> NDArray[np.uint8]:
+        """Packed planes [last - first, B]."""
+        ...
+
+
+def firing_rate(stream: Stream) -> Rates:
     """Mean spikes per pixel of every plane [T]."""
-    pixels = stream.layout.width * stream.layout.height
-    if stream.layout.trailing_columns:
-        parts = [stream.planes(k, min(k + _CHUNK, len(stream))) for k in range(0, len(stream), _CHUNK)]
-        return np.concatenate([part.sum(axis=(1, 2), dtype=np.int64) for part in parts]) / pixels
-    parts = [np.bitwise_count(stream.packed[k : k + _CHUNK]) for k in range(0, len(stream), _CHUNK)]
-    return np.concatenate([part.sum(axis=1, dtype=np.int64) for part in parts]) / pixels
+    bits, sums = pack(np.ones((1, stream.layout.height, stream.layout.width), np.uint8), stream.layout), []
+    for first in range(0, len(stream), _CHUNK):
+        packed = stream.window(first, min(first + _CHUNK, len(stream)))
+        sums.append(np.bitwise_count(packed & bits).sum(axis=1, dtype=np.int64))
+    return np.concatenate(sums) / (stream.layout.width * stream.layout.height)
 
 
 def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> Alignment:

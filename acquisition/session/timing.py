@@ -27,6 +27,8 @@ _FINEST_S = 1e-9  # the resolution of a stamp
 class TimingError(AcquisitionError):
     """Stamps or light from which no time can be told; the message is the reason."""
 
+    exit_code = 2
+
 
 @dataclass(frozen=True)
 class ClockEstimate:
