@@ -1,8 +1,9 @@
 """Each camera's clock against the rig clock, from the shared sync pulses it stamped.
 
-Pulse n happens at n * period on the rig clock. A camera that stamps it at t on its own clock, which the trigger set to
-zero, has t = offset + (1 + drift) * n * period + jitter. The line is fitted to the pulses that lie near it, so single
-late stamps do not bend it; a pulse the camera did not see leaves a step of two periods and is named.
+Pulse n, from 0 for the trigger, happens at n * period on the rig clock. A camera that stamps it at t on its own clock
+has t = offset + (1 + drift) * n * period + jitter. The line is fitted to the pulses that lie near it, so single late
+stamps do not bend it. A camera counts the pulses it sees and need not stamp every one: where more periods passed
+between two stamps than pulses were counted, pulses were missed.
 
 Letters: N stamped pulses.
 """
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
 
-LARGEST_DRIFT = 2e-4  # of a camera's crystal; the usual ones stay below 5e-5
-MOST_MISSED = 1_000_000  # pulses in a row; more is a broken clock
+Missed = tuple[tuple[int, ...], tuple[tuple[int, int, int], ...]]  # pulses; (first, last, how many) of some
+MOST_STEPS = 1_000_000  # periods between two stamps; more is a broken clock
 _FAR = 5.0  # robust standard deviations; stamps farther from the line are not used
 _FINEST_S = 1e-9  # the resolution of a stamp
 
@@ -36,7 +37,8 @@ class ClockEstimate:
 
     `skew_s` is how far the camera's clock is ahead in the middle of the clip, `offset_s` at its start, `drift_ppm` by
     how many millionths it is fast; their standard deviations are None where too few pulses were left to tell.
-    `missed_pulses` were not stamped, `outlying_pulses` not used.
+    `missed_pulses` were not seen; `missed_between` are (first, last, how many) of pulses some of which were not seen.
+    `outlying_pulses` were stamped so far off that they are not used.
     """
 
     skew_s: float
@@ -48,6 +50,7 @@ class ClockEstimate:
     jitter_s: float | None
     pulses: int
     missed_pulses: tuple[int, ...] = ()
+    missed_between: tuple[tuple[int, int, int], ...] = ()
     outlying_pulses: tuple[int, ...] = ()
 
     def to_json(self) -> dict[str, object]:
@@ -56,45 +59,40 @@ class ClockEstimate:
 
 
 def estimate_clocks(
-    stamps: Mapping[str, tuple[NDArray[np.integer], NDArray[np.float64]]],
-    period_s: float,
-    duration_s: float,
-    pulses_sent: int | None = None,
+    stamps: Mapping[str, tuple[NDArray[np.integer], NDArray[np.float64]]], period_s: float, duration_s: float
 ) -> dict[str, ClockEstimate]:
-    """`estimate_clock` for each camera; TimingError names the camera.
-
-    Without `pulses_sent`, the last pulse that any camera saw is the last that was sent.
-    """
-    numbered = {}
-    for camera_id, (counted, device_time_s) in stamps.items():
+    """`estimate_clock` for each camera; TimingError names the camera."""
+    found = {}
+    for camera_id, (counted, stamps_s) in stamps.items():
         try:
-            numbered[camera_id] = _numbers(np.asarray(counted), np.asarray(device_time_s, np.float64), period_s)
+            found[camera_id] = estimate_clock(counted, stamps_s, period_s, duration_s)
         except TimingError as error:
             raise TimingError(f"{camera_id}: {error}") from error
-    sent = pulses_sent or 1 + max(int(pulses.max()) for pulses in numbered.values())
-    return {
-        camera_id: _fit(pulses, np.asarray(stamps[camera_id][1], np.float64), (period_s, duration_s / 2), sent)
-        for camera_id, pulses in numbered.items()
-    }
+    return found
 
 
 def estimate_clock(
-    counted: NDArray[np.integer],
-    device_time_s: NDArray[np.float64],
-    period_s: float,
-    duration_s: float,
-    pulses_sent: int | None = None,
+    counted: NDArray[np.integer], stamps_s: NDArray[np.float64], period_s: float, duration_s: float
 ) -> ClockEstimate:
-    """The clock of a camera that stamped the pulses it counted [N] at `device_time_s` [N], in a clip of `duration_s`.
+    """The clock of a camera that had `counted` [N] pulses, from 0 for the trigger, when it stamped one at `stamps_s`.
 
-    The camera's own count may pass over a missed pulse or skip its number; the stamps decide. Raises TimingError for no
-    pulses, arrays of different lengths, numbers that are not finite, or a clock that stands still.
+    A pulse may be given more than once. `duration_s` is the clip's. Raises TimingError for no pulses, arrays of
+    different lengths, numbers that are not finite, or a clock that stands still or goes backwards.
     """
-    return estimate_clocks({"camera": (counted, device_time_s)}, period_s, duration_s, pulses_sent)["camera"]
+    counted, stamps_s = np.asarray(counted), np.asarray(stamps_s, dtype=np.float64)
+    _refuse_useless(counted, stamps_s, period_s)
+    new = np.r_[True, np.diff(counted) > 0]
+    counted, stamps_s = counted[new], stamps_s[new]
+    if len(counted) > 1 and np.ptp(stamps_s) < period_s / 2:
+        raise TimingError(f"found {len(counted)} pulses within {np.ptp(stamps_s):g} s: the camera's clock stands still")
+    steps = np.rint(np.diff(stamps_s) / period_s)
+    if steps.max(initial=0) > MOST_STEPS:
+        raise TimingError(f"found {steps.max():g} periods between two stamps, expected at most {MOST_STEPS}")
+    pulses = int(counted[0]) + np.r_[0, np.cumsum(steps)].astype(np.int64)
+    return _fit(pulses, stamps_s, (period_s, duration_s / 2), _missed(pulses, np.diff(counted)))
 
 
-def _numbers(counted: NDArray[np.integer], stamps_s: NDArray[np.float64], period_s: float) -> NDArray[np.int64]:
-    """The number [N] of each pulse as it was sent."""
+def _refuse_useless(counted: NDArray, stamps_s: NDArray[np.float64], period_s: float) -> None:
     if not period_s > 0:
         raise TimingError(f"found a pulse period of {period_s} s, expected a positive one")
     if counted.ndim != 1 or counted.shape != stamps_s.shape:
@@ -103,32 +101,38 @@ def _numbers(counted: NDArray[np.integer], stamps_s: NDArray[np.float64], period
         raise TimingError("found no sync pulse, expected at least one; check the sync line")
     if not np.isfinite(stamps_s).all():
         raise TimingError("found a stamp that is not a finite number of seconds")
-    if len(counted) > 1 and np.ptp(stamps_s) < period_s / 2:
-        raise TimingError(f"found {len(counted)} pulses within {np.ptp(stamps_s):g} s: the camera's clock stands still")
-    if (np.diff(stamps_s) < 0).any():
-        raise TimingError("found stamps that go backwards, expected rising ones; the camera was restarted")
-    steps = np.rint(np.diff(stamps_s) / period_s)
-    if steps.max(initial=0) > MOST_MISSED:
-        raise TimingError(f"found {steps.max():g} periods between two stamps, expected at most {MOST_MISSED}")
-    first = int(counted[0])
-    seen = round(stamps_s[0] / period_s)
-    if abs(stamps_s[0]) * LARGEST_DRIFT < period_s / 4:  # so early that drift cannot hide a whole pulse
-        first = max(0, seen)
-    return first + np.r_[0, np.cumsum(steps)].astype(np.int64)
+    if (np.diff(stamps_s) < 0).any() or (np.diff(counted) < 0).any():
+        raise TimingError("found stamps or counts that go backwards, expected rising ones; the camera was restarted")
+
+
+def _missed(pulses: NDArray[np.int64], counted_steps: NDArray) -> Missed:
+    """The pulses that were missed, and where some of several were."""
+    surely, among = [], []
+    short = np.diff(pulses) - counted_steps
+    for k in np.flatnonzero(short > 0):
+        first, last = int(pulses[k]) + 1, int(pulses[k + 1]) - 1
+        if short[k] > last - first:
+            surely += range(first, last + 1)
+        else:
+            among.append((first, last, int(short[k])))
+    return tuple(surely), tuple(among)
 
 
 def _fit(
-    pulses: NDArray[np.int64], stamps_s: NDArray[np.float64], scale_s: tuple[float, float], sent: int
+    pulses: NDArray[np.int64],
+    stamps_s: NDArray[np.float64],
+    scale_s: tuple[float, float],
+    missed: Missed,
 ) -> ClockEstimate:
     """Fit error = offset + drift * time to the stamps near the line; `scale_s`: the period, the middle of the clip."""
     period_s, middle_s = scale_s
     rig_s = pulses.astype(np.float64) * period_s
     error_s = stamps_s - rig_s
     near = _near_the_line(rig_s, error_s)
-    missed = np.setdiff1d(np.arange(sent), pulses)
     named = {
         "pulses": len(pulses),
-        "missed_pulses": tuple(missed.tolist()),
+        "missed_pulses": missed[0],
+        "missed_between": missed[1],
         "outlying_pulses": tuple(pulses[~near].tolist()),
     }
     times, errors = rig_s[near], error_s[near]
