@@ -17,9 +17,7 @@ from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import SCENES
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import record, simulate
-from rigs.rig import Rig
-from rigs.toml import catalog_names, catalog_rig, load_rig
-from server.cli.options import SIZE
+from server.cli.options import SIZE, load_named_rig
 from server.cli.progress import progress_of
 
 
@@ -66,7 +64,7 @@ def simulate_command(
     **simulation,
 ) -> None:
     """Record a simulated scene, with its ground truth beside the spikes."""
-    found = _rig(rig)
+    found = load_named_rig(rig)
     found = found.scaled(*size) if size else found
     manifest = simulate(Simulation(scene, **simulation), found, ticks, out, progress_of("simulate"))
     if spikecv:
@@ -87,7 +85,7 @@ def simulate_command(
 @_json
 def record_command(rig: str, ticks: int, devices: str, out: Path, as_json: bool) -> None:
     """Arm all cameras of a rig, start them together, and record."""
-    manifest = record(_rig(rig), devices, ticks, out, progress_of("record"))
+    manifest = record(load_named_rig(rig), devices, ticks, out, progress_of("record"))
     _print_recording(out, manifest, as_json)
 
 
@@ -144,10 +142,6 @@ def verify_command(recording: Path, as_json: bool) -> None:
     else:
         click.echo("\n".join(map(str, damages)) or f"{recording}: sound")
     raise SystemExit(1 if damages else 0)
-
-
-def _rig(name: str) -> Rig:
-    return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))
 
 
 def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) -> tuple[int, int]:
