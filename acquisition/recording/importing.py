@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -14,12 +14,14 @@ import numpy as np
 
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
+from acquisition.recording.flip import suspected_flip
 from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of
 from acquisition.recording.writer import RecordingWriter, StreamWriter
 from acquisition.spikes import m1k40
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
+from acquisition.spikes.packing import counts
 from acquisition.spikes.stream import SpikeStream
-from acquisition.spikes.suspicion import suspected_bit_order
+from acquisition.spikes.suspicion import middle_window, suspected_bit_order
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Poses, Rig
 from rigs.toml import GRID_ID
@@ -77,7 +79,7 @@ def import_recording(
     """Copy `dats` (`FILE` in the rig's order, or `camRC=FILE`) into the recording `out`.
 
     Planes are kept bit for bit, those of M1K40 streams decoded to plain ones, as the manifest says. `warn` takes a
-    line for each doubt: a bit order that fits worse than the other, segments that are missing. `align` says how
+    line for each doubt: a bit or row order that fits worse than the other, segments that are missing. `align` says how
     far each camera's first plane began after the rig clock's zero.
     Raises BadRecordingError or RigError naming the camera that does not fit; then nothing is left behind.
     """
@@ -88,10 +90,9 @@ def import_recording(
     if options.poses:
         rig = dataclasses.replace(rig, poses=options.poses)
     streams = {camera_id: _open(camera_id, path, rig, options) for camera_id, path in _match(dats, named, rig).items()}
-    for camera_id, stream in streams.items() if warn else ():
-        doubt = _doubt(stream)
-        if warn and doubt:
-            warn(f"{camera_id}: {doubt}")
+    if warn:
+        for doubt in _doubts(rig, streams):
+            warn(doubt)
     skews = align(streams) if align else {}
     total = sum(len(stream) * stream.layout.plane_bytes for stream in streams.values())
     with RecordingWriter(out, rig, total) as recording:
@@ -170,9 +171,20 @@ def _open_m1k40(path: Path, size: tuple[int, int], allow_partial: bool) -> m1k40
     return stream
 
 
-def _doubt(stream: Stream) -> str | None:
-    if isinstance(stream, SpikeStream):
-        return suspected_bit_order(stream)
+def _doubts(rig: Rig, streams: Mapping[str, Stream]) -> Iterator[str]:
+    means = {}
+    for camera_id, stream in streams.items():
+        doubt = suspected_bit_order(stream) if isinstance(stream, SpikeStream) else _missing(stream)
+        if doubt:
+            yield f"{camera_id}: {doubt}"
+        packed = middle_window(stream)
+        means[camera_id] = counts(packed, stream.layout) / len(packed)
+    flip = suspected_flip(rig, means)
+    if flip:
+        yield flip
+
+
+def _missing(stream: m1k40.M1K40Stream) -> str | None:
     if not stream.missing:
         return None
     some = ", ".join(map(str, list(stream.missing)[:5])) + ("..." if len(stream.missing) > 5 else "")

@@ -120,6 +120,9 @@ def test_import_takes_its_size_from_spikecv_and_doubts_a_bit_order(spike4dgs, tm
     doubts = [line for line in err if line.startswith("warning: cam")]
     assert len(doubts) == 9
     assert all(line.endswith("import it with --bit-order lsb") for line in doubts)
+    code, _, err = spike4dgs(*args, *config, "--row-order", "top", "--out", tmp_path / "flipped")
+    assert [line for line in err if line.startswith("warning")] == [err[0]]
+    assert "with their rows reversed; import with the other --row-order" in err[0]
     code, _, err = spike4dgs(*args, *config, "--size", "40x25", "--out", tmp_path / "other")
     assert code == 2
     assert "found 80x50 pixels, expected the --size 40x25" in err[-1]
