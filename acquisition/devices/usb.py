@@ -98,6 +98,10 @@ class UsbCamera:
         """The status register."""
         return Status.decode(self._register(Request.STATUS))
 
+    def identity(self) -> Identity:
+        """The protocol and firmware it runs."""
+        return Identity.decode(self._register(Request.IDENTITY))
+
     def read_block(self, timeout_s: float) -> Block | None:
         """The next whole block, or None when `timeout_s` passed without new bytes; damaged ones are counted."""
         while True:
@@ -118,7 +122,7 @@ class UsbCamera:
         usb.util.dispose_resources(self._device)
 
     def _check(self, camera: Camera, tick_rate_hz: float) -> None:
-        version = Identity.decode(self._register(Request.IDENTITY)).protocol_version
+        version = self.identity().protocol_version
         if version != PROTOCOL_VERSION:
             raise CameraSetupError(
                 f"{self.id}: found protocol {version}, expected {PROTOCOL_VERSION}; update one of them"

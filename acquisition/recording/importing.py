@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -14,13 +14,15 @@ import numpy as np
 
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
+from acquisition.recording.flip import suspected_flip
 from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes import m1k40
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
+from acquisition.spikes.packing import counts
 from acquisition.spikes.stream import SpikeStream
-from acquisition.spikes.suspicion import suspected_bit_order
+from acquisition.spikes.suspicion import middle_window, suspected_bit_order
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Poses, Rig
 from rigs.toml import GRID_ID
@@ -62,6 +64,7 @@ class ImportOptions:
 
 
 Stream = SpikeStream | m1k40.M1K40Stream
+Align = Callable[[Mapping[str, Stream]], Mapping[str, tuple[float, float]]]  # to skew and standard deviation, s
 
 
 def import_recording(
@@ -72,11 +75,13 @@ def import_recording(
     progress: Progress = silent,
     *,
     warn: Callable[[str], None] | None = None,
+    align: Align | None = None,
 ) -> Manifest:
     """Copy `dats` (`FILE` in the rig's order, or `camRC=FILE`) into the recording `out`.
 
     Planes are kept bit for bit, those of M1K40 streams decoded to plain ones, as the manifest says. `warn` takes a
-    line for each doubt: a bit order that fits worse than the other, segments that are missing.
+    line for each doubt: a bit or row order that fits worse than the other, segments that are missing. `align` says how
+    far each camera's first plane began after the rig clock's zero.
     Raises BadRecordingError or RigError naming the camera that does not fit; then nothing is left behind.
     """
     named = _named(dats)
@@ -86,19 +91,19 @@ def import_recording(
     if options.poses:
         rig = dataclasses.replace(rig, poses=options.poses)
     streams = {camera_id: _open(camera_id, path, rig, options) for camera_id, path in _match(dats, named, rig).items()}
-    layouts = {camera_id: _layout(stream) for camera_id, stream in streams.items()}
-    for camera_id, stream in streams.items() if warn else ():
-        doubt = _doubt(stream)
-        if warn and doubt:
-            warn(f"{camera_id}: {doubt}")
-    total = sum(len(stream) * layouts[camera_id].plane_bytes for camera_id, stream in streams.items())
+    if warn:
+        for doubt in _doubts(rig, streams):
+            warn(doubt)
+    skews = align(streams) if align else {}
+    total = sum(len(stream) * stream.layout.plane_bytes for stream in streams.values())
     with RecordingWriter(out, rig, total) as recording:
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)
-            writer = recording.stream(camera_id, layouts[camera_id], len(stream))
+            writer = recording.stream(camera_id, stream.layout, len(stream))
             _copy(stream, writer)
-            entries.append(_entry(stream, writer))
+            skew_s, skew_sd_s = skews.get(camera_id, (None, None))
+            entries.append(dataclasses.replace(_entry(stream, writer), skew_s=skew_s, skew_sd_s=skew_sd_s))
             done += len(stream) * writer.layout.plane_bytes
         manifest = recording.commit(entries, "import")
     progress(1.0, f"{len(streams)} cameras")
@@ -167,13 +172,20 @@ def _open_m1k40(path: Path, size: tuple[int, int], allow_partial: bool) -> m1k40
     return stream
 
 
-def _layout(stream: Stream) -> PlaneLayout:
-    return stream.layout if isinstance(stream, SpikeStream) else m1k40.LAYOUT
+def _doubts(rig: Rig, streams: Mapping[str, Stream]) -> Iterator[str]:
+    means = {}
+    for camera_id, stream in streams.items():
+        doubt = suspected_bit_order(stream) if isinstance(stream, SpikeStream) else _missing(stream)
+        if doubt:
+            yield f"{camera_id}: {doubt}"
+        packed = middle_window(stream)
+        means[camera_id] = counts(packed, stream.layout) / len(packed)
+    flip = suspected_flip(rig, means)
+    if flip:
+        yield flip
 
 
-def _doubt(stream: Stream) -> str | None:
-    if isinstance(stream, SpikeStream):
-        return suspected_bit_order(stream)
+def _missing(stream: m1k40.M1K40Stream) -> str | None:
     if not stream.missing:
         return None
     some = ", ".join(map(str, list(stream.missing)[:5])) + ("..." if len(stream.missing) > 5 else "")

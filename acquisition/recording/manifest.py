@@ -66,7 +66,8 @@ class CameraFile:
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
     the file (None while it is being recorded). `skew_s` is how far its first plane was from the trigger (None where
-    nothing measured it); `partial_bytes` what an imported file held beyond its last whole plane.
+    nothing measured it), `skew_sd_s` its standard deviation where that was estimated; `partial_bytes` what an imported
+    file held beyond its last whole plane.
     """
 
     id: str
@@ -81,6 +82,7 @@ class CameraFile:
     skew_s: float | None = None
     partial_bytes: int = 0
     conversion: Conversion | None = None
+    skew_sd_s: float | None = None
 
     def __post_init__(self) -> None:
         whole = type(self.planes) is type(self.block_planes) is int

@@ -44,6 +44,11 @@ class M1K40Stream:
     partial_bytes: int
     missing: dict[int, int]
 
+    @property
+    def layout(self) -> PlaneLayout:
+        """The layout of the planes that come out."""
+        return LAYOUT
+
     def __len__(self) -> int:
         return int(self.plane[-1]) + 1
 

@@ -3,12 +3,13 @@
 Pixels beside each other are alike. Where the bits of every byte are read backwards, the pixels on both sides of a
 byte boundary are really 15 apart, and differ as pixels 15 apart do. On a real recording of a car, the mean step of a
 32-plane mean across byte boundaries is 0.0159 read rightly and 0.0769 read backwards; within bytes it is 0.0162.
-A picture that is upside down has no such trace: nothing is suspected about the row order.
+One picture that is upside down has no such trace; what several cameras saw has (`recording.flip`).
 """
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Protocol
 
 import numpy as np
 
@@ -30,10 +31,27 @@ def boundary_step(packed: Bytes, layout: PlaneLayout) -> float:
     return float(steps[across].mean()) if across.sum() >= LEAST_BOUNDARIES else float("nan")
 
 
+class Window(Protocol):
+    """A stream of planes, of which a part can be taken."""
+
+    def __len__(self) -> int:
+        """How many planes there are."""
+        ...
+
+    def window(self, first: int, last: int, /) -> Bytes:
+        """Packed planes [last - first, B]."""
+        ...
+
+
+def middle_window(stream: Window) -> Bytes:
+    """A few packed planes [T, B] from the middle of a stream."""
+    first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
+    return stream.window(first, min(len(stream), first + WINDOW_PLANES))
+
+
 def suspected_bit_order(stream: SpikeStream) -> str | None:
     """One line that says why the other bit order fits better, or None; looks at planes in the middle of the stream."""
-    first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
-    packed = stream.window(first, min(len(stream), first + WINDOW_PLANES))
+    packed = middle_window(stream)
     given = stream.layout.bit_order
     other = "msb" if given == "lsb" else "lsb"
     here = boundary_step(packed, stream.layout)

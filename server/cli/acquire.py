@@ -1,7 +1,9 @@
 """Commands that make and check recordings: simulate, record, import, verify."""
 
 import dataclasses
+import functools
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -9,16 +11,15 @@ import click
 from acquisition.devices.open import Simulation
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
-from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, import_recording
+from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, Stream, import_recording
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.spikecv import read_config, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import SCENES
+from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
-from rigs.rig import Rig
-from rigs.toml import catalog_names, catalog_rig, load_rig
 from server.cli.operator import operator_control
-from server.cli.options import SIZE
+from server.cli.options import SIZE, load_named_rig
 from server.cli.progress import progress_of
 
 
@@ -65,7 +66,7 @@ def simulate_command(
     **simulation,
 ) -> None:
     """Record a simulated scene, with its ground truth beside the spikes."""
-    found = _rig(rig)
+    found = load_named_rig(rig)
     found = found.scaled(*size) if size else found
     manifest = simulate(Simulation(scene, **simulation), found, ticks, out, progress_of("simulate"))
     if spikecv:
@@ -113,7 +114,7 @@ def record_command(
         raise click.UsageError("expected either --ticks N or --until-stopped")
     with operator_control(until_stopped=until_stopped, saves=pre_trigger_ms is not None) as control:
         take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control)
-        manifest = record(_rig(rig), devices, take, out, progress_of("record"))
+        manifest = record(load_named_rig(rig), devices, take, out, progress_of("record"))
     _print_recording(out, manifest, as_json)
 
 
@@ -136,6 +137,7 @@ _FORMATS_HELP = "Rows of pixels; with 16 bits behind each; M1K40 segments, decod
 @click.option("--bit-order", type=click.Choice(["lsb", "msb"]), help="[default: lsb]")
 @click.option("--row-order", type=click.Choice(["bottom", "top"]), help="Which is stored first. [default: bottom]")
 @click.option("--allow-partial", is_flag=True, help="Drop what lies beyond the last whole plane, and record how much.")
+@click.option("--align", is_flag=True, help="Estimate when each camera began from light that all of them see change.")
 @_out
 @_json
 def import_command(
@@ -143,15 +145,17 @@ def import_command(
     cameras: Path,
     size: tuple[int, int] | None,
     spikecv: Path | None,
+    align: bool,
     out: Path,
     as_json: bool,
     **options,
 ) -> None:
-    """Make a recording of `.dat` files, kept bit for bit."""
+    """Make a recording of `.dat` files, kept bit for bit but for M1K40 ones, which are decoded to plain planes."""
     if spikecv:
         size = _size_of(spikecv, size, options["format"])
     chosen = ImportOptions(size=size, **options)
-    manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=_warn)
+    found = functools.partial(_skews, tick_rate_hz=chosen.tick_rate_hz) if align else None
+    manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=_warn, align=found)
     _print_recording(out, manifest, as_json)
 
 
@@ -178,10 +182,6 @@ def finalise_command(recording: Path, as_json: bool) -> None:
     _print_recording(found.path, found.manifest, as_json)
 
 
-def _rig(name: str) -> Rig:
-    return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))
-
-
 def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) -> tuple[int, int]:
     """The pixels a SpikeCV config.yaml states; it counts stored columns, an M1K40's as pixels."""
     config = read_config(spikecv)
@@ -191,6 +191,17 @@ def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) ->
             f"{spikecv}: found {found[0]}x{found[1]} pixels, expected the --size {size[0]}x{size[1]}; leave one out"
         )
     return found
+
+
+def _skews(streams: Mapping[str, Stream], tick_rate_hz: float) -> dict[str, tuple[float, float]]:
+    """Seconds by which each camera began after the first one, and their standard deviation."""
+    found = align_by_light({camera_id: firing_rate(stream) for camera_id, stream in streams.items()})
+    skews = {}
+    for camera_id, planes in found.skew_planes.items():
+        sd = found.skew_sd_planes[camera_id]
+        click.echo(f"{camera_id}: began {planes:+.2f} planes (sd {sd:.2f}) after {found.reference}", err=True)
+        skews[camera_id] = (planes / tick_rate_hz, sd / tick_rate_hz)
+    return skews
 
 
 def _warn(doubt: str) -> None:

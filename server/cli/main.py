@@ -11,6 +11,7 @@ from rigs.errors import Spike4dgsError
 
 COMMANDS = {  # name: (module, what it does)
     "simulate": ("server.cli.acquire", "Record a scene with simulated cameras."),
+    "preflight": ("server.cli.preflight", "Say what would spoil a recording, and what to change."),
     "record": ("server.cli.acquire", "Record with the cameras of a rig."),
     "import": ("server.cli.acquire", "Make a recording of .dat files and their cameras."),
     "verify": ("server.cli.acquire", "Check that a recording is whole."),

@@ -1,8 +1,12 @@
 """Values that several commands take."""
 
 import re
+from pathlib import Path
 
 import click
+
+from rigs.rig import Rig
+from rigs.toml import catalog_names, catalog_rig, load_rig
 
 
 class SizeType(click.ParamType):
@@ -36,3 +40,8 @@ class PlanesType(click.ParamType):
 
 SIZE = SizeType()
 PLANES = PlanesType()
+
+
+def load_named_rig(name: str) -> Rig:
+    """The rig file `name`, or the rig of the catalog that is called so."""
+    return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))

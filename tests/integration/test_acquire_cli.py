@@ -8,9 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from acquisition.recording.reader import Recording
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
 from rigs.toml import catalog_rig, dump_rig
 from server.cli.main import main
 
@@ -190,9 +194,40 @@ def test_import_takes_its_size_from_spikecv_and_doubts_a_bit_order(spike4dgs, tm
     doubts = [line for line in err if line.startswith("warning: cam")]
     assert len(doubts) == 9
     assert all(line.endswith("import it with --bit-order lsb") for line in doubts)
+    code, _, err = spike4dgs(*args, *config, "--row-order", "top", "--out", tmp_path / "flipped")
+    assert [line for line in err if line.startswith("warning")] == [err[0]]
+    assert "with their rows reversed; import with the other --row-order" in err[0]
     code, _, err = spike4dgs(*args, *config, "--size", "40x25", "--out", tmp_path / "other")
     assert code == 2
     assert "found 80x50 pixels, expected the --size 40x25" in err[-1]
+
+
+def flashed(folder, begins: int) -> Path:
+    """What a camera that began late saw of a light switched on at plane 60."""
+    light = np.where(np.arange(begins, begins + 120) < 60, 0.05, 0.5)
+    scenery = np.random.default_rng(begins).uniform(0.2, 1, (25, 40))
+    planes = Sensor(40, 25, "real", begins, 0).expose((light[:, None, None] * scenery).astype(np.float32))
+    path = folder / f"{begins}.dat"
+    path.write_bytes(pack(planes, PlaneLayout(40, 25)).tobytes())
+    return path
+
+
+def test_import_aligns_cameras_by_a_flash(spike4dgs, tmp_path):
+    rig = catalog_rig("lab3x3").scaled(40, 25).only(["cam00", "cam01", "cam02"])
+    (tmp_path / "rig.toml").write_text(dump_rig(rig))
+    dats = [flashed(tmp_path, begins) for begins in (10, 3, 25)]
+    args = ("import", "--cameras", tmp_path / "rig.toml", "--tick-rate", 20000, "--align", "--dat", *dats)
+    code, _, err = spike4dgs(*args, "--out", tmp_path / "rec")
+    assert code == 0
+    assert [line for line in err if "cam02: began +15.0" in line]
+    entries = Recording.open(tmp_path / "rec").manifest.cameras
+    assert [round(entry.skew_s * 20_000) for entry in entries] == [0, -7, 15]
+    assert all(entry.skew_sd_s < 0.5 / 20_000 for entry in entries)
+    dats[1].write_bytes(bytes(125 * 120))
+    code, _, err = spike4dgs(*args, "--out", tmp_path / "other")
+    assert code == 2
+    assert "cam01: found that its light never changes" in err[-1]
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(

@@ -138,3 +138,29 @@ def test_what_is_no_m1k40_stream_is_refused(data):
 def test_m1k40_without_one_whole_plane_is_refused(written):
     with pytest.raises(BadRecordingError, match="no plane with all"):
         m1k40.locate(np.delete(written[:4000], [700, 2700], axis=0).reshape(-1))
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_m1k40_damage_of_any_kind_is_read_or_refused(written, data):
+    stored = written[:6000].reshape(-1).copy()
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    for _ in range(data.draw(st.integers(0, 4))):
+        first = data.draw(st.integers(0, len(stored) - 1))
+        count = data.draw(st.integers(1, 200_000))
+        kind = data.draw(st.sampled_from(["noise", "cut", "again", "zero"]))
+        if kind == "cut":
+            stored = np.delete(stored, slice(first, first + count))
+        elif kind == "again":
+            stored = np.insert(stored, first, stored[first : first + count])
+        else:
+            part = stored[first : first + count]
+            part[:] = rng.integers(0, 256, len(part)) if kind == "noise" else 0
+        if not len(stored):
+            break
+    try:
+        stream = m1k40.locate(stored)
+    except BadRecordingError:
+        return
+    assert 1 <= len(stream) <= len(stored) // PLANE + 2 + sum(stream.missing.values()) // m1k40.SEGMENTS
+    assert stream.window(0, len(stream)).shape == (len(stream), 125_000)

@@ -53,6 +53,7 @@ def cameras(draw, camera_id: str) -> CameraFile:
         draw(st.none() | st.floats(-1, 1)),
         draw(st.integers(0, 12_499)),
         draw(st.none() | conversions),
+        draw(st.none() | st.floats(0, 1)),
     )
 
 

@@ -1,0 +1,112 @@
+"""Suspects that the cameras of a rig were read upside down, from what they see of one another's view.
+
+One picture upside down has no trace of it, several have: where the rows of all cameras are reversed, a surface seems to
+move the wrong way between cameras that stand above each other, and no depth fits those beside and those above at once.
+A plane sweep of the mean images over the rig's own cameras measures how well the best depths fit, read both ways.
+
+Letters: H rows, W columns of the reduced pictures, C cameras, D depths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigs.camera import Camera
+from rigs.rig import Rig
+
+Floats = NDArray[np.float64]
+ACROSS = 100  # columns of a reduced picture
+DEPTHS = 32
+NEAREST, FARTHEST = 1.2, 40.0  # times the width of the rig
+BETTER, LEAST = 0.1, 0.4  # of correlation: than as read, and at all
+_WINDOW = 9  # pixels a side
+_LEAST_CONTRAST = 1e-3  # spikes per tick
+
+
+def suspected_flip(rig: Rig, means: Mapping[str, Floats]) -> str | None:
+    """One line that says why rows seem reversed, or None; `means` are images [height, width] in spikes per tick."""
+    centers = np.array([camera.center for camera in rig.cameras])
+    width = float(np.linalg.norm(np.ptp(centers, axis=0)))
+    if len(rig.cameras) < 3 or width == 0:
+        return None
+    given, reversed_ = (_fit(rig, means, width, flipped) for flipped in (False, True))
+    if not reversed_ > max(given + BETTER, LEAST):
+        return None
+    return (
+        f"views of neighbouring cameras fit one another with a correlation of {given:.2f} as read and of "
+        f"{reversed_:.2f} with their rows reversed; import with the other --row-order"
+    )
+
+
+def _fit(rig: Rig, means: Mapping[str, Floats], width: float, flipped: bool) -> float:
+    """The mean correlation [-1, 1] of the other cameras with the middle one, each patch at the depth that fits best."""
+    cameras, pictures = [], []
+    for camera in rig.cameras:
+        image = means[camera.id][::-1] if flipped else means[camera.id]
+        step = max(1, camera.width // ACROSS)
+        pictures.append(_reduced(image, step))
+        cameras.append(camera.scaled(camera.width // step, camera.height // step))
+    centers = np.array([camera.center for camera in cameras])
+    middle = int(np.argmin(np.linalg.norm(centers - centers.mean(axis=0), axis=1)))
+    others = [k for k in range(len(cameras)) if k != middle]
+    depths = 1 / np.linspace(1 / (NEAREST * width), 1 / (FARTHEST * width), DEPTHS)
+    best = np.full(pictures[middle].shape, -1.0)
+    for depth in depths:
+        fits = [_correlation(pictures[middle], _seen(cameras[middle], cameras[k], pictures[k], depth)) for k in others]
+        known = np.mean(~np.isnan(fits), axis=0) > 0.5
+        mean = np.nansum(fits, axis=0) / np.maximum(1, (~np.isnan(fits)).sum(axis=0))
+        best = np.where(known, np.maximum(best, mean), best)
+    told = best > -1
+    return float(best[told].mean()) if told.any() else 0.0
+
+
+def _reduced(image: Floats, step: int) -> Floats:
+    """Means over step x step pixels."""
+    rows, columns = image.shape[0] // step, image.shape[1] // step
+    return image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean(axis=(1, 3))
+
+
+def _seen(reference: Camera, other: Camera, picture: Floats, depth: float) -> Floats:
+    """What `other` sees where each pixel of `reference` [H, W] looks, at `depth` along its axis; NaN outside."""
+    v, u = np.mgrid[0.5 : reference.height, 0.5 : reference.width]
+    x, y = (u - reference.cx) / reference.fx * depth, (v - reference.cy) / reference.fy * depth
+    in_reference = np.stack([x, y, np.full_like(x, depth)], axis=-1)
+    in_rig = (in_reference - reference.cam_from_rig.translation) @ reference.cam_from_rig.rotation
+    at = in_rig @ other.cam_from_rig.rotation.T + other.cam_from_rig.translation
+    with np.errstate(divide="ignore", invalid="ignore"):
+        column = np.floor(at[..., 0] / at[..., 2] * other.fx + other.cx)
+        row = np.floor(at[..., 1] / at[..., 2] * other.fy + other.cy)
+    inside = (at[..., 2] > 0) & (column >= 0) & (column < other.width) & (row >= 0) & (row < other.height)
+    rows, columns = (np.where(inside, index, 0).astype(np.int64) for index in (row, column))
+    return np.where(inside, picture[rows, columns], np.nan)
+
+
+def _correlation(a: Floats, b: Floats) -> Floats:
+    """Correlation of two pictures in a window around each pixel [H, W]; NaN where either is even or not known."""
+    mean_a, mean_b = _box(a), _box(b)
+    spread_a, spread_b = _box(a * a) - mean_a**2, _box(b * b) - mean_b**2
+    told = (spread_a > _LEAST_CONTRAST**2) & (spread_b > _LEAST_CONTRAST**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(told, (_box(a * b) - mean_a * mean_b) / np.sqrt(spread_a * spread_b), np.nan)
+
+
+def _box(a: Floats) -> Floats:
+    """Means over a window around each pixel [H, W]; NaN at the border and wherever the window holds one."""
+    half, out = _WINDOW // 2, np.full(a.shape, np.nan)
+    if min(a.shape) < _WINDOW:
+        return out
+    unknown = np.isnan(a)
+    sums = [_window_sums(np.where(unknown, 0, a)), _window_sums(unknown.astype(np.float64))]
+    inside = np.where(sums[1] > 0.5, np.nan, sums[0] / _WINDOW**2)
+    out[half : a.shape[0] - half, half : a.shape[1] - half] = inside
+    return out
+
+
+def _window_sums(a: Floats) -> Floats:
+    """Sums over every whole window [H - 8, W - 8]."""
+    total = np.pad(a.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    high, low = slice(_WINDOW, None), slice(None, -_WINDOW)
+    return total[high, high] - total[low, high] - total[high, low] + total[low, low]

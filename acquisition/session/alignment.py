@@ -1,0 +1,188 @@
+"""Where there is no sync line: cameras aligned by a change of light that all of them see.
+
+A flash is a step of the mean firing rate; how much of the step its plane has got says when within the plane it came.
+Without one, the rates are cross-correlated, and the peak is interpolated. Either needs light that changes: what stands
+still in even light, or repeats itself, is refused with the reason.
+
+Letters: T planes of a camera; rates are its spikes per tick, averaged over all pixels.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.session.timing import TimingError
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+
+Rates = NDArray[np.float64]
+LARGEST_LAG = 1000  # planes
+LEAST_OVERLAP = 32  # planes
+_CHUNK = 256  # planes counted at a time
+_STEP_NOISES = 8.0  # a flash rises by so many standard deviations of the rate's own changes,
+_STEP_SHARE = 0.1  # and by so much of the mean rate
+_SMOOTHING = 5  # planes
+_LEAST_CORRELATION = 0.7
+_NEXT_BEST = 0.98  # of the peak: a second one as high makes the lag a guess
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How far each camera's plane 0 began after the reference's, in planes, and its standard deviation."""
+
+    reference: str
+    method: Literal["flash", "correlation"]
+    skew_planes: dict[str, float]
+    skew_sd_planes: dict[str, float]
+
+    def to_json(self) -> dict[str, object]:
+        """The alignment as a JSON object of the same names."""
+        return dataclasses.asdict(self)
+
+
+class Stream(Protocol):
+    """What `firing_rate` needs of a stream of planes."""
+
+    @property
+    def layout(self) -> PlaneLayout:
+        """How a plane lies in bytes."""
+        ...
+
+    def __len__(self) -> int:
+        """How many planes there are."""
+        ...
+
+    def window(self, first: int, last: int, /) -> NDArray[np.uint8]:
+        """Packed planes [last - first, B]."""
+        ...
+
+
+def firing_rate(stream: Stream) -> Rates:
+    """Mean spikes per pixel of every plane [T]."""
+    bits, sums = pack(np.ones((1, stream.layout.height, stream.layout.width), np.uint8), stream.layout), []
+    for first in range(0, len(stream), _CHUNK):
+        packed = stream.window(first, min(first + _CHUNK, len(stream)))
+        sums.append(np.bitwise_count(packed & bits).sum(axis=1, dtype=np.int64))
+    return np.concatenate(sums) / (stream.layout.width * stream.layout.height)
+
+
+def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> Alignment:
+    """Align cameras by their firing rates [T], by default to the first; a flash where all see one.
+
+    Raises TimingError naming the camera whose light does not change, or fits more than one lag.
+    """
+    reference = reference or next(iter(rates))
+    for camera_id, rate in rates.items():
+        if len(rate) < LEAST_OVERLAP:
+            raise TimingError(f"{camera_id}: found {len(rate)} planes, expected at least {LEAST_OVERLAP}")
+    flashes = {camera_id: flash(rate) for camera_id, rate in rates.items()}
+    seen = {camera_id: found for camera_id, found in flashes.items() if found}
+    if len(seen) == len(rates):
+        at, sd = seen[reference]
+        lags = {
+            c: (at - instant, float(np.hypot(sd, own) if c != reference else 0)) for c, (instant, own) in seen.items()
+        }
+        return _alignment(reference, "flash", lags)
+    lags = {}
+    for camera_id, rate in rates.items():
+        try:
+            lags[camera_id] = (0.0, 0.0) if camera_id == reference else correlation_lag(rates[reference], rate)
+        except TimingError as error:
+            raise TimingError(f"{camera_id}: {error}") from error
+    return _alignment(reference, "correlation", lags)
+
+
+def flash(rate: Rates) -> tuple[float, float] | None:
+    """The instant in planes at which the light of [T] planes steps, and its standard deviation; None without a step.
+
+    The first step of at least half the height of the highest one counts; planes before and after it must be level.
+    """
+    over_two = rate[2:] - rate[:-2]  # a step that falls inside a plane is whole over two
+    noise = 1.4826 * float(np.median(np.abs(over_two - np.median(over_two))))
+    highest = float(np.abs(over_two).max())
+    if highest < max(_STEP_NOISES * noise, _STEP_SHARE * float(rate.mean()), 1e-9):
+        return None
+    first = int(np.flatnonzero(np.abs(over_two) > highest / 2)[0])
+    plane = first + 1 + int(np.argmax(np.abs(over_two[first : first + 2])))  # it holds the step
+    before, after = rate[max(0, plane - 8) : plane], rate[plane + 1 : plane + 4]
+    if len(before) < 2 or len(after) < 2:
+        return None
+    step = float(np.median(after) - np.median(before))
+    unrest = float(max(noise, before.std(), after.std()))
+    if abs(step) < 5 * unrest:
+        return None
+    share = float(np.clip((np.median(after) - rate[plane]) / step, 0, 1))
+    return plane + share, float(np.hypot(1.5 * unrest / abs(step), 1e-3))
+
+
+def correlation_lag(reference: Rates, rate: Rates) -> tuple[float, float]:
+    """How many planes later than the reference's plane 0 the plane 0 of `rate` [T] began, and its standard deviation.
+
+    Raises TimingError where the light does not change, the two do not fit, or more than one lag fits.
+    """
+    for name, one in (("the reference's", reference), ("its", rate)):
+        if not float(one.std()) > 1e-9:
+            raise TimingError(f"found that {name} light never changes, expected a flash or motion; align by a flash")
+    most = min(LARGEST_LAG, min(len(reference), len(rate)) // 2)
+    lags = np.arange(-most, most + 1)
+    reference, rate = _smoothed(reference), _smoothed(rate)
+    scores = np.array([_correlation(*_overlap(reference, rate, int(lag))) for lag in lags])
+    peak = int(np.argmax(scores))
+    if scores[peak] < _LEAST_CORRELATION:
+        raise TimingError(
+            f"found a best correlation of {scores[peak]:.2f} with the reference's light, expected at least "
+            f"{_LEAST_CORRELATION}; the light hardly changes, align by a flash"
+        )
+    if peak in (0, len(lags) - 1):
+        raise TimingError(f"found no peak of the correlation within {most} planes; align by a flash")
+    rivals = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])) + 1
+    rivals = [int(lags[k]) for k in rivals if k != peak and scores[k] > _NEXT_BEST * scores[peak]]
+    if rivals:
+        raise TimingError(
+            f"found that lags of {lags[peak]} and {rivals[0]} planes fit alike, expected one: the light repeats "
+            "itself; align by a flash"
+        )
+    left, top, right = scores[peak - 1 : peak + 2]
+    bend = left - 2 * top + right
+    lag = float(lags[peak] + (0.5 * (left - right) / bend if bend < 0 else 0.0))
+    return lag, _lag_sd(*_overlap(reference, rate, int(lags[peak])))
+
+
+def _smoothed(rate: Rates) -> Rates:
+    """Means over a few planes [T - 4]: pixels in step with one another make single planes noisy, not stretches."""
+    return np.convolve(rate, np.full(_SMOOTHING, 1 / _SMOOTHING), mode="valid")
+
+
+def _overlap(reference: Rates, rate: Rates, lag: int) -> tuple[Rates, Rates]:
+    """Planes k + lag of the reference beside planes k of the other, as many as both have."""
+    first = max(0, -lag)
+    count = min(len(reference) - lag, len(rate)) - first
+    return reference[first + lag : first + lag + count], rate[first : first + count]
+
+
+def _correlation(a: Rates, b: Rates) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    scale = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / scale if scale > 0 else 0.0
+
+
+def _lag_sd(a: Rates, b: Rates) -> float:
+    """What the misfit of the best lag says of its error: the least that any estimator reaches."""
+    a, b = a - a.mean(), b - b.mean()
+    factor = (a @ b) / (b @ b)
+    misfit = float(((a - factor * b) ** 2).mean())
+    slopes = float(((factor * np.gradient(b)) ** 2).mean()) - misfit / 4  # what the noise of b adds to them
+    return float(np.sqrt(misfit / slopes / len(a))) if slopes > 0 else float(len(a))
+
+
+def _alignment(
+    reference: str, method: Literal["flash", "correlation"], lags: Mapping[str, tuple[float, float]]
+) -> Alignment:
+    skews = {camera_id: lag for camera_id, (lag, _) in lags.items()}
+    return Alignment(reference, method, skews, {camera_id: sd for camera_id, (_, sd) in lags.items()})

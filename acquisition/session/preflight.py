@@ -1,0 +1,203 @@
+"""Everything that would spoil a recording, looked at before it: what was found, what was expected, what to change."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from acquisition.devices import sysfs
+from acquisition.devices.open import OpenCameras
+from acquisition.devices.protocol import Block
+from acquisition.errors import DeviceError, DiskError
+from acquisition.progress import Progress, silent
+from acquisition.recording.writer import free_bytes
+from acquisition.session.disk_test import write_speed
+from acquisition.spikes.layout import PlaneLayout
+from rigs.camera import Camera
+from rigs.rig import Rig
+
+TRANSFERS_MB = 8  # in flight for each camera
+SPARE_MB = 16  # of USB memory for all other devices
+RECOMMENDED_MB = 256
+DISK_RESERVE = 1.1  # times the rig's rate
+LEAST_SECONDS = 10.0  # of recording must fit
+LATCH_PLANES = 8  # so few are asked of simulated cameras
+_LATCH_TIMEOUT_S = 1.0
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing looked at. `passed` is None where it does not apply; `change` says what to do where it failed."""
+
+    name: str
+    passed: bool | None
+    found: str
+    expected: str
+    change: str = ""
+
+    def to_json(self) -> dict[str, object]:
+        """The check as a JSON object of the same names."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the checks look at: a way to open a rig's cameras, where recordings will go, and the machine.
+
+    `sysfs` is None where cameras are not on this machine's USB.
+    """
+
+    open_rig: Callable[[Rig], AbstractContextManager[OpenCameras]]
+    folder: Path
+    sysfs: Path | None = sysfs.SYSFS
+    disk_seconds: float = 5.0
+    clock: Callable[[], float] = time.monotonic
+
+
+def preflight(rig: Rig, around: Surroundings, progress: Progress = silent) -> list[Check]:
+    """Every check of `rig`, in order. Cameras are armed and started for a few planes, and stopped; nothing is kept."""
+    checks: list[Check] = []
+    for number, camera in enumerate(rig.cameras):
+        progress(0.4 * number / len(rig.cameras), f"camera {camera.id}")
+        checks += _camera(rig, camera, around)
+    progress(0.4, "USB")
+    checks += [_firmware(checks), *_topology(rig, around.sysfs), _usbfs(rig, around.sysfs)]
+    progress(0.5, "clock latch")
+    checks.append(_latch(rig, around, all(check.passed for check in checks[: len(rig.cameras)])))
+    progress(0.6, "disk")
+    checks += _disk(rig, around)
+    progress(1.0, f"{sum(check.passed is False for check in checks)} of {len(checks)} checks failed")
+    return checks
+
+
+def camera_mb_s(rig: Rig, camera: Camera) -> float:
+    """What one camera sends, in MB/s."""
+    return PlaneLayout(camera.width, camera.height).plane_bytes * rig.tick_rate_hz / 1e6
+
+
+def _camera(rig: Rig, camera: Camera, around: Surroundings) -> list[Check]:
+    name = f"camera {camera.id}"
+    expected = f"{camera.width}x{camera.height} at {rig.tick_rate_hz:g} Hz"
+    try:
+        with around.open_rig(rig.only([camera.id])) as opened:
+            identity = opened.cameras[0].identity()
+    except DeviceError as error:
+        found, _, rest = str(error).removeprefix(f"{camera.id}: ").partition(", expected ")
+        change = (rest or found).partition("; ")[2] or "reconnect it"
+        return [Check(name, False, found.partition("; ")[0].removeprefix("found "), expected, change)]
+    return [Check(name, True, f"{expected}, firmware {identity.firmware_version}", expected)]
+
+
+def _firmware(cameras: list[Check]) -> Check:
+    versions = defaultdict(list)
+    for check in cameras:
+        if check.passed:
+            versions[check.found.rpartition(" ")[2]].append(check.name.removeprefix("camera "))
+    expected = "one version in all cameras"
+    if len(versions) < 2:
+        found = f"version {next(iter(versions))}" if versions else "no camera"
+        return Check("firmware", True if versions else None, found, expected)
+    found = "; ".join(f"{version} in {', '.join(ids)}" for version, ids in sorted(versions.items()))
+    return Check("firmware", False, found, expected, "load the same firmware into all of them")
+
+
+def _topology(rig: Rig, root: Path | None) -> list[Check]:
+    expected = "one camera at full rate on a host controller"
+    if root is None:
+        return [Check("USB topology", None, "simulated cameras", expected)]
+    places = {place.serial: place for place in sysfs.usb_places(root)}
+    cameras = [camera for camera in rig.cameras if camera.serial in places]
+    if not cameras:
+        return [Check("USB topology", None, "none of the cameras in /sys", expected)]
+    checks, buses = [], defaultdict(list)
+    for camera in cameras:
+        place, rate = places[camera.serial], camera_mb_s(rig, camera)
+        buses[place.bus].append(camera)
+        checks.append(
+            Check(
+                f"link of {camera.id}",
+                rate <= place.practical_mb_s,
+                f"{place.speed_mbit_s:g} Mb/s at {place.port}, in practice {place.practical_mb_s:.0f} MB/s",
+                f"{rate:.0f} MB/s",
+                "plug it into a SuperSpeed port with a SuperSpeed cable, or lower the tick rate",
+            )
+        )
+    speeds = sysfs.bus_speeds(root)
+    for bus, sharing in sorted(buses.items()):
+        carries = sysfs.practical_mb_s(speeds.get(bus, min(places[c.serial].speed_mbit_s for c in sharing)))
+        ids, rate = ", ".join(c.id for c in sharing), sum(camera_mb_s(rig, c) for c in sharing)
+        expected = f"at most the {carries:.0f} MB/s that it carries in practice"
+        change = f"move all but one of {ids} to other host controllers, or lower the tick rate"
+        checks.append(Check(f"USB bus {bus}", rate <= carries, f"{rate:.0f} MB/s of {ids}", expected, change))
+    return checks
+
+
+def _usbfs(rig: Rig, root: Path | None) -> Check:
+    needed = TRANSFERS_MB * len(rig.cameras) + SPARE_MB
+    expected = f"at least {needed} MB for {len(rig.cameras)} cameras"
+    limit = None if root is None else sysfs.usbfs_memory_mb(root)
+    if limit is None:
+        return Check("USB memory", None, "simulated cameras" if root is None else "no limit stated", expected)
+    change = f"write {max(RECOMMENDED_MB, needed)} to /sys/{sysfs.USBFS_MEMORY}"
+    return Check("USB memory", limit == 0 or limit >= needed, f"{limit or 'any number of'} MB", expected, change)
+
+
+def _latch(rig: Rig, around: Surroundings, ready: bool) -> Check:
+    expected = "the first plane of every camera within a plane of its clock's zero, the same pulses counted"
+    if not ready:
+        return Check("clock latch", None, "not all cameras", expected)
+    try:
+        with around.open_rig(rig) as opened:
+            blocks = _first_blocks(opened, around.clock)
+    except DeviceError as error:
+        return Check("clock latch", False, str(error), expected, "reconnect that camera")
+    silent_ones = [camera_id for camera_id, block in blocks.items() if block is None]
+    change = "check the cables of the sync line and the trigger"
+    if silent_ones:
+        return Check("clock latch", False, f"no plane of {', '.join(silent_ones)} after the trigger", expected, change)
+    seen = {camera_id: block for camera_id, block in blocks.items() if block}
+    errors_s = {c: b.device_time_ns * 1e-9 - b.first_plane / rig.tick_rate_hz for c, b in seen.items()}
+    if opened.trigger.kind == "software":
+        return Check("clock latch", None, "no sync line: cameras are started one after another", expected)
+    worst = max(errors_s, key=lambda camera_id: abs(errors_s[camera_id]))
+    counts = {camera_id: block.sync_pulses for camera_id, block in seen.items()}
+    odd = [camera_id for camera_id, count in counts.items() if count < 1 or count != max(counts.values())]
+    found = f"at most {abs(errors_s[worst]) * 1e6:.1f} us, of {worst}"
+    if odd:
+        found += f"; {', '.join(f'{camera_id} counted {counts[camera_id]} pulses' for camera_id in odd)}"
+    return Check("clock latch", not odd and abs(errors_s[worst]) < 1 / rig.tick_rate_hz, found, expected, change)
+
+
+def _first_blocks(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, Block | None]:
+    """The first block of each camera after the trigger; all are stopped again."""
+    try:
+        for camera in opened.cameras:
+            camera.arm()
+        opened.trigger.fire()
+        end = clock() + _LATCH_TIMEOUT_S
+        return {camera.id: camera.read_block(max(0.01, end - clock())) for camera in opened.cameras}
+    finally:
+        for camera in opened.cameras:
+            camera.ensure_stopped()
+
+
+def _disk(rig: Rig, around: Surroundings) -> list[Check]:
+    rate = sum(camera_mb_s(rig, camera) for camera in rig.cameras)
+    needed = f"at least {rate * DISK_RESERVE:.0f} MB/s, {DISK_RESERVE:g} times the rig's rate"
+    try:
+        speed = write_speed(around.folder, around.disk_seconds, around.clock)
+    except DiskError as error:
+        written = Check("disk speed", False, str(error), needed, "choose another --out")
+    else:
+        how = "written directly" if speed.direct else "written through the page cache: no direct writes here"
+        change = "choose a faster disk by --out, or lower the tick rate"
+        fast = speed.mb_s >= rate * DISK_RESERVE
+        written = Check("disk speed", fast, f"{speed.mb_s:.0f} MB/s {how}", needed, change)
+    seconds = free_bytes(around.folder) / 1e6 / rate
+    change = "free some space, or choose another disk by --out"
+    fits = Check("room", seconds >= LEAST_SECONDS, f"{seconds:.1f} s of recording", f"{LEAST_SECONDS:g} s", change)
+    return [written, fits]

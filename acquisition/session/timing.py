@@ -1,0 +1,169 @@
+"""Each camera's clock against the rig clock, from the shared sync pulses it stamped.
+
+Pulse n, from 0 for the trigger, happens at n * period on the rig clock. A camera that stamps it at t on its own clock
+has t = offset + (1 + drift) * n * period + jitter. The line is fitted to the pulses that lie near it, so single late
+stamps do not bend it. A camera counts the pulses it sees and need not stamp every one: where more periods passed
+between two stamps than pulses were counted, pulses were missed.
+
+Letters: N stamped pulses.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import AcquisitionError
+
+Missed = tuple[tuple[int, ...], tuple[tuple[int, int, int], ...]]  # pulses; (first, last, how many) of some
+MOST_STEPS = 1_000_000  # periods between two stamps; more is a broken clock
+_FAR = 5.0  # robust standard deviations; stamps farther from the line are not used
+_FINEST_S = 1e-9  # the resolution of a stamp
+
+
+class TimingError(AcquisitionError):
+    """Stamps or light from which no time can be told; the message is the reason."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class ClockEstimate:
+    """One camera's clock against the rig clock, in seconds.
+
+    `skew_s` is how far the camera's clock is ahead in the middle of the clip, `offset_s` at its start, `drift_ppm` by
+    how many millionths it is fast; their standard deviations are None where too few pulses were left to tell.
+    `missed_pulses` were not seen; `missed_between` are (first, last, how many) of pulses some of which were not seen.
+    `outlying_pulses` were stamped so far off that they are not used.
+    """
+
+    skew_s: float
+    skew_sd_s: float | None
+    offset_s: float
+    offset_sd_s: float | None
+    drift_ppm: float | None
+    drift_sd_ppm: float | None
+    jitter_s: float | None
+    pulses: int
+    missed_pulses: tuple[int, ...] = ()
+    missed_between: tuple[tuple[int, int, int], ...] = ()
+    outlying_pulses: tuple[int, ...] = ()
+
+    def to_json(self) -> dict[str, object]:
+        """The estimate as a JSON object of the same names."""
+        return dataclasses.asdict(self)
+
+
+def estimate_clocks(
+    stamps: Mapping[str, tuple[NDArray[np.integer], NDArray[np.float64]]], period_s: float, duration_s: float
+) -> dict[str, ClockEstimate]:
+    """`estimate_clock` for each camera; TimingError names the camera."""
+    found = {}
+    for camera_id, (counted, stamps_s) in stamps.items():
+        try:
+            found[camera_id] = estimate_clock(counted, stamps_s, period_s, duration_s)
+        except TimingError as error:
+            raise TimingError(f"{camera_id}: {error}") from error
+    return found
+
+
+def estimate_clock(
+    counted: NDArray[np.integer], stamps_s: NDArray[np.float64], period_s: float, duration_s: float
+) -> ClockEstimate:
+    """The clock of a camera that had `counted` [N] pulses, from 0 for the trigger, when it stamped one at `stamps_s`.
+
+    A pulse may be given more than once. `duration_s` is the clip's. Raises TimingError for no pulses, arrays of
+    different lengths, numbers that are not finite, or a clock that stands still or goes backwards.
+    """
+    counted, stamps_s = np.asarray(counted), np.asarray(stamps_s, dtype=np.float64)
+    _refuse_useless(counted, stamps_s, period_s)
+    new = np.r_[True, np.diff(counted) > 0]
+    counted, stamps_s = counted[new], stamps_s[new]
+    if len(counted) > 1 and np.ptp(stamps_s) < period_s / 2:
+        raise TimingError(f"found {len(counted)} pulses within {np.ptp(stamps_s):g} s: the camera's clock stands still")
+    steps = np.rint(np.diff(stamps_s) / period_s)
+    if steps.max(initial=0) > MOST_STEPS:
+        raise TimingError(f"found {steps.max():g} periods between two stamps, expected at most {MOST_STEPS}")
+    pulses = int(counted[0]) + np.r_[0, np.cumsum(steps)].astype(np.int64)
+    return _fit(pulses, stamps_s, (period_s, duration_s / 2), _missed(pulses, np.diff(counted)))
+
+
+def _refuse_useless(counted: NDArray, stamps_s: NDArray[np.float64], period_s: float) -> None:
+    if not period_s > 0:
+        raise TimingError(f"found a pulse period of {period_s} s, expected a positive one")
+    if counted.ndim != 1 or counted.shape != stamps_s.shape:
+        raise TimingError(f"found {counted.shape} counts and {stamps_s.shape} stamps, expected as many of each")
+    if not len(counted):
+        raise TimingError("found no sync pulse, expected at least one; check the sync line")
+    if not np.isfinite(stamps_s).all():
+        raise TimingError("found a stamp that is not a finite number of seconds")
+    if (np.diff(stamps_s) < 0).any() or (np.diff(counted) < 0).any():
+        raise TimingError("found stamps or counts that go backwards, expected rising ones; the camera was restarted")
+
+
+def _missed(pulses: NDArray[np.int64], counted_steps: NDArray) -> Missed:
+    """The pulses that were missed, and where some of several were."""
+    surely, among = [], []
+    short = np.diff(pulses) - counted_steps
+    for k in np.flatnonzero(short > 0):
+        first, last = int(pulses[k]) + 1, int(pulses[k + 1]) - 1
+        if short[k] > last - first:
+            surely += range(first, last + 1)
+        else:
+            among.append((first, last, int(short[k])))
+    return tuple(surely), tuple(among)
+
+
+def _fit(
+    pulses: NDArray[np.int64],
+    stamps_s: NDArray[np.float64],
+    scale_s: tuple[float, float],
+    missed: Missed,
+) -> ClockEstimate:
+    """Fit error = offset + drift * time to the stamps near the line; `scale_s`: the period, the middle of the clip."""
+    period_s, middle_s = scale_s
+    rig_s = pulses.astype(np.float64) * period_s
+    error_s = stamps_s - rig_s
+    near = _near_the_line(rig_s, error_s)
+    named = {
+        "pulses": len(pulses),
+        "missed_pulses": missed[0],
+        "missed_between": missed[1],
+        "outlying_pulses": tuple(pulses[~near].tolist()),
+    }
+    times, errors = rig_s[near], error_s[near]
+    count, center = len(times), float(times.mean())
+    spread = float(((times - center) ** 2).sum())
+    if count < 2 or spread == 0:
+        at = float(np.median(errors))
+        return ClockEstimate(at, None, at, None, None, None, None, **named)
+    drift = float(((times - center) * (errors - errors.mean())).sum() / spread)
+    mean = float(errors.mean())
+    jitter = None
+    if count > 2:
+        residuals = errors - mean - drift * (times - center)
+        jitter = max(float(np.sqrt((residuals**2).sum() / (count - 2))), _FINEST_S / np.sqrt(12))
+
+    def error_at(time_s: float) -> tuple[float, float | None]:
+        value = mean + drift * (time_s - center)
+        return value, jitter and float(jitter * np.sqrt(1 / count + (time_s - center) ** 2 / spread))
+
+    drift_sd = jitter and float(jitter / np.sqrt(spread) * 1e6)
+    return ClockEstimate(*error_at(middle_s), *error_at(0.0), drift * 1e6, drift_sd, jitter, **named)
+
+
+def _near_the_line(rig_s: NDArray[np.float64], error_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Stamps [N] within a few robust standard deviations of the median line."""
+    half = len(rig_s) // 2
+    if half == 0:
+        return np.ones(len(rig_s), dtype=bool)
+    steps = rig_s[half:] - rig_s[: len(rig_s) - half]
+    rises = error_s[half:] - error_s[: len(rig_s) - half]
+    slope = np.median(rises[steps > 0] / steps[steps > 0]) if (steps > 0).any() else 0.0
+    residuals = error_s - slope * rig_s
+    residuals = np.abs(residuals - np.median(residuals))
+    return residuals <= _FAR * max(1.4826 * float(np.median(residuals)), _FINEST_S)

@@ -1,0 +1,124 @@
+"""Clocks from sync pulses: what was injected is found, what is missing is named, what cannot be told is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acquisition.session.timing import TimingError, estimate_clock, estimate_clocks
+
+PERIOD_S = 1e-3
+
+
+def stamped(pulses: np.ndarray, offset_s: float, drift_ppm: float, jitter_s: float, seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0, jitter_s, len(pulses))
+    return offset_s + (1 + drift_ppm * 1e-6) * pulses * PERIOD_S + noise
+
+
+@given(
+    st.floats(-50, 50),
+    st.floats(-2e-4, 0.5),
+    st.integers(1000, 20_000),
+    st.floats(0, 2e-6),
+    st.floats(0, 0.05),
+    st.integers(0, 2**32),
+)
+def test_skew_is_within_a_microsecond(drift_ppm, offset_s, count, jitter_s, missed_share, seed):
+    seen = np.flatnonzero(np.r_[True, np.random.default_rng(seed).random(count - 2) >= missed_share, True])
+    stamps = stamped(seen, offset_s, drift_ppm, jitter_s, seed)
+    duration_s = count * PERIOD_S
+    found = estimate_clock(np.arange(len(seen)), stamps, PERIOD_S, duration_s)
+    true = offset_s + drift_ppm * 1e-6 * duration_s / 2
+    assert abs(found.skew_s - true) < 1e-6
+    assert abs(found.skew_s - true) < 6 * found.skew_sd_s + 1e-9
+    assert found.missed_pulses == tuple(np.setdiff1d(np.arange(count), seen).tolist())
+    assert found.missed_between == ()
+    assert found.drift_ppm == pytest.approx(drift_ppm, abs=6 * found.drift_sd_ppm + 1e-6)
+    assert found.offset_s == pytest.approx(offset_s, abs=1e-6)
+
+
+def test_a_stamp_a_block_is_enough_and_may_repeat():
+    """Blocks tell the last pulse before them: not all of fast pulses, the same one twice of slow ones."""
+    stamps = stamped(np.arange(3000), 1e-5, 40, 3e-7)
+    seen = np.setdiff1d(np.arange(3000), [7, 1501])
+    counted = np.arange(len(seen))
+    taken = np.r_[0, np.arange(3, len(seen), 4).repeat(2)]
+    found = estimate_clock(counted[taken], stamps[seen][taken], PERIOD_S, 3.0)
+    assert found.skew_s == pytest.approx(1e-5 + 40e-6 * 1.5, abs=1e-6)
+    assert (found.missed_pulses, found.pulses) == ((), 1 + 749)
+    assert found.missed_between == ((4, 7, 1), (1501, 1504, 1))
+
+
+def test_uncertainty_is_what_repeated_runs_scatter_by():
+    pulses = np.arange(500)
+    runs = [estimate_clock(pulses, stamped(pulses, 1e-5, 30, 1e-6, s), PERIOD_S, 0.5) for s in range(300)]
+    skews = np.array([run.skew_s for run in runs])
+    stated = np.mean([run.skew_sd_s for run in runs])
+    assert skews.std() == pytest.approx(stated, rel=0.2)
+    assert np.mean([run.drift_sd_ppm for run in runs]) == pytest.approx(np.std([r.drift_ppm for r in runs]), rel=0.2)
+    assert np.mean([run.jitter_s for run in runs]) == pytest.approx(1e-6, rel=0.05)
+
+
+def test_late_stamps_are_named_and_do_not_count():
+    pulses = np.arange(2000)
+    stamps = stamped(pulses, 2e-5, -50, 2e-7)
+    late = np.array([3, 500, 501, 1999])
+    stamps[late] += 1e-4
+    found = estimate_clock(pulses, stamps, PERIOD_S, 2.0)
+    assert found.skew_s == pytest.approx(2e-5 - 50e-6, abs=1e-7)
+    assert set(late) <= set(found.outlying_pulses)
+    assert len(found.outlying_pulses) < 10
+    assert found.missed_pulses == ()
+
+
+def test_a_glitch_on_the_line_is_no_pulse():
+    stamps = np.insert(stamped(np.arange(100), 0, 10, 0), 40, 39.3e-3)
+    found = estimate_clock(np.arange(101), stamps, PERIOD_S, 0.1)
+    assert found.missed_pulses == ()
+    assert found.outlying_pulses == (39,)
+    assert found.skew_s == pytest.approx(10e-6 * 0.05, abs=1e-9)
+
+
+def test_ten_hours_keep_their_precision():
+    seconds = np.arange(36_000)
+    found = estimate_clock(seconds, 1e-4 + (1 + 50e-6) * seconds, 1.0, 36_000.0)
+    assert found.skew_s == pytest.approx(1e-4 + 50e-6 * 18_000, abs=1e-9)
+
+
+def test_stamps_that_begin_late_keep_the_camera_s_count():
+    pulses = np.arange(100_000, 101_000)
+    found = estimate_clock(pulses, stamped(pulses, 0, 50, 1e-7), PERIOD_S, 101.0)
+    assert found.drift_ppm == pytest.approx(50, abs=0.1)
+    assert found.missed_pulses == ()
+
+
+def test_few_pulses_claim_no_uncertainty():
+    one = estimate_clock(np.array([0]), np.array([3e-6]), PERIOD_S, 1.0)
+    assert (one.skew_s, one.skew_sd_s, one.drift_ppm, one.jitter_s) == (3e-6, None, None, None)
+    two = estimate_clock(np.array([0, 1]), np.array([0.0, 1.00005e-3]), PERIOD_S, 1.0)
+    assert two.drift_ppm == pytest.approx(50)
+    assert (two.skew_sd_s, two.drift_sd_ppm) == (None, None)
+    exact = estimate_clock(np.arange(50), np.arange(50) * PERIOD_S, PERIOD_S, 0.05)
+    assert exact.skew_s == pytest.approx(0, abs=1e-12)
+    assert 0 < exact.skew_sd_s < 1e-9
+    assert json.loads(json.dumps(exact.to_json()))["missed_pulses"] == []
+
+
+@pytest.mark.parametrize(
+    ("counted", "stamps", "period_s", "message"),
+    [
+        ([], [], 1e-3, "cam12: found no sync pulse"),
+        ([0, 1], [0.0], 1e-3, "as many of each"),
+        ([0, 1, 2], [0.5, 0.5, 0.5], 1e-3, "stands still"),
+        ([0, 1], [0.0, np.nan], 1e-3, "finite"),
+        ([0, 1, 2], [0.0, 5e-3, 1e-3], 1e-3, "backwards"),
+        ([0, 2, 1], [0.0, 1e-3, 2e-3], 1e-3, "backwards"),
+        ([0, 1], [0.0, 1e-3], 0.0, "positive"),
+        ([0, 1], [0.0, 1e9], 1e-3, "1e\\+12 periods between two stamps"),
+    ],
+)
+def test_what_cannot_be_told_is_refused_by_name(counted, stamps, period_s, message):
+    with pytest.raises(TimingError, match=message):
+        estimate_clocks({"cam12": (np.array(counted, dtype=int), np.array(stamps))}, period_s, 1.0)
