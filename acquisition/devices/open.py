@@ -97,8 +97,9 @@ def parse_devices(uri: str) -> Devices:
 
 @contextlib.contextmanager
 def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCameras]:
-    """Open all cameras of `rig`, on USB, simulated or replayed, and close them at the end; simulated ones show `planes`.
+    """Open all cameras of `rig`, on USB, simulated or replayed, and close them at the end.
 
+    Simulated ones show `planes` planes.
     Raises CameraSetupError for the first camera that is missing or does not fit the rig.
     """
     if devices is None:
