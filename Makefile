@@ -28,7 +28,7 @@ check: install
 	$(VENV)/bin/pyright
 
 bench: install
-	for name in images rasterizer training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	for name in images rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
 
 serve: install
 	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker

@@ -1,4 +1,7 @@
-"""Opens the cameras of a rig by a device URI: `usb:` for hardware, `mock:SCENE?seed=3&sensor=real` for simulated."""
+"""Opens the cameras of a rig by a device URI.
+
+`usb:` is hardware, `mock:SCENE?seed=3&sensor=real` simulated cameras, `replay:REC` a recording in their place.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import dataclasses
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 from urllib.parse import parse_qsl, urlsplit
 
@@ -15,8 +19,10 @@ from usb.backend import IBackend
 
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.replay import replay_sources
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
+from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import SceneSource
@@ -55,13 +61,28 @@ class OpenCameras:
     scene: Scene | None = None
 
 
-def parse_devices(uri: str) -> Simulation | None:
-    """None for `usb:`, what simulated cameras see for `mock:SCENE?field=value&...`; CameraSetupError for all else."""
-    parts = urlsplit(uri)
+@dataclass(frozen=True)
+class Replay:
+    """Cameras that send again what the recording in `path` holds."""
+
+    path: Path
+
+
+Devices = Simulation | Replay | None
+
+
+def parse_devices(uri: str) -> Devices:
+    """None for `usb:`, what simulated cameras see for `mock:SCENE?field=value&...`, the recording of `replay:REC`.
+
+    Raises CameraSetupError for all else.
+    """
     if uri == "usb:":
         return None
+    if uri.startswith("replay:") and uri != "replay:":
+        return Replay(Path(uri.removeprefix("replay:")))
+    parts = urlsplit(uri)
     if parts.scheme != "mock":
-        raise CameraSetupError(f"found the devices {uri!r}, expected usb: or mock:SCENE")
+        raise CameraSetupError(f"found the devices {uri!r}, expected usb: or mock:SCENE, or replay:REC")
     values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
     fields = [field.name for field in dataclasses.fields(Simulation)][1:]
     for name, value in values.items():
@@ -75,18 +96,22 @@ def parse_devices(uri: str) -> Simulation | None:
 
 
 @contextlib.contextmanager
-def open_cameras(rig: Rig, devices: Simulation | None, planes: int) -> Iterator[OpenCameras]:
-    """Open all cameras of `rig`, on USB or simulated, and close them at the end; simulated ones show `planes` planes.
+def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCameras]:
+    """Open all cameras of `rig`, on USB, simulated or replayed, and close them at the end.
 
+    Simulated ones show `planes` planes.
     Raises CameraSetupError for the first camera that is missing or does not fit the rig.
     """
     if devices is None:
         with _opened(rig, _libusb()) as cameras:
             yield OpenCameras(cameras, SoftwareTrigger(cameras))
         return
-    scene = build_scene(devices.scene, devices.seed)
     rig = _with_serials(rig)
-    models = _models(rig, scene, devices, planes)
+    if isinstance(devices, Replay):
+        scene, models = None, _replayed(rig, Recording.open(devices.path))
+    else:
+        scene = build_scene(devices.scene, devices.seed)
+        models = _models(rig, scene, devices, planes)
     with _opened(rig, MockBackend(models)) as cameras:
         yield OpenCameras(cameras, MockTriggerLine(models), scene)
 
@@ -110,6 +135,17 @@ def _models(rig: Rig, scene: Scene, simulation: Simulation, planes: int) -> list
         )
         models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz))
     return models
+
+
+def _replayed(rig: Rig, recording: Recording) -> list[DeviceModel]:
+    """Cameras that send the recording's planes again, each in the place of the rig's camera with its id."""
+    sources = dict(zip(recording.camera_ids, replay_sources(recording), strict=True))
+    missing = [camera_id for camera_id in rig.ids if camera_id not in sources]
+    if missing:
+        raise CameraSetupError(
+            f"{recording.path}: found no stream of {', '.join(missing)}, expected one for each camera of rig {rig.name}"
+        )
+    return [DeviceModel(camera.serial, sources[camera.id], recording.tick_rate_hz) for camera in rig.cameras]
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquisition.devices.open import Simulation, open_cameras, parse_devices
+from acquisition.devices.open import Devices, Simulation, open_cameras, parse_devices
 from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.progress import Progress, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
@@ -60,10 +60,10 @@ def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: 
     return _record(rig, simulation, Take(ticks), out, progress)
 
 
-def _record(rig: Rig, devices: Simulation | None, take: Take, out: Path, progress: Progress) -> Manifest:
+def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progress) -> Manifest:
     pre_planes = None if take.pre_trigger_ms is None else round(take.pre_trigger_ms * 1e-3 * rig.tick_rate_hz)
     extent = Extent(take.planes, pre_planes)
-    share = _RECORDING_SHARE if devices else _WRITTEN
+    share = _RECORDING_SHARE if isinstance(devices, Simulation) else _WRITTEN
     with RecordingWriter(out, rig, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
             streams = record_session(
@@ -75,7 +75,7 @@ def _record(rig: Rig, devices: Simulation | None, take: Take, out: Path, progres
                 control=take.control,
                 waits=devices is not None,
             )
-        if devices and opened.scene and pre_planes is None:
+        if isinstance(devices, Simulation) and opened.scene and pre_planes is None:
             planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
             with disk_errors(folder):
                 report = _part(progress, share, _WRITTEN)
@@ -87,10 +87,10 @@ def _record(rig: Rig, devices: Simulation | None, take: Take, out: Path, progres
     return manifest
 
 
-def _disk_use(rig: Rig, devices: Simulation | None, take: Take) -> DiskUse:
+def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:
     plane_bytes = [PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras]
     planes = take.planes or 0
-    instants = -(-planes // devices.truth_every) if devices else 0
+    instants = -(-planes // devices.truth_every) if isinstance(devices, Simulation) else 0
     truth = instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
     ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
     return DiskUse(planes * sum(plane_bytes) + truth, take.keep_free_bytes, ring, devices is not None)

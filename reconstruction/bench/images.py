@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from acquisition.bench_document import BenchDocument, fastest_s
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.source import SceneSource
 from acquisition.spikes import packing
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.bench.document import BenchDocument, fastest_s
 from reconstruction.images.methods import METHODS
 from reconstruction.images.tfp import HALF_WINDOW
 from reconstruction.metrics.image import psnr_db, ssim

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from reconstruction.bench.document import BenchDocument, fastest_s
+from acquisition.bench_document import BenchDocument, fastest_s
 from reconstruction.gaussians.dynamic import Instantaneous
 from reconstruction.rendering.render import render
 from rigs.camera import Camera

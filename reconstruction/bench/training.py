@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
-from reconstruction.bench.document import BenchDocument
 from reconstruction.pipeline.run import STAGES, reconstruct
 from reconstruction.training.config import ReconstructionConfig
 

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
+from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.report import report_stage
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
 from reconstruction.pipeline.training import StoppedError, process_budget, train_stage
 from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder, code_revision
+from reconstruction.training.run import RunFolder
 
 STAGES = ("plan", "images", "points", "train", "report")
 

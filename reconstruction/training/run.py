@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -132,13 +130,3 @@ class RunFolder:
                     f"{self.path}: another process is at work in this run; wait for it or stop it"
                 ) from error
             yield
-
-
-def code_revision() -> str:
-    """The commit the code stands at, or the installed version outside a checkout."""
-    here = Path(__file__).resolve().parent
-    command = ["git", "-C", str(here), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return version("spike4dgs")

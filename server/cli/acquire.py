@@ -92,7 +92,7 @@ def simulate_command(
     "--devices",
     default="usb:",
     show_default=True,
-    help="usb: or mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20",
+    help="usb:, mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20, or replay:REC",
 )
 @_out
 @_json

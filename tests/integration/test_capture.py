@@ -2,13 +2,14 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.open import Simulation, open_cameras, parse_devices
+from acquisition.devices.open import Replay, Simulation, open_cameras, parse_devices
 from acquisition.devices.protocol import Request
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import BadRecordingError, DeviceError, DiskError
@@ -280,6 +281,30 @@ def test_a_device_uri_says_what_simulated_cameras_see():
     assert parse_devices("usb:") is None
     assert parse_devices("mock:fan_and_ball") == Simulation("fan_and_ball", 0, "real", 2, 20)
     assert parse_devices("mock:x?seed=7&sensor=ideal&samples=1&truth_every=5") == Simulation("x", 7, "ideal", 1, 5)
+
+
+def test_a_recording_is_replayed_bit_for_bit(tmp_path, small):
+    record(small, "mock:fan_and_ball?samples=1&truth_every=1000", 100, tmp_path / "a")
+    for planes in (100, 33):
+        record(small, f"replay:{tmp_path / 'a'}", planes, tmp_path / f"b{planes}")
+        for camera_id in small.ids:
+            original = (tmp_path / f"a/{camera_id}.dat").read_bytes()
+            replayed = (tmp_path / f"b{planes}/{camera_id}.dat").read_bytes()
+            assert replayed == original[: planes * 125], camera_id
+        assert verify(tmp_path / f"b{planes}") == []
+        assert not (tmp_path / f"b{planes}/truth").exists()
+    assert parse_devices("replay:a b?c") == Replay(Path("a b?c"))
+
+
+def test_a_recording_that_does_not_fit_the_rig_is_not_replayed(tmp_path, small):
+    record(small.only(["cam00", "cam01"]), "mock:fan_and_ball?samples=1&truth_every=1000", 5, tmp_path / "pair")
+    with pytest.raises(CameraSetupError, match="found no stream of cam02, cam10"):
+        record(small, f"replay:{tmp_path / 'pair'}", 5, tmp_path / "rec")
+    with pytest.raises(CameraSetupError, match="found a sensor of 40x25, expected 20x20"):
+        record(small.only(["cam00"]).scaled(20, 20), f"replay:{tmp_path / 'pair'}", 5, tmp_path / "rec")
+    with pytest.raises(BadRecordingError, match="expected a recording folder"):
+        record(small, f"replay:{tmp_path / 'nowhere'}", 5, tmp_path / "rec")
+    assert [path.name for path in tmp_path.iterdir()] == ["pair"]
 
 
 def test_an_unknown_scene_is_refused(small):

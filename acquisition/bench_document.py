@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from reconstruction.training.run import code_revision
+from acquisition.revision import code_revision
 
 
 @dataclass

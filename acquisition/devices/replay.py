@@ -1,0 +1,30 @@
+"""A recording as a camera: its planes come out of the same device model that simulated cameras have."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.recording.reader import Recording
+from acquisition.spikes.stream import SpikeStream
+
+
+class ReplaySource:
+    """The planes of one recorded camera, in order, as they lie in its file."""
+
+    def __init__(self, stream: SpikeStream):
+        self.layout = stream.layout
+        self._stream = stream
+        self._given = 0
+
+    def next_planes(self, count: int) -> NDArray[np.uint8]:
+        """The next packed planes [n, B], n < count only where the recording ends."""
+        last = min(self._given + count, len(self._stream))
+        planes = self._stream.window(self._given, last)
+        self._given = last
+        return planes
+
+
+def replay_sources(recording: Recording) -> list[ReplaySource]:
+    """One source a camera, in the rig's order; raises BadRecordingError for a file that is not what was recorded."""
+    return [ReplaySource(recording.stream(camera_id)) for camera_id in recording.camera_ids]

@@ -1,0 +1,260 @@
+"""What the recorder does with a disk: its rings and writers fed by blocks that cost nothing to make.
+
+Nine streams of 400x250 planes in blocks of a megabyte, as nine cameras send them. Long runs go round a bounded set of
+files. Rates are in MB/s (10^6 bytes), of the disk's own figure, measured before and after: the lower one counts.
+"""
+
+from __future__ import annotations
+
+import mmap
+import shutil
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.bench_document import BenchDocument
+from acquisition.errors import DiskError
+from acquisition.progress import Progress, silent
+from acquisition.recording.direct import DirectFile
+from acquisition.recording.manifest import Gap
+from acquisition.recording.stream_writer import StreamSpace, StreamWriter
+from acquisition.spikes.layout import PlaneLayout
+
+STREAMS = 9
+LAYOUT = PlaneLayout(400, 250)
+BLOCK_PLANES = 80
+BLOCK_BYTES = BLOCK_PLANES * LAYOUT.plane_bytes
+LAP_BYTES = 800 << 20  # of each file: 7.5 GB in all
+RING_BYTES = 64 << 20
+FRACTIONS = (0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
+RAM_FOLDER = Path("/dev/shm")
+_WRITE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Seconds of each part."""
+
+    disk_s: float = 8.0
+    steady_s: float = 60.0
+    search_s: float = 10.0
+    overload_bytes: int = STREAMS * LAP_BYTES
+    ram_bytes: int = 2_000_000_000
+
+
+QUICK = Schedule(1.0, 3.0, 1.0, 900_000_000, 450_000_000)
+
+
+class LapFile(DirectFile):
+    """Written round and round inside LAP_BYTES, and removed at the end."""
+
+    def __init__(self, path: Path):
+        super().__init__(path)
+        self.reserve(LAP_BYTES)
+
+    def write(self, data: memoryview, offset: int) -> None:
+        """Put `data` where the lap stands."""
+        super().write(data, offset % LAP_BYTES)
+
+    def finish(self, size: int) -> None:
+        """Close and remove."""
+        self.abandon()
+        self.path.unlink()
+
+
+class _Feed:
+    """Blocks for one stream at a steady pace, each stamped with its number; what the ring does not take is lost.
+
+    Without a period it waits for room instead.
+    """
+
+    def __init__(self, writer: StreamWriter, blocks: int, period_s: float):
+        self.writer, self.blocks, self.period_s = writer, blocks, period_s
+        self._pool = np.random.default_rng(blocks).integers(0, 256, (4, BLOCK_PLANES, LAYOUT.plane_bytes), np.uint8)
+
+    def run(self, start_s: float) -> None:
+        for number in range(self.blocks):
+            pause_s = start_s + number * self.period_s - time.perf_counter()
+            if pause_s > 0:
+                time.sleep(pause_s)
+            if not self._offer(number):
+                first = number * BLOCK_PLANES
+                self.writer.append_lost([Gap(first, BLOCK_PLANES, self.writer.refusing)])
+
+    def _offer(self, number: int) -> bool:
+        block = self._pool[number % len(self._pool)]
+        block[0, :8] = np.array([number + 1], dtype="<u8").view(np.uint8)
+        if self.period_s:
+            return self.writer.offer(block)
+        self.writer.append(block)
+        return True
+
+
+def bench_recorder(folder: Path, schedule: Schedule, progress: Progress = silent) -> BenchDocument:
+    """The recorder on the disk of the new `folder`, which is removed afterwards.
+
+    Raises DiskError where 9 GB are not free.
+    """
+    folder.mkdir(parents=True)
+    try:
+        free = shutil.disk_usage(folder).free
+        if free < 9_000_000_000:
+            raise DiskError(f"{folder}: found {free} bytes free, expected 9000000000; give --out on another disk")
+        rows, summary = _measure(folder, schedule, progress)
+        return BenchDocument("recorder", rows, [], summary)
+    finally:
+        shutil.rmtree(folder)
+
+
+def _measure(folder: Path, schedule: Schedule, progress: Progress) -> tuple[list[dict], dict[str, float]]:
+    progress(0.0, "the disk")
+    before = disk_mb_s(folder, schedule.disk_s)
+    progress(0.1, "60% of it")
+    steady = paced_row(folder, "60 %", 0.6 * before, schedule.steady_s)
+    progress(0.5, "the highest rate without a loss")
+    search = []
+    for fraction in FRACTIONS:
+        search.append(paced_row(folder, f"{fraction:.0%}", fraction * before, schedule.search_s))
+        if not search[-1]["dropped_blocks"]:
+            break
+    progress(0.8, "120% of it")
+    overload = overload_row(folder, 1.2 * before, schedule.overload_bytes)
+    progress(0.9, "the disk again")
+    after = disk_mb_s(folder, schedule.disk_s)
+    ram, copy = ram_row(schedule.ram_bytes), memcpy_gb_s()
+    disk = min(before, after)
+    disk_rows = [
+        {"case": "disk before", "mb_s": before, "seconds": schedule.disk_s},
+        {"case": "disk after", "mb_s": after, "seconds": schedule.disk_s},
+    ]
+    lossfree = search[-1]["mb_s"] if not search[-1]["dropped_blocks"] else 0.0
+    progress(1.0, f"{disk:.0f} MB/s")
+    return [*disk_rows, steady, *search, overload, ram], {
+        "disk_mb_s": disk,
+        "lossfree_fraction_of_disk": lossfree / disk,
+        "drops_at_60_percent": steady["dropped_blocks"],
+        "cores_at_60_percent": steady["cores"],
+        "drops_at_120_percent": overload["dropped_blocks"],
+        "unreported_drops_at_120_percent": overload["unreported_blocks"],
+        "ram_gb_s": ram["mb_s"] / 1e3,
+        "memcpy_gb_s": copy,
+    }
+
+
+def disk_mb_s(folder: Path, seconds: float) -> float:
+    """MB/s of plain direct writes of a mebibyte, a thread a file, nothing else done."""
+    data = memoryview(mmap.mmap(-1, _WRITE_BYTES))
+    start_s = time.perf_counter()
+
+    def write(number: int) -> int:
+        file = LapFile(folder / f"disk{number}")
+        offset = 0
+        while time.perf_counter() - start_s < seconds:
+            file.write(data, offset)
+            offset += len(data)
+        file.finish(offset)
+        return offset
+
+    with ThreadPoolExecutor(STREAMS) as pool:
+        written = sum(pool.map(write, range(STREAMS)))
+    return written / (time.perf_counter() - start_s) / 1e6
+
+
+def paced_row(folder: Path, case: str, mb_s: float, seconds: float) -> dict:
+    """One run of all streams at `mb_s` together, round the bounded files, hashed and journalled."""
+    space = StreamSpace(RING_BYTES, allows=lambda size: False, open_file=LapFile)
+    blocks = max(1, round(mb_s * 1e6 * seconds / BLOCK_BYTES / STREAMS))
+    feeds = _feeds(folder / case.strip(" %"), space, blocks, seconds / blocks)
+    cpu_s, elapsed_s = _run(feeds)
+    for feed in feeds:
+        feed.writer.close()
+    lost = sum(gap.planes for feed in feeds for gap in feed.writer.gaps)
+    shutil.rmtree(folder / case.strip(" %"))
+    return {
+        "case": case,
+        "mb_s": mb_s,
+        "offered_blocks": blocks * STREAMS,
+        "dropped_blocks": lost // BLOCK_PLANES,
+        "cores": cpu_s / elapsed_s,
+        "seconds": elapsed_s,
+    }
+
+
+def overload_row(folder: Path, mb_s: float, total_bytes: int) -> dict:
+    """More than the disk takes, into whole files; then every block is looked up: there, or zeros and listed."""
+    blocks = total_bytes // BLOCK_BYTES // STREAMS
+    period_s = BLOCK_BYTES * STREAMS / (mb_s * 1e6)
+    feeds = _feeds(folder / "over", StreamSpace(4 << 20, blocks * BLOCK_PLANES), blocks, period_s)
+    cpu_s, elapsed_s = _run(feeds)
+    dropped = unreported = 0
+    for feed in feeds:
+        feed.writer.close()
+        lost = np.zeros(blocks, dtype=bool)
+        for gap in feed.writer.gaps:
+            lost[gap.first_plane // BLOCK_PLANES : (gap.first_plane + gap.planes) // BLOCK_PLANES] = True
+        stamps = np.memmap(feed.writer.path, dtype=np.uint8, mode="r", shape=(blocks, BLOCK_BYTES))[:, :8]
+        expected = np.where(lost, 0, np.arange(1, blocks + 1)).astype("<u8")
+        unreported += int((np.ascontiguousarray(stamps).view("<u8")[:, 0] != expected).sum())
+        unreported += abs(feed.writer.planes - blocks * BLOCK_PLANES)
+        dropped += int(lost.sum())
+    shutil.rmtree(folder / "over")
+    return {
+        "case": "120 %",
+        "mb_s": mb_s,
+        "offered_blocks": blocks * STREAMS,
+        "dropped_blocks": dropped,
+        "unreported_blocks": unreported,
+        "cores": cpu_s / elapsed_s,
+        "seconds": elapsed_s,
+    }
+
+
+def ram_row(total_bytes: int) -> dict:
+    """As fast as it goes into files in memory: what the recorder itself can carry, all streams waiting for room."""
+    folder = RAM_FOLDER / f"spike4dgs-bench-{time.monotonic_ns()}"
+    blocks = total_bytes // BLOCK_BYTES // STREAMS
+    try:
+        feeds = _feeds(folder, StreamSpace(4 << 20, blocks * BLOCK_PLANES), blocks, 0.0)
+        start_s = time.perf_counter()
+        cpu_s, _ = _run(feeds)
+        for feed in feeds:
+            feed.writer.close()
+        elapsed_s = time.perf_counter() - start_s
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    mb_s = blocks * BLOCK_BYTES * STREAMS / elapsed_s / 1e6
+    return {"case": "memory", "mb_s": mb_s, "cores": cpu_s / elapsed_s, "seconds": elapsed_s}
+
+
+def memcpy_gb_s() -> float:
+    """GB/s at which one thread copies 256 MB, the best of five."""
+    source, target = np.ones(256_000_000, np.uint8), np.zeros(256_000_000, np.uint8)
+    times = []
+    for _ in range(5):
+        start_s = time.perf_counter()
+        np.copyto(target, source)
+        times.append(time.perf_counter() - start_s)
+    return source.nbytes / min(times) / 1e9
+
+
+def _feeds(folder: Path, space: StreamSpace, blocks: int, period_s: float) -> list[_Feed]:
+    folder.mkdir()
+    writers = [StreamWriter(folder, f"cam{n}", LAYOUT, space) for n in range(STREAMS)]
+    return [_Feed(writer, blocks, period_s) for writer in writers]
+
+
+def _run(feeds: Sequence[_Feed]) -> tuple[float, float]:
+    """Processor seconds and seconds until all blocks were offered; the streams begin one after another."""
+    start_s, cpu_s = time.perf_counter(), time.process_time()
+    offset_s = feeds[0].period_s / len(feeds)
+    threads = [threading.Thread(target=f.run, args=(start_s + n * offset_s,)) for n, f in enumerate(feeds)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return time.process_time() - cpu_s, time.perf_counter() - start_s
