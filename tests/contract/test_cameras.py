@@ -8,7 +8,7 @@ import usb.core
 
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.protocol import State
+from acquisition.devices.registers import State
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.spikes.layout import PlaneLayout
@@ -50,9 +50,7 @@ class MockBench:
 
     def flip(self, byte: int) -> None:
         """Flip a bit of the next block on its way."""
-        data = bytearray(self.model.stream(1 << 20, 1))
-        data[byte] ^= 16
-        self.model._outgoing = memoryview(data)
+        self.model.flip_bit(byte)
 
 
 @pytest.fixture(params=[MockBench])
