@@ -87,7 +87,7 @@ class DeviceModel:
             raise StallError
         return descriptors.encode_string(number, strings)
 
-    def control(self, kind: int, request: int, value: int, index: int) -> bytes:
+    def control(self, kind: int, request: int, value: int, index: int, data: bytes = b"") -> bytes:
         """Answer a request by the fields of its setup packet; raises StallError for one it does not know."""
         if kind & _KIND == _VENDOR:
             if kind & _IN:
