@@ -17,7 +17,7 @@ TRUTH_FOLDER = "truth"
 BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
 
 Layer = Literal["device", "link"]
-Trigger = Literal["line", "software", "import"]
+Trigger = Literal["line", "software", "import", "box"]
 
 
 def block_planes_of(layout: PlaneLayout) -> int:

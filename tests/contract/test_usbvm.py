@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 GUEST = """
 export PYTHONDONTWRITEBYTECODE=1 HOME=/dev/shm TMPDIR=/dev/shm
 cd {root}
-{python} -m pytest -p no:cacheprovider -m 'not slow' -q tests/contract -k IpBench
+{python} -m pytest -p no:cacheprovider -m 'not slow' -q tests/contract -k "IpBench or is_connected"
 echo "USBVM ENDED $?"
 """
 
