@@ -39,5 +39,6 @@ class DeviceClock:
         pulse = 2 + math.floor((device_time_s - self.offset_s) / period_here_s)
         while pulse > 0 and (pulse in self.missed or self.latch_s(pulse, period_s) > device_time_s + 1e-12):
             pulse -= 1
-        count = pulse - sum(1 for missed in self.missed if missed < pulse)
-        return count, self.latch_s(pulse, period_s) if pulse > 0 else None
+        if pulse < 1:
+            return 0, None
+        return pulse - sum(1 for missed in self.missed if missed < pulse), self.latch_s(pulse, period_s)
