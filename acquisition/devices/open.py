@@ -17,9 +17,11 @@ from urllib.parse import parse_qsl, urlsplit
 import libusb_package
 from usb.backend import IBackend
 
+from acquisition.devices.box_model import BoxModel, MockHid
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.mock import MockBackend
 from acquisition.devices.replay import replay_sources
+from acquisition.devices.trigger_box import TriggerBox, find_box
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
@@ -57,7 +59,7 @@ class OpenCameras:
     """The cameras of a rig, in its order, what starts them, and the scene before them where they are simulated."""
 
     cameras: tuple[UsbCamera, ...]
-    trigger: SoftwareTrigger | MockTriggerLine
+    trigger: SoftwareTrigger | TriggerBox
     scene: Scene | None = None
 
 
@@ -99,12 +101,14 @@ def parse_devices(uri: str) -> Devices:
 def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCameras]:
     """Open all cameras of `rig`, on USB, simulated or replayed, and close them at the end.
 
-    Simulated ones show `planes` planes.
+    Simulated ones show `planes` planes. They are started by the trigger box; on USB, where none is connected, one after
+    another by command.
+
     Raises CameraSetupError for the first camera that is missing or does not fit the rig.
     """
     if devices is None:
-        with _opened(rig, _libusb()) as cameras:
-            yield OpenCameras(cameras, SoftwareTrigger(cameras))
+        with _opened(rig, _libusb()) as cameras, _closing(find_box()) as box:
+            yield OpenCameras(cameras, box or SoftwareTrigger(cameras))
         return
     rig = _with_serials(rig)
     if isinstance(devices, Replay):
@@ -112,8 +116,9 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
     else:
         scene = build_scene(devices.scene, devices.seed)
         models = _models(rig, scene, devices, planes)
-    with _opened(rig, MockBackend(models)) as cameras:
-        yield OpenCameras(cameras, MockTriggerLine(models), scene)
+    box = TriggerBox(MockHid(BoxModel("box", models)))
+    with _opened(rig, MockBackend(models)) as cameras, _closing(box):
+        yield OpenCameras(cameras, box, scene)
 
 
 def _models(rig: Rig, scene: Scene, simulation: Simulation, planes: int) -> list[DeviceModel]:
@@ -146,6 +151,15 @@ def _replayed(rig: Rig, recording: Recording) -> list[DeviceModel]:
             f"{recording.path}: found no stream of {', '.join(missing)}, expected one for each camera of rig {rig.name}"
         )
     return [DeviceModel(camera.serial, sources[camera.id], recording.tick_rate_hz) for camera in rig.cameras]
+
+
+@contextlib.contextmanager
+def _closing(box: TriggerBox | None) -> Iterator[TriggerBox | None]:
+    try:
+        yield box
+    finally:
+        if box:
+            box.close()
 
 
 @contextlib.contextmanager

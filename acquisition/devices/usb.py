@@ -1,26 +1,24 @@
-"""The driver of one spike camera over pyusb; the same on libusb and on the mock."""
+"""The driver of one spike camera: pyusb for control, transfers in flight for the stream; the same on every backend."""
 
 from __future__ import annotations
 
-import array
 import contextlib
 import errno
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import cast
 
 import usb.core
 import usb.util
 from usb.backend import IBackend
 
-from acquisition.devices.protocol import (
+from acquisition.devices.libusb_pipe import LibusbPipe
+from acquisition.devices.protocol import Block, BlockParser, Damage, RepeatFilter
+from acquisition.devices.registers import (
     PRODUCT_ID,
     PROTOCOL_VERSION,
     REGISTER_BYTES,
-    STREAM_ENDPOINT,
     VENDOR_ID,
-    Block,
-    BlockParser,
-    Damage,
     Geometry,
     Identity,
     Request,
@@ -28,11 +26,12 @@ from acquisition.devices.protocol import (
     Status,
     decode_tick_rate,
 )
+from acquisition.devices.stream import IN_FLIGHT, RECOMMENDED_USBFS_MB, BulkStream, StreamingBackend
 from acquisition.errors import DeviceError
 from acquisition.recording.manifest import Trigger
 from rigs.camera import Camera
 
-_TRANSFER_BYTES = 1 << 20
+_USBFS_MB = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _CONTROL_TIMEOUT_MS = 1000
 _READ_REGISTER = usb.util.CTRL_IN | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_DEVICE
 _COMMAND = usb.util.CTRL_OUT | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_DEVICE
@@ -40,7 +39,7 @@ _ADVICE = {
     errno.ENODEV: "it is not connected any more; check its cable and power",
     errno.EACCES: "access was denied; allow this user to open the device (a udev rule)",
     errno.EBUSY: "another program holds it; stop that program",
-    errno.ENOMEM: "the kernel has no memory left for transfers; raise usbcore.usbfs_memory_mb",
+    errno.EIO: "the transfer failed on the wire; change its cable or port",
 }
 
 
@@ -51,20 +50,32 @@ class CameraSetupError(DeviceError):
 
 
 class UsbCamera:
-    """A connected camera that is the rig's `camera`. Every error is a DeviceError that names it. Build with `open`."""
+    """A connected camera that is the rig's `camera`. Every error is a DeviceError that names it. Build with `open`.
 
-    def __init__(self, camera: Camera, device: usb.core.Device):
+    `damages` counts the damaged stretches of the stream since it was armed, `repeats` the blocks that came twice.
+    """
+
+    def __init__(self, camera: Camera, device: usb.core.Device, backend: IBackend):
         self.id = camera.id
         self.serial = camera.serial
         self.damages = 0
         self._device = device
-        self._parser = BlockParser()
-        self._buffer = array.array("B", bytes(_TRANSFER_BYTES))
+        self._repeated = RepeatFilter()
         with self._named():
             device.set_configuration()
-            usb.util.claim_interface(device, 0)
         geometry = Geometry.decode(self._register(Request.GEOMETRY))
         self.layout = geometry.layout
+        self._block_bytes = geometry.planes_per_block * geometry.layout.plane_bytes
+        self._parser = BlockParser(self._block_bytes)
+        with self._named():
+            own = isinstance(backend, StreamingBackend)
+            pipe = backend.open_stream(device) if own else LibusbPipe(cast(int, device.bus), cast(int, device.address))
+        self._stream = BulkStream(pipe)
+
+    @property
+    def repeats(self) -> int:
+        """Blocks that came twice, and were left out."""
+        return self._repeated.repeats
 
     @classmethod
     def open(cls, camera: Camera, tick_rate_hz: float, backend: IBackend) -> UsbCamera:
@@ -74,21 +85,29 @@ class UsbCamera:
         """
         device = _find(camera, backend)
         try:
-            opened = cls(camera, device)
-            opened._check(camera, tick_rate_hz)
+            opened = cls(camera, device, backend)
         except DeviceError:
             usb.util.dispose_resources(device)
+            raise
+        try:
+            opened._check(camera, tick_rate_hz)
+        except DeviceError:
+            opened.close()
             raise
         return opened
 
     def arm(self) -> None:
         """Get ready for the trigger, and confirm it."""
-        self._parser = BlockParser()
+        self._parser, self._repeated = BlockParser(self._block_bytes), RepeatFilter()
         self.damages = 0
+        with self._named():
+            self._stream.stop()
         self._command(Request.ARM)
         state = self.status().state
         if state is not State.ARMED:
             raise DeviceError(f"{self.id}: found it {state.name.lower()} after arming, expected armed; reconnect it")
+        with self._named():
+            self._stream.start()
 
     def start(self) -> None:
         """Start without a trigger line."""
@@ -108,6 +127,8 @@ class UsbCamera:
             found = self._parser.next()
             self.damages = self._parser.damages
             if isinstance(found, Block):
+                if self._repeated.is_repeat(found):
+                    continue
                 return found
             if not isinstance(found, Damage) and not self._receive(timeout_s):
                 return None
@@ -119,6 +140,7 @@ class UsbCamera:
 
     def close(self) -> None:
         """Give the device back."""
+        self._stream.close()
         usb.util.dispose_resources(self._device)
 
     def _check(self, camera: Camera, tick_rate_hz: float) -> None:
@@ -137,19 +159,10 @@ class UsbCamera:
             raise CameraSetupError(f"{self.id}: found {rate:g} Hz, expected {tick_rate_hz:g} Hz; mend the rig")
 
     def _receive(self, timeout_s: float) -> bool:
-        try:
-            count = cast(int, self._device.read(STREAM_ENDPOINT, self._buffer, max(1, round(timeout_s * 1000))))
-        except usb.core.USBError as error:
-            if error.errno == errno.ETIMEDOUT:
-                return False
-            if error.errno != errno.EPIPE:
-                raise self._failed(error) from error
-            with self._named():
-                self._device.clear_halt(STREAM_ENDPOINT)
-            return False
-        with memoryview(self._buffer) as view:
-            self._parser.feed(view[:count])
-        return True
+        with self._named():
+            data = self._stream.read(timeout_s)
+        self._parser.feed(data)
+        return len(data) > 0
 
     def _register(self, request: Request) -> bytes:
         with self._named():
@@ -170,6 +183,8 @@ class UsbCamera:
             raise self._failed(error) from error
 
     def _failed(self, error: usb.core.USBError) -> DeviceError:
+        if error.errno == errno.ENOMEM:
+            return DeviceError(f"{self.id} (serial {self.serial}): {_usbfs_advice()}")
         advice = _ADVICE.get(error.errno or 0, f"{error.strerror}; reconnect it")
         return DeviceError(f"{self.id} (serial {self.serial}): {advice}")
 
@@ -203,6 +218,14 @@ def _find(camera: Camera, backend: IBackend) -> usb.core.Device:
     connected = ", ".join(sorted(serials)) or "none"
     raise CameraSetupError(
         f"{camera.id}: found no camera with serial {camera.serial} (connected: {connected}); check its cable and power"
+    )
+
+
+def _usbfs_advice() -> str:
+    limit = f"{_USBFS_MB.read_text().strip()} MB" if _USBFS_MB.exists() else "its limit"
+    return (
+        f"found the kernel's memory for USB transfers full at {limit}, expected {IN_FLIGHT} MB a camera; "
+        f"write {RECOMMENDED_USBFS_MB} to {_USBFS_MB}"
     )
 
 

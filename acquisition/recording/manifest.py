@@ -18,7 +18,7 @@ BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
 MAX_BLOCK_PLANES = 1 << 20
 
 Layer = Literal["device", "link", "ring", "disk"]
-Trigger = Literal["line", "software", "import"]
+Trigger = Literal["line", "software", "import", "box"]
 Status = Literal["armed", "recording", "complete", "incomplete"]
 UNFINISHED: tuple[Status, ...] = ("armed", "recording")
 

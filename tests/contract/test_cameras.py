@@ -1,15 +1,24 @@
 """What every camera back end promises to the driver above it."""
 
 import dataclasses
+import platform
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import libusb_package
 import numpy as np
 import pytest
 import usb.core
 
-from acquisition.devices.device_model import DeviceModel
+from acquisition.devices import usbip
+from acquisition.devices.device_clock import DeviceClock
+from acquisition.devices.device_model import DeviceModel, Pace
 from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.protocol import State
-from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
+from acquisition.devices.protocol import Block, BlockStatus
+from acquisition.devices.registers import VENDOR_ID, State
+from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera, _serial_of
 from acquisition.errors import DeviceError
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
@@ -17,15 +26,15 @@ from rigs.transform import Transform
 
 LAYOUT = PlaneLayout(9, 5)
 RATE = 20_000.0
+USBFS_MB = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 CAMERA = Camera("cam12", 9, 5, 8.0, 8.0, 4.5, 2.5, Transform.identity(), serial="A1")
 PLANES = np.random.default_rng(0).integers(0, 256, (200, LAYOUT.plane_bytes), dtype=np.uint8)
 
 
 class Stored:
-    layout = LAYOUT
-
-    def __init__(self):
-        self.left = PLANES
+    def __init__(self, planes: np.ndarray = PLANES, layout: PlaneLayout = LAYOUT):
+        self.layout = layout
+        self.left = planes
 
     def next_planes(self, count: int) -> np.ndarray:
         found, self.left = self.left[:count], self.left[count:]
@@ -33,31 +42,97 @@ class Stored:
 
 
 class MockBench:
-    """One camera on the mock bus, and the hand that spoils it."""
+    """Cameras on the mock bus, and the hand that spoils them."""
 
     def __init__(self):
-        self.model = DeviceModel("A1", Stored(), RATE)
-        self.backend = MockBackend([self.model])
+        self.models, self.backend = [], MockBackend([])
+        self.plug(DeviceModel("A1", Stored(), RATE))
+
+    @property
+    def model(self) -> DeviceModel:
+        return self.models[0]
+
+    def plug(self, *models: DeviceModel) -> None:
+        self.models += models
+        self.backend = MockBackend(self.models)
 
     def fire(self) -> None:
-        MockTriggerLine([self.model]).fire()
+        MockTriggerLine(self.models).fire()
 
-    def unplug(self) -> None:
-        self.backend.unplug("A1")
+    def unplug(self, serial: str = "A1") -> None:
+        self.backend.unplug(serial)
 
-    def halt(self) -> None:
-        self.backend.halt("A1")
+    def replug(self) -> None:
+        self.backend.replug("A1")
 
-    def flip(self, byte: int) -> None:
-        """Flip a bit of the next block on its way."""
-        data = bytearray(self.model.stream(1 << 20, 1))
-        data[byte] ^= 16
-        self.model._outgoing = memoryview(data)
+    def limit_usbfs(self, megabytes: int) -> None:
+        self.backend = MockBackend(self.models, megabytes << 20)
+
+    def tree(self) -> list[str]:
+        return [f"mock: {model.serial}" for model in self.models]
+
+    def close(self) -> None:
+        pass
 
 
-@pytest.fixture(params=[MockBench])
+class UsbIpBench(MockBench):
+    """The same cameras on this kernel's own USB stack."""
+
+    def __init__(self):
+        self.models, self.devices, self.limit = [], {}, USBFS_MB.read_text()
+        self.backend = libusb_package.get_libusb1_backend()
+        self.limit_usbfs(256)
+        self.plug(DeviceModel("A1", Stored(), RATE))
+
+    def plug(self, *models: DeviceModel) -> None:
+        self.models += models
+        self.devices |= {model.serial: usbip.UsbIpDevice(model) for model in models}
+        for model in models:
+            wait_until(lambda serial=model.serial: serial in self.connected())
+
+    def connected(self) -> set[str]:
+        found = usb.core.find(find_all=True, backend=self.backend, idVendor=VENDOR_ID)
+        return {_serial_of(device) for device in found}
+
+    def unplug(self, serial: str = "A1") -> None:
+        self.devices.pop(serial).unplug()
+        wait_until(lambda: serial not in self.connected())
+
+    def replug(self) -> None:
+        self.unplug()
+        self.devices["A1"] = usbip.UsbIpDevice(self.model)
+        wait_until(lambda: "A1" in self.connected())
+
+    def limit_usbfs(self, megabytes: int) -> None:
+        USBFS_MB.write_text(str(megabytes))
+
+    def tree(self) -> list[str]:
+        devices = sorted(path.parent for path in Path("/sys/bus/usb/devices").glob("*/product"))
+        facts = ("speed", "idVendor", "idProduct", "product", "serial")
+        return [
+            "usb: " + " ".join((d / fact).read_text().strip() for fact in facts if (d / fact).exists()) for d in devices
+        ]
+
+    def close(self) -> None:
+        USBFS_MB.write_text(self.limit)
+        for device in self.devices.values():
+            device.unplug()
+        wait_until(lambda: not self.connected())
+
+
+def wait_until(holds, tries: int = 1000) -> None:
+    for _ in range(tries):
+        if holds():
+            return
+        time.sleep(0.01)
+    raise AssertionError("what was waited for did not happen")
+
+
+@pytest.fixture(params=[MockBench, *([UsbIpBench] if usbip.is_available() else [])])
 def bench(request):
-    return request.param()
+    found = request.param()
+    yield found
+    found.close()
 
 
 @pytest.fixture
@@ -67,8 +142,12 @@ def camera(bench):
     opened.close()
 
 
+def read_blocks(camera: UsbCamera) -> list[Block]:
+    return list(iter(lambda: camera.read_block(0.2), None))
+
+
 def read_all(camera: UsbCamera) -> np.ndarray:
-    return np.concatenate([b.packed for b in iter(lambda: camera.read_block(0.01), None)])
+    return np.concatenate([block.packed for block in read_blocks(camera)])
 
 
 def test_all_planes_arrive_bit_for_bit(bench, camera):
@@ -84,7 +163,7 @@ def test_all_planes_arrive_bit_for_bit(bench, camera):
 def test_a_rig_without_a_line_starts_by_command(camera):
     camera.arm()
     SoftwareTrigger([camera]).fire()
-    assert camera.read_block(0.01).first_plane == 0
+    assert camera.read_block(1).first_plane == 0
 
 
 def test_an_armed_camera_sends_nothing_before_the_trigger(camera):
@@ -95,38 +174,175 @@ def test_an_armed_camera_sends_nothing_before_the_trigger(camera):
 def test_a_stopped_camera_can_be_armed_again(bench, camera):
     camera.arm()
     bench.fire()
-    camera.read_block(0.01)
+    camera.read_block(1)
     camera.ensure_stopped()
     assert camera.status().state is State.IDLE
+    bench.model._source.left = PLANES
     camera.arm()
     bench.fire()
-    assert camera.read_block(0.01).first_plane == 0
+    assert camera.read_block(1).first_plane == 0
 
 
-def test_a_stall_is_cleared_and_costs_nothing(bench, camera):
+def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
+    bench.model.hold(576 + 512)  # a block, and half of the next: no short packet ends it
     camera.arm()
     bench.fire()
-    bench.halt()
-    assert camera.read_block(0.01) is None
-    np.testing.assert_array_equal(read_all(camera), PLANES)
+    assert camera.read_block(0.2).first_plane == 0
+    assert camera.read_block(0.2) is None
+    assert len(camera._parser._buffer) == 512
+    bench.model.release()
+    np.testing.assert_array_equal(read_all(camera), PLANES[80:])
+    assert camera.damages == 0
+
+
+@pytest.mark.parametrize("sent", [0, 512, 576 + 512])
+def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
+    bench.model.hold(sent)
+    camera.arm()
+    bench.fire()
+    bench.model.halt()
+    bench.model.release()
+    first = camera.read_block(0.2)
+    assert first is None or sent > 576
+    np.testing.assert_array_equal(np.concatenate([*([first.packed] if first else []), read_all(camera)]), PLANES)
+    assert camera.damages == 0
 
 
 def test_a_damaged_block_is_dropped_and_counted(bench, camera):
+    bench.model.flip_bit(100)
     camera.arm()
     bench.fire()
-    bench.flip(100)
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
     assert camera.damages == 1
 
 
-def test_an_unplugged_camera_is_named(bench, camera):
+def test_an_unplugged_camera_is_named_at_once_and_ever_after(bench, camera):
     camera.arm()
-    bench.fire()
     bench.unplug()
-    for call in (lambda: camera.read_block(1), camera.arm, camera.start, camera.status):
+    for call in (lambda: camera.read_block(600), lambda: camera.read_block(600), camera.arm, camera.start):
         with pytest.raises(DeviceError, match=r"cam12 \(serial A1\): it is not connected any more"):
             call()
     camera.ensure_stopped()
+
+
+def test_a_camera_that_came_back_is_another_device(bench, camera):
+    camera.arm()
+    bench.fire()
+    bench.replug()
+    with pytest.raises(DeviceError, match="not connected any more"):
+        read_all(camera)
+    bench.model._source.left = PLANES
+    again = UsbCamera.open(CAMERA, RATE, bench.backend)
+    again.arm()
+    bench.fire()
+    np.testing.assert_array_equal(read_all(again), PLANES)
+    again.close()
+
+
+def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
+    planes = np.random.default_rng(1).integers(0, 256, (4000, LAYOUT.plane_bytes), dtype=np.uint8)
+    bench.plug(*(DeviceModel(f"N{i}", Stored(planes), RATE) for i in range(9)))
+    cameras = [
+        UsbCamera.open(dataclasses.replace(CAMERA, id=f"cam{i}", serial=f"N{i}"), RATE, bench.backend) for i in range(9)
+    ]
+    bench.models[5].hold(576 * 20 + 512)
+    with ThreadPoolExecutor(9) as pool:
+        for camera in cameras:
+            camera.arm()
+        tasks = [pool.submit(read_all, camera) for camera in cameras]
+        bench.fire()
+        bench.unplug("N4")
+        for i, task in enumerate(tasks):
+            if i == 4:
+                with pytest.raises(DeviceError, match=r"cam4 \(serial N4\): it is not connected any more"):
+                    task.result()
+            else:
+                np.testing.assert_array_equal(task.result(), planes)
+    for camera in cameras:
+        camera.close()
+
+
+def test_a_full_kernel_is_one_line_and_no_hang(bench, camera):
+    bench.limit_usbfs(4)
+    camera.close()
+    camera = UsbCamera.open(CAMERA, RATE, bench.backend)
+    with pytest.raises(DeviceError, match=r"cam12 .*memory for USB transfers full .* write 256 to \S*usbfs_memory_mb$"):
+        camera.arm()
+    camera.close()
+    bench.limit_usbfs(16)
+    camera = UsbCamera.open(CAMERA, RATE, bench.backend)
+    camera.arm()
+    bench.fire()
+    np.testing.assert_array_equal(read_all(camera), PLANES)
+    camera.close()
+
+
+def test_what_a_slow_reader_loses_is_counted_to_the_plane(bench):
+    planes = np.random.default_rng(2).integers(0, 256, (2000, LAYOUT.plane_bytes), dtype=np.uint8)
+    now_s = [0.0]
+    bench.plug(DeviceModel("P1", Stored(planes), RATE, pace=Pace(160, lambda: now_s[0])))
+    camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="P1"), RATE, bench.backend)
+    camera.arm()
+    bench.fire()
+    blocks = []
+    for due in (80, 160, 900, 980, 1700, 5000):
+        now_s[0] = (due + 0.5) / RATE
+        blocks += read_blocks(camera)
+    lost, next_plane = 0, 0
+    for block in blocks:
+        lost += block.first_plane - next_plane
+        next_plane = block.first_plane + len(block.packed)
+        assert block.dropped_planes == lost
+        np.testing.assert_array_equal(block.packed, planes[block.first_plane : next_plane])
+        assert bool(block.status & BlockStatus.OVERRUN) == bool(block.status & BlockStatus.DISCARDED)
+    status = camera.status()
+    assert sum(len(block.packed) for block in blocks) + status.dropped_planes == status.emitted_planes == 2000
+    assert lost > 0
+    assert any(block.status & BlockStatus.OVERRUN for block in blocks)
+    camera.close()
+
+
+def test_a_repeated_block_is_left_out(bench, camera, monkeypatch):
+    send = bench.model._next_block
+    monkeypatch.setattr(bench.model, "_next_block", lambda: 2 * send())
+    camera.arm()
+    bench.fire()
+    np.testing.assert_array_equal(read_all(camera), PLANES)
+    assert (camera.repeats, camera.damages) == (3, 0)
+
+
+def test_every_block_tells_a_pulse_and_its_time(bench):
+    clock = DeviceClock(offset_s=0.002, drift_ppm=50, missed=frozenset({4}))
+    bench.plug(DeviceModel("T1", Stored(np.zeros((4000, 6), np.uint8)), RATE, clock))
+    camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="T1"), RATE, bench.backend)
+    camera.arm()
+    bench.fire()  # and a pulse each millisecond, which is 20 planes
+    pairs = [(block.sync_pulses, block.pulse_time_s) for block in read_blocks(camera)]
+    for k, (count, time_s) in enumerate(pairs):
+        pulse = max(1, 4 * k)  # the clock is fast, so the pulse on the block's first plane comes after it
+        pulse -= pulse == 4
+        assert count == pulse - (pulse > 4)
+        assert time_s == pytest.approx(0.002 + (pulse - 1) * 1e-3 * (1 + 50e-6), abs=1e-9)
+    camera.close()
+
+
+def test_how_fast_it_is(bench, capsys):
+    layout = PlaneLayout(400, 250)
+    planes = np.broadcast_to(np.arange(layout.plane_bytes).astype(np.uint8), (16_000, layout.plane_bytes))
+    bench.plug(DeviceModel("F1", Stored(planes, layout), RATE))
+    fast = dataclasses.replace(CAMERA, serial="F1", width=400, height=250)
+    camera = UsbCamera.open(fast, RATE, bench.backend)
+    camera.arm()
+    bench.fire()
+    start_s, taken = time.monotonic(), 0
+    while taken < len(planes):
+        taken += len(camera.read_block(10).packed)
+    rate = taken * layout.plane_bytes / (time.monotonic() - start_s)
+    tree = bench.tree()
+    camera.close()
+    with capsys.disabled():
+        lines = [f"kernel {platform.release()}", *tree, f"{rate / 1e6:.0f} MB/s through one camera's driver"]
+        sys.stdout.write("\n" + "".join(f"{type(bench).__name__}: {line}\n" for line in lines))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
 from acquisition.devices.open import Replay, Simulation, open_cameras, parse_devices
-from acquisition.devices.protocol import Request
+from acquisition.devices.registers import Request
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import BadRecordingError, DeviceError, DiskError
 from acquisition.progress import silent

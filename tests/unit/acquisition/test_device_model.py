@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from acquisition.devices.device_model import DeviceModel, StallError
-from acquisition.devices.protocol import BlockParser, Geometry, Request, State, Status, decode_tick_rate
+from acquisition.devices.protocol import BlockParser
+from acquisition.devices.registers import Geometry, Request, State, Status, decode_tick_rate
 from acquisition.spikes.layout import PlaneLayout
 
 

@@ -7,7 +7,7 @@ import usb.util
 
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.protocol import PRODUCT_ID, STREAM_ENDPOINT, VENDOR_ID, Request
+from acquisition.devices.registers import PRODUCT_ID, STREAM_ENDPOINT, VENDOR_ID, Request
 from acquisition.spikes.layout import PlaneLayout
 
 READ = 0xC0
@@ -82,7 +82,7 @@ def test_a_halted_pipe_stalls_until_it_is_cleared(device, models, backend):
     assert len(device.read(STREAM_ENDPOINT, 64)) == 64
 
 
-@pytest.mark.parametrize(("kind", "request_code"), [(READ, 0x7F), (COMMAND, 0x7F), (0x80, 0x06)])
+@pytest.mark.parametrize(("kind", "request_code"), [(READ, 0x7F), (COMMAND, 0x7F), (0x80, 0x0C)])
 def test_an_unknown_control_request_stalls_once(device, kind, request_code):
     with pytest.raises(usb.core.USBError) as caught:
         device.ctrl_transfer(kind, request_code, 0x0100, 0, 8 if kind & 0x80 else None)

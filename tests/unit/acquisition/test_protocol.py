@@ -11,14 +11,10 @@ from acquisition.devices.protocol import (
     Block,
     BlockParser,
     Damage,
-    Geometry,
-    Identity,
-    State,
-    Status,
-    decode_tick_rate,
+    RepeatFilter,
     encode_block,
-    encode_tick_rate,
 )
+from acquisition.devices.registers import Geometry, Identity, State, Status, decode_tick_rate, encode_tick_rate
 from acquisition.errors import DeviceError
 from acquisition.spikes.layout import PlaneLayout
 
@@ -33,7 +29,7 @@ layouts = st.builds(
 
 def make_block(layout: PlaneLayout, planes: int, block_id: int = 0, first_plane: int = 0, seed: int = 0) -> Block:
     packed = np.random.default_rng(seed).integers(0, 256, (planes, layout.plane_bytes), dtype=np.uint8)
-    return Block(block_id, first_plane, first_plane * 50_000, layout, packed, 1, dropped_planes=3, status=1)
+    return Block(block_id, first_plane, first_plane * 50_000, layout, packed, 1, 3, 1, 70_000)
 
 
 def three_blocks() -> tuple[list[Block], bytes]:
@@ -53,7 +49,16 @@ def parse(data: bytes, cuts: list[int]) -> tuple[list[Block], list[Damage], Bloc
 
 
 def assert_same(found: Block, expected: Block) -> None:
-    for name in ("block_id", "first_plane", "device_time_ns", "layout", "sync_pulses", "dropped_planes", "status"):
+    for name in (
+        "block_id",
+        "first_plane",
+        "device_time_ns",
+        "layout",
+        "sync_pulses",
+        "dropped_planes",
+        "status",
+        "pulse_age_ns",
+    ):
         assert getattr(found, name) == getattr(expected, name), name
     np.testing.assert_array_equal(found.packed, expected.packed)
 
@@ -120,6 +125,92 @@ def test_a_payload_that_looks_like_a_leader_is_kept():
     found, damages, _ = parse(data, [70, 90])
     assert not damages
     np.testing.assert_array_equal(found[0].packed, packed)
+
+
+FAULTS = 1000  # of each kind
+
+
+def test_every_gap_repeat_and_bad_crc_is_found_and_nothing_else():
+    rng = np.random.default_rng(3)
+    layout, planes = PlaneLayout(9, 5), 4
+    count = 10 * FAULTS
+    hit = 2 * rng.choice(np.arange(1, count // 2), 3 * FAULTS, replace=False)  # no two side by side
+    lost, repeated, broken = (set(part.tolist()) for part in np.split(hit, 3))
+    stream = bytearray()
+    for i in range(count):
+        data = bytearray(encode_block(make_block(layout, planes, i, i * planes, seed=i)))
+        if i in broken:
+            data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        stream += data * (i in repeated) + data * (i not in lost)
+    blocks, damages, parser = parse(bytes(stream), np.sort(rng.integers(0, len(stream), 5000)).tolist())
+    repeats = RepeatFilter()
+    kept = [block for block in blocks if not repeats.is_repeat(block)]
+    assert [block.block_id for block in kept] == [i for i in range(count) if i not in lost | broken]
+    assert parser.damages == len(damages) == repeats.repeats == FAULTS
+    assert {damage.skipped_bytes for damage in damages} == {len(data)}
+    gaps, next_plane = [], 0
+    for block in kept:
+        if block.first_plane > next_plane:
+            gaps.append(next_plane // planes)
+        next_plane = block.first_plane + len(block.packed)
+    assert gaps == sorted(lost | broken)
+
+
+def test_a_block_that_was_cut_costs_no_other():
+    _, stream = three_blocks()
+    size = len(stream) // 3
+    for kept in (1, 63, 64, 65, size - 1):
+        found, damages, _ = parse(stream[:kept] + stream[size:], [])
+        assert [b.block_id for b in found] == [1, 2]
+        assert [d.skipped_bytes for d in damages] == [kept]
+
+
+def test_a_leader_that_promises_more_than_the_camera_sends_is_not_waited_for():
+    blocks, stream = three_blocks()
+    size = len(blocks[0].packed.tobytes())
+    parser = BlockParser(max_payload_bytes=size)
+    parser.feed(encode_block(make_block(PlaneLayout(400, 250), 80))[:64] + stream)
+    found = list(iter(parser.next, None))
+    assert isinstance(found[0], Damage)
+    assert [b.block_id for b in found[1:]] == [0, 1, 2]
+
+
+def check_noise(data) -> None:
+    """Whatever comes first, the two blocks behind it are found, and every byte is one or the other."""
+    _, stream = three_blocks()
+    pieces = st.one_of(st.binary(max_size=120), st.just(b"S4LD"), st.just(b"S4TR"), st.integers(0, 400).map(piece))
+    noise = b"".join(data.draw(st.lists(pieces, max_size=12)))
+    parser = BlockParser()
+    for start in range(0, len(noise), 37):
+        parser.feed(noise[start : start + 37])
+        while parser.next() is not None:
+            pass
+    parser.feed(stream * 2)  # what the noise had begun may take the first with it
+    ids = [found.block_id for found in iter(parser.next, None) if isinstance(found, Block)]
+    assert ids[-3:] == [0, 1, 2]
+
+
+def piece(seed: int) -> bytes:
+    """A part of a stream, with a flipped bit here and there."""
+    rng = np.random.default_rng(seed)
+    stream = bytearray(three_blocks()[1])
+    for _ in range(rng.integers(3)):
+        stream[rng.integers(len(stream))] ^= 1 << rng.integers(8)
+    first, last = sorted(rng.integers(0, len(stream), 2))
+    return bytes(stream[first:last])
+
+
+@settings(max_examples=200)
+@given(st.data())
+def test_noise_of_any_kind_neither_stops_nor_breaks_the_parser(data):
+    check_noise(data)
+
+
+@pytest.mark.slow
+@settings(max_examples=10_000)
+@given(st.data())
+def test_ten_thousand_kinds_of_noise(data):
+    check_noise(data)
 
 
 @given(layouts, st.integers(1, 1000))

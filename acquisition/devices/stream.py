@@ -1,0 +1,168 @@
+"""The stream of one camera: transfers kept in flight over a narrow pipe, which libusb and the mock both are."""
+
+from __future__ import annotations
+
+import enum
+import errno
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import usb.core
+from usb.core import USBError
+
+TRANSFER_BYTES = 1 << 20
+IN_FLIGHT = 8
+RECOMMENDED_USBFS_MB = 256
+_COLLECT_S = 2.0  # a kernel that has not given a cancelled transfer back by then never will
+
+
+class Outcome(enum.Enum):
+    """How a transfer ended; each may have brought bytes."""
+
+    DONE = "done"  # full, or ended by a short packet
+    CANCELLED = "cancelled"
+    STALLED = "stalled"
+    GONE = "gone"
+    FAILED = "failed"
+
+
+class Completion(NamedTuple):
+    """A transfer that ended; `data` is valid until the next submit."""
+
+    outcome: Outcome
+    data: memoryview
+
+
+class StreamPipe(Protocol):
+    """Transfers of one endpoint, given back in the order of submission. Errors are pyusb's, with the kernel's errno."""
+
+    def submit(self) -> None:
+        """Queue one more transfer; raises USBError: ENOMEM past the kernel's limit, ENODEV for a device gone."""
+        ...
+
+    def reap(self, timeout_s: float) -> Completion | None:
+        """The oldest transfer, or None when it does not end within `timeout_s`."""
+        ...
+
+    def cancel(self) -> None:
+        """Ask for all transfers to end now; `reap` gives each back, with the bytes it had got."""
+        ...
+
+    def clear_halt(self) -> None:
+        """End a stall."""
+        ...
+
+    def close(self) -> None:
+        """Give the device back; what is in flight is lost."""
+        ...
+
+
+@runtime_checkable
+class StreamingBackend(Protocol):
+    """A pyusb backend that has stream pipes of its own."""
+
+    def open_stream(self, device: usb.core.Device) -> StreamPipe:
+        """The stream of `device`, which must be free."""
+        ...
+
+
+class BulkStream:
+    """Reads a pipe with `in_flight` transfers always queued, so that the device never waits for the host."""
+
+    def __init__(self, pipe: StreamPipe, in_flight: int = IN_FLIGHT, clock: Callable[[], float] = time.monotonic):
+        self._pipe = pipe
+        self._in_flight = in_flight
+        self._clock = clock
+        self._queued = 0
+        self._ready: deque[bytes] = deque()
+        self._running = False
+
+    def start(self) -> None:
+        """Queue the transfers, none of an earlier run among them; raises USBError, and then none are queued."""
+        self.stop()
+        self._running = True
+        self._fill()
+
+    def stop(self) -> None:
+        """End all transfers and forget what they brought."""
+        self._running = False
+        self._collect()
+        self._ready.clear()
+
+    def read(self, timeout_s: float) -> bytes | memoryview:
+        """The next bytes, valid until the next call; empty when `timeout_s` passes without any, or after a stall.
+
+        What had come of a transfer when the time was over is a short read. A stall is cleared and costs nothing.
+        Raises USBError: ENODEV for a device gone, ENOMEM for a full kernel.
+        """
+        if self._ready:
+            return self._ready.popleft()
+        if not self._running:
+            return b""
+        self._fill()
+        deadline_s = self._clock() + timeout_s
+        while (left_s := deadline_s - self._clock()) > 0:
+            completion = self._reap(left_s)
+            if completion is None:
+                break
+            if completion.outcome is Outcome.STALLED:
+                return self._recover(completion)
+            if completion.data:
+                return completion.data
+            self._fill()
+        self._collect()
+        return self._ready.popleft() if self._ready else b""
+
+    def close(self) -> None:
+        """Give the device back."""
+        self._running = False
+        try:
+            self._collect()
+        except USBError:  # it is gone, and its transfers with it
+            pass
+        finally:
+            self._pipe.close()
+
+    def _fill(self) -> None:
+        try:
+            while self._queued < self._in_flight:
+                self._pipe.submit()
+                self._queued += 1
+        except USBError as error:
+            if error.errno == errno.ENOMEM:
+                self.stop()
+            raise
+
+    def _reap(self, timeout_s: float) -> Completion | None:
+        completion = self._pipe.reap(timeout_s)
+        if completion is None:
+            return None
+        self._queued -= 1
+        if completion.outcome is Outcome.GONE:
+            raise USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+        if completion.outcome is Outcome.FAILED:
+            raise USBError("Input/Output Error", -1, errno.EIO)
+        return completion
+
+    def _recover(self, stalled: Completion) -> bytes:
+        if stalled.data:
+            self._ready.append(bytes(stalled.data))
+        self._collect()
+        self._pipe.clear_halt()
+        self._fill()
+        return b""
+
+    def _collect(self) -> None:
+        """Take every transfer back, keeping what it had brought."""
+        if not self._queued:
+            return
+        self._pipe.cancel()
+        deadline_s = self._clock() + _COLLECT_S
+        while self._queued:
+            completion = self._reap(max(0.0, deadline_s - self._clock()))
+            if completion is None:
+                raise USBError("Operation timed out", -7, errno.ETIMEDOUT)
+            if completion.data:
+                self._ready.append(bytes(completion.data))

@@ -1,0 +1,167 @@
+"""The trigger box: starts every armed camera by one pulse of the shared line, and goes on pulsing; over HID.
+
+Its two feature reports are in PROTOCOL.md.
+"""
+
+from __future__ import annotations
+
+import enum
+import struct
+from typing import NamedTuple, Protocol
+
+import hidraw
+
+from acquisition.devices.registers import VENDOR_ID
+from acquisition.errors import DeviceError
+from acquisition.recording.manifest import Trigger
+
+BOX_PRODUCT_ID = 0x0002
+STATUS_REPORT, COMMAND_REPORT = 1, 2
+DEFAULT_PERIOD_S = 1e-3
+_MAGIC = b"S4TB"
+_STATUS = struct.Struct("<B4sHHIQ")
+_COMMAND = struct.Struct("<BBI")
+STATUS_BYTES, COMMAND_BYTES = _STATUS.size, _COMMAND.size
+BOX_VERSION = 1
+
+
+class BoxState(enum.IntEnum):
+    """What a trigger box is doing."""
+
+    IDLE = 0
+    ARMED = 1
+    PULSING = 2
+
+
+class BoxCommand(enum.IntEnum):
+    """The first byte of report 2; PERIOD takes microseconds."""
+
+    ARM = 1
+    FIRE = 2
+    STOP = 3
+    PERIOD = 4
+
+
+class BoxStatus(NamedTuple):
+    """Report 1."""
+
+    state: BoxState
+    period_us: int
+    pulses: int
+
+    def encode(self) -> bytes:
+        """The report's bytes."""
+        return _STATUS.pack(STATUS_REPORT, _MAGIC, BOX_VERSION, self.state, self.period_us, self.pulses)
+
+    @classmethod
+    def decode(cls, data: bytes) -> BoxStatus:
+        """Raises DeviceError for bytes that are not this report."""
+        if len(data) != STATUS_BYTES:
+            raise DeviceError(f"trigger box: found a status of {len(data)} B, expected {STATUS_BYTES}")
+        _, magic, version, state, period_us, pulses = _STATUS.unpack(data)
+        if magic != _MAGIC or version != BOX_VERSION or state not in list(BoxState):
+            found = f"found the status {magic!r}, version {version}, state {state}"
+            raise DeviceError(f"trigger box: {found}; expected {_MAGIC!r}, version {BOX_VERSION}; update one of them")
+        return cls(BoxState(state), period_us, pulses)
+
+
+def encode_command(command: BoxCommand, value: int = 0) -> bytes:
+    """Report 2."""
+    return _COMMAND.pack(COMMAND_REPORT, command, value)
+
+
+def decode_command(data: bytes) -> tuple[int, int]:
+    """The command and its value."""
+    return _COMMAND.unpack(data)[1:]
+
+
+class HidDevice(Protocol):
+    """What of hidapi's device the box needs; failures are OSError."""
+
+    def send_feature_report(self, buff: bytes) -> int:
+        """Bytes sent, -1 where it failed."""
+        ...
+
+    def get_feature_report(self, report_num: int, max_length: int) -> list[int]:
+        """The report, its number first."""
+        ...
+
+    def close(self) -> None:
+        """Give the device back."""
+        ...
+
+
+class TriggerBox:
+    """A connected trigger box; the line it drives pulses every `period_s` from the trigger on."""
+
+    kind: Trigger = "box"
+
+    def __init__(self, device: HidDevice, period_s: float = DEFAULT_PERIOD_S):
+        self._device = device
+        self._period_us = round(period_s * 1e6)
+        self.status()
+
+    def status(self) -> BoxStatus:
+        """What it does, and how many pulses it has sent since it was armed."""
+        try:
+            return BoxStatus.decode(bytes(self._device.get_feature_report(STATUS_REPORT, STATUS_BYTES)))
+        except OSError as error:
+            raise _gone() from error
+
+    def fire(self) -> None:
+        """Send the trigger, and the pulses after it; raises DeviceError where no pulse was sent."""
+        for command, value in (
+            (BoxCommand.STOP, 0),
+            (BoxCommand.PERIOD, self._period_us),
+            (BoxCommand.ARM, 0),
+            (BoxCommand.FIRE, 0),
+        ):
+            self._command(command, value)
+        found = self.status()
+        if found.state is not BoxState.PULSING or not found.pulses or found.period_us != self._period_us:
+            expected = f"expected pulses every {self._period_us} us"
+            raise DeviceError(f"trigger box: found {found} after firing, {expected}; reconnect it")
+
+    def close(self) -> None:
+        """End the pulses and give the box back; one that is gone has ended them."""
+        try:
+            self._command(BoxCommand.STOP, 0)
+        except DeviceError:
+            pass
+        finally:
+            self._device.close()
+
+    def _command(self, command: BoxCommand, value: int) -> None:
+        try:
+            sent = self._device.send_feature_report(encode_command(command, value))
+        except OSError as error:
+            raise _gone() from error
+        if sent != COMMAND_BYTES:
+            raise _gone()
+
+
+def find_box() -> TriggerBox | None:
+    """The trigger box that is connected, or None; raises DeviceError for several, or one that may not be opened."""
+    found = hidraw.enumerate(VENDOR_ID, BOX_PRODUCT_ID)
+    if not found:
+        return None
+    if len(found) > 1:
+        serials = ", ".join(sorted(each["serial_number"] for each in found))
+        raise DeviceError(f"found {len(found)} trigger boxes ({serials}), expected one; unplug the others")
+    device = hidraw.device()
+    try:
+        device.open_path(found[0]["path"])
+    except OSError as error:
+        path = found[0]["path"].decode()
+        raise DeviceError(
+            f"trigger box at {path}: access was denied; allow this user to open it (a udev rule)"
+        ) from error
+    try:
+        return TriggerBox(device)
+    except DeviceError:
+        device.close()
+        raise
+
+
+def _gone() -> DeviceError:
+    return DeviceError("trigger box: it is not connected any more, or does not answer; check its cable")
