@@ -79,7 +79,7 @@ def estimate_clock(
     A pulse may be given more than once. `duration_s` is the clip's. Raises TimingError for no pulses, arrays of
     different lengths, numbers that are not finite, or a clock that stands still or goes backwards.
     """
-    counted, stamps_s = np.asarray(counted), np.asarray(stamps_s, dtype=np.float64)
+    counted, stamps_s = np.asarray(counted, dtype=np.int64), np.asarray(stamps_s, dtype=np.float64)
     _refuse_useless(counted, stamps_s, period_s)
     new = np.r_[True, np.diff(counted) > 0]
     counted, stamps_s = counted[new], stamps_s[new]

@@ -94,6 +94,11 @@ def test_stamps_that_begin_late_keep_the_camera_s_count():
     assert found.missed_pulses == ()
 
 
+def test_counts_may_be_unsigned_as_a_device_sends_them():
+    with pytest.raises(TimingError, match="backwards"):
+        estimate_clock(np.array([0, 5, 2], dtype=np.uint64), np.array([0.0, 5e-3, 6e-3]), PERIOD_S, 1.0)
+
+
 def test_few_pulses_claim_no_uncertainty():
     one = estimate_clock(np.array([0]), np.array([3e-6]), PERIOD_S, 1.0)
     assert (one.skew_s, one.skew_sd_s, one.drift_ppm, one.jitter_s) == (3e-6, None, None, None)
