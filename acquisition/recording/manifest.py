@@ -15,7 +15,8 @@ MANIFEST_FILE = "recording.json"
 RIG_FILE = "rig.toml"
 TRUTH_FOLDER = "truth"
 BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
-MAX_BLOCK_PLANES = 1 << 20
+MAX_BLOCK_BYTES = 1 << 30
+_MAX_SIDE = (1 << 16) - 1
 
 Layer = Literal["device", "link", "ring", "disk"]
 Trigger = Literal["line", "software", "import"]
@@ -69,7 +70,7 @@ class CameraFile:
 
     def __post_init__(self) -> None:
         whole = type(self.planes) is type(self.block_planes) is int
-        if not whole or self.planes < 0 or not 1 <= self.block_planes <= MAX_BLOCK_PLANES:
+        if not whole or self.planes < 0 or self.block_planes < 1:
             found = f"found {self.planes} planes, {self.block_planes} a block"
             raise BadRecordingError(f"{self.id}: {found}; expected none or more, and at least one a block")
         blocks = -(-self.planes // self.block_planes)
@@ -150,7 +151,11 @@ def load_manifest(text: str | bytes) -> Manifest:
             expected = f"expected {SCHEMA_VERSION}; update spike4dgs"
             raise BadRecordingError(f"{MANIFEST_FILE}: found schema {version}, {expected}")
         cameras = tuple(_camera(table) for table in document.pop("cameras"))
-        return Manifest(cameras=cameras, **document)
+        manifest = Manifest(cameras=cameras, **document)
+        texts = (manifest.writer, manifest.rig_sha256, manifest.reason or "")
+        if not all(isinstance(text, str) for text in texts):
+            raise TypeError("found values of another kind")
+        return manifest
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadRecordingError(
             f"{MANIFEST_FILE}: found no manifest ({error}), expected what spike4dgs writes"
@@ -165,9 +170,26 @@ def _camera(table: dict[str, Any]) -> CameraFile:
     gaps = tuple(Gap(**gap) for gap in table.pop("gaps"))
     digests = tuple(table.pop("block_digests"))
     camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, **table)
+    _check_kinds(camera)
     if drops != {layer: lost for layer, lost in camera.drops.items() if lost or layer in drops}:
         raise BadRecordingError(f"{camera.id}: found the drops {drops}, expected {camera.drops} as the gaps say")
     if (offered, written) not in ((None, None), (camera.planes, camera.written)):
         found = f"found {offered} planes offered, {written} written"
         raise BadRecordingError(f"{camera.id}: {found}, expected {camera.planes} and {camera.written} as the gaps say")
     return camera
+
+
+def _check_kinds(camera: CameraFile) -> None:
+    """Raise TypeError for what JSON can hold and a camera's entry cannot."""
+    texts = (camera.id, camera.file, *camera.block_digests, *([] if camera.sha256 is None else [camera.sha256]))
+    layout = camera.layout
+    numbers = (camera.first_tick, camera.partial_bytes, layout.width, layout.height)
+    if not all(isinstance(text, str) for text in texts) or not all(type(number) is int for number in numbers):
+        raise TypeError("found values of another kind")
+    if not all(text.isprintable() for text in (camera.id, camera.file)):
+        raise ValueError("found a name that cannot be printed")
+    if not (camera.skew_s is None or isinstance(camera.skew_s, float | int)):
+        raise TypeError("found values of another kind")
+    too_many = camera.block_planes > 1 and camera.block_planes * layout.plane_bytes > MAX_BLOCK_BYTES
+    if too_many or max(layout.width, layout.height) > _MAX_SIDE:
+        raise ValueError(f"found {camera.block_planes} planes of {layout.width}x{layout.height} in a block")
