@@ -66,6 +66,7 @@ class StreamWriter:
         self._block = xxhash.xxh3_64()
         self._digests: list[str] = []
         self._gaps: list[Gap] = []
+        self._unlisted = 0
         self._closed = False
         self._thread = threading.Thread(target=self._write_chunks, name=f"write {camera_id}", daemon=True)
         self._thread.start()
@@ -144,7 +145,8 @@ class StreamWriter:
     def disk_error(self) -> DiskError:
         """What the disk refused, in a line."""
         found = self.failure.strerror if self.failure else "the file is closed"
-        return DiskError(f"{self.path}: the disk is full or failing ({found}); free some space and record again")
+        lost = f", {self._unlisted} planes behind the file's end are lost" if self._unlisted else ""
+        return DiskError(f"{self.path}: the disk is full or failing ({found}){lost}; free some space and record again")
 
     def draft(self) -> CameraFile:
         """The manifest's entry of a stream whose planes are only in the journal."""
@@ -252,7 +254,14 @@ class StreamWriter:
     def _list_refused(self) -> None:
         """Everything from the first refused plane on is zeros, lost in the layer `disk` unless it was lost before."""
         kept = self._written // self.layout.plane_bytes
+        del self._digests[kept // self.block_planes :]
         self._file.cut(kept * self.layout.plane_bytes)
+        try:
+            self._file.cut(self.planes * self.layout.plane_bytes)
+        except OSError:  # it may not even be that long: what is behind it cannot be listed
+            self._unlisted, self.planes = self.planes - kept, kept
+            self._gaps = list(clip_gaps(self._gaps, kept))
+            return
         lost_before = [gap for gap in self._gaps if gap.first_plane + gap.planes > kept]
         self._gaps = list(clip_gaps(self._gaps, kept))
         at = kept
@@ -263,7 +272,6 @@ class StreamWriter:
             at = gap.first_plane + gap.planes
             if gap.first_plane < self.planes:
                 self._gaps.append(Gap(first, at - first, gap.layer))
-        del self._digests[kept // self.block_planes :]
 
     @property
     def refusing(self) -> Layer:
