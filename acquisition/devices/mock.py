@@ -198,12 +198,12 @@ class MockTriggerLine:
 
     def __init__(self, models: Sequence[DeviceModel], period_s: float = 1e-3):
         self._models = tuple(models)
-        self._period_s = period_s
+        self.period_s: float | None = period_s
 
     def fire(self) -> None:
         """Send the first pulse."""
         for model in self._models:
-            model.sync_period_s = self._period_s
+            model.sync_period_s = self.period_s or 0.0
             model.trigger()
 
 

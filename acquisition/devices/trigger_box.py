@@ -99,6 +99,7 @@ class TriggerBox:
     def __init__(self, device: HidDevice, period_s: float = DEFAULT_PERIOD_S):
         self._device = device
         self._period_us = round(period_s * 1e6)
+        self.period_s: float | None = self._period_us * 1e-6
         self.status()
 
     def status(self) -> BoxStatus:

@@ -193,6 +193,7 @@ class SoftwareTrigger:
     """Starts cameras one after another over USB, for a rig without a trigger line: their skew is not known."""
 
     kind: Trigger = "software"
+    period_s: float | None = None
 
     def __init__(self, cameras: Sequence[UsbCamera]):
         self._cameras = cameras

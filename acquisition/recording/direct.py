@@ -63,7 +63,7 @@ class DirectFile:
             self.abandon()
 
     def cut(self, size: int) -> None:
-        """Forget what lies beyond `size` bytes."""
+        """Forget what lies beyond `size` bytes, or stretch the file to it with zeros."""
         os.ftruncate(self._handle, size)
 
     def abandon(self) -> None:

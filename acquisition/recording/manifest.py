@@ -15,7 +15,8 @@ MANIFEST_FILE = "recording.json"
 RIG_FILE = "rig.toml"
 TRUTH_FOLDER = "truth"
 BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
-MAX_BLOCK_PLANES = 1 << 20
+MAX_BLOCK_BYTES = 1 << 30
+_MAX_SIDE = (1 << 16) - 1
 
 Layer = Literal["device", "link", "ring", "disk"]
 Trigger = Literal["line", "software", "import", "box"]
@@ -66,8 +67,8 @@ class CameraFile:
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
     the file (None while it is being recorded). `skew_s` is how far its first plane was from the trigger (None where
-    nothing measured it), `skew_sd_s` its standard deviation where that was estimated; `partial_bytes` what an imported
-    file held beyond its last whole plane.
+    nothing measured it), `skew_sd_s` its standard deviation where that was estimated, and `clock` all that was told of
+    the camera's clock from sync pulses; `partial_bytes` what an imported file held beyond its last whole plane.
     """
 
     id: str
@@ -83,10 +84,11 @@ class CameraFile:
     partial_bytes: int = 0
     conversion: Conversion | None = None
     skew_sd_s: float | None = None
+    clock: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         whole = type(self.planes) is type(self.block_planes) is int
-        if not whole or self.planes < 0 or not 1 <= self.block_planes <= MAX_BLOCK_PLANES:
+        if not whole or self.planes < 0 or self.block_planes < 1:
             found = f"found {self.planes} planes, {self.block_planes} a block"
             raise BadRecordingError(f"{self.id}: {found}; expected none or more, and at least one a block")
         blocks = -(-self.planes // self.block_planes)
@@ -167,7 +169,11 @@ def load_manifest(text: str | bytes) -> Manifest:
             expected = f"expected {SCHEMA_VERSION}; update spike4dgs"
             raise BadRecordingError(f"{MANIFEST_FILE}: found schema {version}, {expected}")
         cameras = tuple(_camera(table) for table in document.pop("cameras"))
-        return Manifest(cameras=cameras, **document)
+        manifest = Manifest(cameras=cameras, **document)
+        texts = (manifest.writer, manifest.rig_sha256, manifest.reason or "")
+        if not all(isinstance(text, str) for text in texts):
+            raise TypeError("found values of another kind")
+        return manifest
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadRecordingError(
             f"{MANIFEST_FILE}: found no manifest ({error}), expected what spike4dgs writes"
@@ -183,6 +189,7 @@ def _camera(table: dict[str, Any]) -> CameraFile:
     digests = tuple(table.pop("block_digests"))
     conversion = _conversion(table.pop("conversion", None))
     camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, conversion=conversion, **table)
+    _check_kinds(camera)
     if drops != {layer: lost for layer, lost in camera.drops.items() if lost or layer in drops}:
         raise BadRecordingError(f"{camera.id}: found the drops {drops}, expected {camera.drops} as the gaps say")
     if (offered, written) not in ((None, None), (camera.planes, camera.written)):
@@ -196,3 +203,22 @@ def _conversion(table: dict[str, Any] | None) -> Conversion | None:
         return None
     missing = tuple((int(plane), int(segments)) for plane, segments in table.pop("missing_segments"))
     return Conversion(missing_segments=missing, **table)
+
+
+def _check_kinds(camera: CameraFile) -> None:
+    """Raise TypeError for what JSON can hold and a camera's entry cannot."""
+    texts = (camera.id, camera.file, *camera.block_digests, *([] if camera.sha256 is None else [camera.sha256]))
+    layout = camera.layout
+    numbers = (camera.first_tick, camera.partial_bytes, layout.width, layout.height)
+    if not all(isinstance(text, str) for text in texts) or not all(type(number) is int for number in numbers):
+        raise TypeError("found values of another kind")
+    if not (camera.clock is None or isinstance(camera.clock, dict)):
+        raise TypeError("found a clock of another kind")
+    if not all(text.isprintable() for text in (camera.id, camera.file)):
+        raise ValueError("found a name that cannot be printed")
+    numbers_or_none = (camera.skew_s, camera.skew_sd_s)
+    if not all(number is None or isinstance(number, float | int) for number in numbers_or_none):
+        raise TypeError("found values of another kind")
+    too_many = camera.block_planes > 1 and camera.block_planes * layout.plane_bytes > MAX_BLOCK_BYTES
+    if too_many or max(layout.width, layout.height) > _MAX_SIDE:
+        raise ValueError(f"found {camera.block_planes} planes of {layout.width}x{layout.height} in a block")

@@ -90,4 +90,4 @@ def read_any_manifest(path: Path) -> Manifest:
     try:
         return load_manifest(text)
     except BadRecordingError as error:
-        raise BadRecordingError(f"{path}: {error}") from error
+        raise BadRecordingError(f"{path}: {' '.join(str(error).split())}") from error  # it may quote the file

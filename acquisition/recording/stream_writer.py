@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xxhash
@@ -52,6 +53,7 @@ class StreamWriter:
         self.partial_bytes = 0
         self.failure: OSError | None = None
         self.damage: str | None = None  # what `entry` found on reading back
+        self.clock: dict[str, Any] | None = None  # what sync pulses told of the camera's clock
         self.path = folder / f"{camera_id}.dat"
         self.block_planes = block_planes_of(layout)
         self._skew_s: float | None = None
@@ -66,6 +68,7 @@ class StreamWriter:
         self._block = xxhash.xxh3_64()
         self._digests: list[str] = []
         self._gaps: list[Gap] = []
+        self._unlisted = 0
         self._closed = False
         self._thread = threading.Thread(target=self._write_chunks, name=f"write {camera_id}", daemon=True)
         self._thread.start()
@@ -144,7 +147,8 @@ class StreamWriter:
     def disk_error(self) -> DiskError:
         """What the disk refused, in a line."""
         found = self.failure.strerror if self.failure else "the file is closed"
-        return DiskError(f"{self.path}: the disk is full or failing ({found}); free some space and record again")
+        lost = f", {self._unlisted} planes behind the file's end are lost" if self._unlisted else ""
+        return DiskError(f"{self.path}: the disk is full or failing ({found}){lost}; free some space and record again")
 
     def draft(self) -> CameraFile:
         """The manifest's entry of a stream whose planes are only in the journal."""
@@ -169,7 +173,9 @@ class StreamWriter:
             block_digests=(*self._digests, *found[len(self._digests) :]),
             sha256=sha256,
             gaps=self.gaps,
-            skew_s=self.skew_s,
+            skew_s=self.skew_s if self.clock is None else self.clock["skew_s"],
+            skew_sd_s=None if self.clock is None else self.clock["skew_sd_s"],
+            clock=self.clock,
             partial_bytes=self.partial_bytes,
         )
 
@@ -252,7 +258,14 @@ class StreamWriter:
     def _list_refused(self) -> None:
         """Everything from the first refused plane on is zeros, lost in the layer `disk` unless it was lost before."""
         kept = self._written // self.layout.plane_bytes
+        del self._digests[kept // self.block_planes :]
         self._file.cut(kept * self.layout.plane_bytes)
+        try:
+            self._file.cut(self.planes * self.layout.plane_bytes)
+        except OSError:  # it may not even be that long: what is behind it cannot be listed
+            self._unlisted, self.planes = self.planes - kept, kept
+            self._gaps = list(clip_gaps(self._gaps, kept))
+            return
         lost_before = [gap for gap in self._gaps if gap.first_plane + gap.planes > kept]
         self._gaps = list(clip_gaps(self._gaps, kept))
         at = kept
@@ -263,7 +276,6 @@ class StreamWriter:
             at = gap.first_plane + gap.planes
             if gap.first_plane < self.planes:
                 self._gaps.append(Gap(first, at - first, gap.layer))
-        del self._digests[kept // self.block_planes :]
 
     @property
     def refusing(self) -> Layer:

@@ -108,9 +108,6 @@ class RecordingWriter:
             trigger_plane=self.trigger_plane,
         )
         self._mark(manifest)
-        with disk_errors(self.folder):
-            for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
-                shutil.copyfile(pixels, self.folder / pixels.name)
         publish(self.folder, self.path)
         return manifest
 
@@ -132,6 +129,9 @@ class RecordingWriter:
         return tuple(stream.draft() for stream in self._streams)
 
     def _mark(self, manifest: Manifest) -> None:
+        with disk_errors(self.folder):
+            for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
+                shutil.copyfile(pixels, self.folder / pixels.name)
         write_durably(self.folder / RIG_FILE, dump_rig(self.rig))
         write_durably(self.folder / MANIFEST_FILE, dump_manifest(manifest))
 

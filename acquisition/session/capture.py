@@ -85,6 +85,7 @@ class Capture:
         self.position = 0
         self.repeated_blocks = 0
         self.failure: DeviceError | None = None
+        self.stamps: list[tuple[int, float]] = []  # pulses counted since the trigger, and when the last of them came
         self._rules = rules
         self._first: int | None = None
         self._end: float = math.inf
@@ -140,6 +141,8 @@ class Capture:
             raise DeviceError(f"{self.camera.id}: {found}; its counter began anew or cannot be right, reconnect it")
         if self.position == 0 and self._rules.trigger == "line":
             self.writer.skew_s = block.device_time_ns * 1e-9 - block.first_plane / self._rules.tick_rate_hz
+        if block.pulse_time_s is not None:
+            self.stamps.append((block.sync_pulses - 1, block.pulse_time_s))
         dropped = max(0, block.dropped_planes - self._dropped)
         self._dropped = block.dropped_planes
         self._held.append(_Held(block.first_plane, planes, block.packed, lost, dropped))

@@ -14,6 +14,7 @@ from acquisition.recording.manifest import Trigger
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
 from acquisition.session.capture import Capture, CaptureRules, SessionCamera
+from acquisition.session.clocks import tell_clock
 from acquisition.session.health import describe
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
@@ -26,6 +27,11 @@ class TriggerLine(Protocol):
     @property
     def kind(self) -> Trigger:
         """How the cameras are started."""
+        ...
+
+    @property
+    def period_s(self) -> float | None:
+        """Seconds between the sync pulses that follow the trigger; None where none do."""
         ...
 
     def fire(self) -> None:
@@ -84,6 +90,9 @@ def record_session(
             for camera in cameras:
                 camera.ensure_stopped()
     run.conclude()
+    if trigger.period_s is not None:
+        for capture in captures:
+            tell_clock(capture, trigger.period_s, recording.rig.tick_rate_hz)
     return [capture.writer for capture in captures]
 
 

@@ -13,6 +13,7 @@ from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, Stream, import_recording
 from acquisition.recording.manifest import Manifest
+from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_config, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import SCENES
@@ -165,11 +166,13 @@ def import_command(
 def verify_command(recording: Path, as_json: bool) -> None:
     """Check every byte of a recording: exit 0 sound, 1 damaged, 2 no recording."""
     damages = verify(recording, progress_of("verify"))
+    reason = read_manifest(recording).reason
     if as_json:
         found = [dataclasses.asdict(damaged) for damaged in damages]
-        click.echo(json.dumps({"recording": str(recording), "sound": not damages, "damages": found}))
+        click.echo(json.dumps({"recording": str(recording), "sound": not damages, "damages": found, "reason": reason}))
     else:
-        click.echo("\n".join(map(str, damages)) or f"{recording}: sound")
+        sound = f"{recording}: sound, incomplete: {reason}" if reason else f"{recording}: sound"
+        click.echo("\n".join(map(str, damages)) or sound)
     raise SystemExit(1 if damages else 0)
 
 

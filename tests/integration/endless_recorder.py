@@ -45,6 +45,7 @@ class Endless:
 
 class Pulse:
     kind = "line"
+    period_s = None
 
     def fire(self) -> None: ...
 

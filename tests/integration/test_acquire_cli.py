@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.devices.mock import MockBackend
 from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
@@ -154,6 +155,34 @@ def test_a_second_operator_is_refused_by_the_rigs_name(spike4dgs, recording, tmp
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert spike4dgs("record", *args)[0] == 0
+
+
+def test_a_camera_pulled_out_on_the_way_is_exit_1_and_its_line(spike4dgs, tmp_path, small_rig, monkeypatch):
+    serial = catalog_rig("lab3x3").camera("cam12").serial
+
+    class Pulled(MockBackend):
+        """cam12's cable is pulled at its third read."""
+
+        reads = 0
+
+        def bulk_read(self, dev_handle, *args):
+            if dev_handle.port.model.serial == serial:
+                self.reads += 1
+                if self.reads == 3:
+                    self.unplug(serial)
+            return super().bulk_read(dev_handle, *args)
+
+    monkeypatch.setattr("acquisition.devices.open.MockBackend", Pulled)
+    uri = "mock:fan_and_ball?samples=1&truth_every=1000"
+    args = ("--rig", small_rig, "--ticks", 400, "--devices", uri, "--out", tmp_path / "rec")
+    code, _, err = spike4dgs("record", *args)
+    assert code == 1
+    assert f"cam12 (serial {serial}): it is not connected any more" in err[-1]
+    assert err[-1].endswith("rec keeps what was recorded, marked incomplete")
+    manifest = Recording.open(tmp_path / "rec").manifest
+    assert {camera.id: camera.written for camera in manifest.cameras if camera.written != 400} == {"cam12": 160}
+    code, out, _ = spike4dgs("verify", tmp_path / "rec")
+    assert (code, "incomplete: cam12" in out) == (0, True)
 
 
 def test_record_names_the_camera_that_is_missing(spike4dgs, tmp_path):

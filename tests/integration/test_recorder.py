@@ -2,6 +2,7 @@
 
 import errno
 import functools
+import resource
 import threading
 import time
 
@@ -64,6 +65,7 @@ class Sender:
 
 class Pulse:
     kind = "line"
+    period_s = None
 
     def fire(self) -> None:
         pass
@@ -145,6 +147,20 @@ def test_what_a_disk_refuses_is_lost_in_its_layer_and_the_run_ends(tmp_path, cap
     assert sum(manifest.camera("cam00").drops.values()) == 0
     assert len({camera.planes for camera in manifest.cameras}) == 1
     assert all(sender.sent < 100_000 for sender in senders)
+    check(tmp_path / "rec")
+
+
+def test_a_file_that_may_not_grow_ends_where_it_is_whole(tmp_path, capture):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3_500_000, hard))
+    try:
+        senders = [Sender(number, 100_000, pause_s=0.001) for number in range(2)]
+        manifest = capture(senders, 100_000 * BLOCK_PLANES, use=DiskUse(ring_bytes=4 << 20))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "cam00.dat: the disk is full or failing (File too large), " in manifest.reason
+    assert "planes behind the file's end are lost" in manifest.reason
+    assert [camera.written for camera in manifest.cameras] == [(3 << 20) // LAYOUT.plane_bytes] * 2
     check(tmp_path / "rec")
 
 
