@@ -126,7 +126,8 @@ def _measure(folder: Path, schedule: Schedule, progress: Progress) -> tuple[list
     overload = overload_row(folder, 1.2 * before, schedule.overload_bytes)
     progress(0.9, "the disk again")
     after = disk_mb_s(folder, schedule.disk_s)
-    ram, copy = ram_row(schedule.ram_bytes), memcpy_gb_s()
+    ram = max((ram_row(schedule.ram_bytes) for _ in range(3)), key=lambda row: row["mb_s"])
+    copy = memcpy_gb_s()
     disk = min(before, after)
     disk_rows = [
         {"case": "disk before", "mb_s": before, "seconds": schedule.disk_s},
@@ -219,7 +220,7 @@ def ram_row(total_bytes: int) -> dict:
     folder = RAM_FOLDER / f"spike4dgs-bench-{time.monotonic_ns()}"
     blocks = total_bytes // BLOCK_BYTES // STREAMS
     try:
-        feeds = _feeds(folder, StreamSpace(4 << 20, blocks * BLOCK_PLANES), blocks, 0.0)
+        feeds = _feeds(folder, StreamSpace(4 << 20, allows=lambda size: False), blocks, 0.0)
         start_s = time.perf_counter()
         cpu_s, _ = _run(feeds)
         for feed in feeds:

@@ -1,4 +1,8 @@
-"""The bounded memory between a camera and its file: aligned chunks, filled by one thread and written by another."""
+"""The bounded memory between a camera and its file: aligned chunks, filled by one thread and written by another.
+
+The memory is an anonymous mapping, page-aligned as direct writes want it, and private: `bench recorder` shows one
+process feeding nine files at the disk's own rate on less than a core, so nothing has to be shared between processes.
+"""
 
 from __future__ import annotations
 

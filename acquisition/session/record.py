@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -63,6 +64,7 @@ def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: 
 def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progress) -> Manifest:
     pre_planes = None if take.pre_trigger_ms is None else round(take.pre_trigger_ms * 1e-3 * rig.tick_rate_hz)
     extent = Extent(take.planes, pre_planes)
+    _check_memory(rig, pre_planes or 0)
     share = _RECORDING_SHARE if isinstance(devices, Simulation) else _WRITTEN
     with RecordingWriter(out, rig, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
@@ -85,6 +87,16 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     if manifest.reason:
         raise IncompleteError(f"{manifest.reason}; {out} keeps what was recorded, marked incomplete")
     return manifest
+
+
+def _check_memory(rig: Rig, pre_planes: int) -> None:
+    """Raise BadRecordingError where the planes before the trigger do not fit half of the memory that is free."""
+    needed = pre_planes * sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > free // 2:
+        raise BadRecordingError(
+            f"found a pre-trigger of {needed} bytes, expected at most half of the {free} bytes of memory; shorten it"
+        )
 
 
 def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:

@@ -22,7 +22,7 @@ from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
 from acquisition.session import capture as capture_module
 from acquisition.session.capture import gaps_of
-from acquisition.session.record import record, simulate
+from acquisition.session.record import Take, record, simulate
 from acquisition.session.session import record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
@@ -326,6 +326,12 @@ def test_a_recording_that_does_not_fit_the_rig_is_not_replayed(tmp_path, small):
     with pytest.raises(BadRecordingError, match="expected a recording folder"):
         record(small, f"replay:{tmp_path / 'nowhere'}", 5, tmp_path / "rec")
     assert [path.name for path in tmp_path.iterdir()] == ["pair"]
+
+
+def test_a_pre_trigger_that_does_not_fit_the_memory_is_refused(tmp_path, small):
+    with pytest.raises(BadRecordingError, match="found a pre-trigger of 22500000000000000 bytes"):
+        record(small, "mock:fan_and_ball", Take(None, 1e12), tmp_path / "rec")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_scene_is_refused(small):
