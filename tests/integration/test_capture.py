@@ -184,7 +184,7 @@ def test_an_unplugged_camera_costs_the_others_nothing(tmp_path):
     assert re.fullmatch(r"cam12 \(serial S-cam12\): it is not connected any more; .*", recording.manifest.reason)
     for camera_id, source in bench.sources.items():
         planes = recording.manifest.camera(camera_id).written
-        assert planes <= 160 if camera_id == "cam12" else planes == PLANES  # what was in flight goes with the cable
+        assert 0 < planes < PLANES if camera_id == "cam12" else planes == PLANES
         assert (tmp_path / f"rec/{camera_id}.dat").read_bytes() == source.all[:planes].tobytes(), camera_id
     assert verify(tmp_path / "rec") == []
     assert [m.serial for m in bench.models if m.state.name == "RUNNING"] == ["S-cam12"]
