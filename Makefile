@@ -4,7 +4,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
-.PHONY: install demo test test-slow check bench serve clean
+.PHONY: install demo test test-slow usbvm check bench serve clean
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
@@ -20,6 +20,9 @@ test: install
 
 test-slow: install
 	$(PY) -m pytest -m slow
+
+usbvm: install
+	SPIKE4DGS_USBVM=tests/contract/qemu.sh $(PY) -m pytest -m usbvm
 
 check: install
 	$(VENV)/bin/ruff check .

@@ -89,17 +89,24 @@ class BlockParser:
         self._reason = ""
         self._skipped = 0
         self._ready: Block | None = None
+        self._fed_whole: Block | None = None  # comes before the buffer
         self.damages = 0  # stretches of damage begun so far
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Take the next bytes of the stream."""
+        """Take the next bytes of the stream; just one whole block, as most transfers are, is not copied twice."""
+        if not self._buffer and self._fed_whole is None:
+            block, size = self._decode_first(data)
+            if isinstance(block, Block) and size == len(data):
+                self._fed_whole = block
+                return
         self._buffer += data
 
     def next(self) -> Block | Damage | None:
         """The next block, the damage before it, or None until more bytes come."""
-        block = self._ready or self._find_block()
+        block = self._ready or self._fed_whole or self._find_block()
         if block is None:
             return None
+        self._fed_whole = None
         if self._reason:
             self._ready, damage = block, Damage(self._reason, self._skipped)
             self._reason, self._skipped = "", 0
@@ -108,20 +115,26 @@ class BlockParser:
         return block
 
     def _find_block(self) -> Block | None:
-        while self._at_a_magic() and len(self._buffer) >= LEADER.size:
-            leader = LEADER.unpack_from(self._buffer)
-            reason = _leader_fault(self._buffer, leader, self._max_payload_bytes)
-            if not reason:
-                total = LEADER.size + leader[10] + TRAILER.size
-                if len(self._buffer) < total:
-                    return None
-                reason = _body_fault(self._buffer, leader)
-                if not reason:
-                    block = _decode(self._buffer, leader)
-                    del self._buffer[:total]
-                    return block
-            self._skip(len(LEADER_MAGIC), reason)
+        while self._at_a_magic():
+            block, size = self._decode_first(self._buffer)
+            if isinstance(block, str):
+                self._skip(len(LEADER_MAGIC), block)
+                continue
+            del self._buffer[:size]
+            return block
         return None
+
+    def _decode_first(self, data: bytes | bytearray | memoryview) -> tuple[Block | str | None, int]:
+        """The block `data` begins with and its length; (why it is none, 0), (None, 0) where more bytes are needed."""
+        if len(data) < LEADER.size:
+            return None, 0
+        leader = LEADER.unpack_from(data)
+        reason = _leader_fault(data, leader, self._max_payload_bytes)
+        total = LEADER.size + leader[10] + TRAILER.size
+        if not reason and len(data) < total:
+            return None, 0
+        reason = reason or _body_fault(data, leader)
+        return (reason, 0) if reason else (_decode(data, leader), total)
 
     def _at_a_magic(self) -> bool:
         """Skip to the next magic; what is left without one may be the beginning of one that was cut."""
@@ -156,8 +169,8 @@ class RepeatFilter:
         return False
 
 
-def _leader_fault(buffer: bytearray, leader: tuple, max_payload_bytes: int) -> str:
-    if crc32c.crc32c(bytes(buffer[: LEADER.size - 4])) != leader[-1]:
+def _leader_fault(buffer: bytes | bytearray | memoryview, leader: tuple, max_payload_bytes: int) -> str:
+    if leader[0] != LEADER_MAGIC or crc32c.crc32c(bytes(buffer[: LEADER.size - 4])) != leader[-1]:
         return "a leader whose CRC does not fit"
     if leader[1] != PROTOCOL_VERSION or leader[2] != LEADER.size or leader[9] not in LAYOUT_ORDERS:
         return f"a leader of version {leader[1]}, {leader[2]} B, pixel format {leader[9]:#x}"
@@ -167,7 +180,7 @@ def _leader_fault(buffer: bytearray, leader: tuple, max_payload_bytes: int) -> s
     return ""
 
 
-def _body_fault(buffer: bytearray, leader: tuple) -> str:
+def _body_fault(buffer: bytes | bytearray | memoryview, leader: tuple) -> str:
     payload_bytes = leader[10]
     start = LEADER.size + payload_bytes
     magic, valid_bytes, block_id, _, _, checksum = TRAILER.unpack_from(buffer, start)
@@ -180,7 +193,7 @@ def _body_fault(buffer: bytearray, leader: tuple) -> str:
     return ""
 
 
-def _decode(buffer: bytearray, leader: tuple) -> Block:
+def _decode(buffer: bytes | bytearray | memoryview, leader: tuple) -> Block:
     _, _, _, block_id, first_plane, device_time_ns, planes, width, height, code, payload_bytes, pulses, age, _, _ = (
         leader
     )

@@ -1,4 +1,4 @@
-"""The drivers on a real Linux USB stack: boots User-Mode Linux, and runs the camera contract inside."""
+"""The drivers on a real Linux USB stack: boots a kernel, and runs the camera contract inside."""
 
 import os
 import shlex
@@ -18,19 +18,21 @@ echo "USBVM ENDED $?"
 
 
 @pytest.fixture
-def uml() -> Path:
+def boot() -> Path:
+    """The program that boots a kernel and runs a script inside: $SPIKE4DGS_USBVM, or a ready User-Mode Linux."""
     folder = Path(os.environ.get("SPIKE4DGS_SHARED", ROOT.parent / "shared")) / "usbvm"
-    if not (folder / "uml.sh").is_file():
-        pytest.skip(f"no kernel at {folder}; set SPIKE4DGS_SHARED to the folder that holds usbvm")
-    return folder / "uml.sh"
+    program = Path(os.environ.get("SPIKE4DGS_USBVM", folder / "uml.sh"))
+    if not program.is_file():
+        pytest.skip(f"no kernel at {program}; run `make usbvm`, which boots one in QEMU")
+    return program.resolve()
 
 
 @pytest.mark.usbvm
-def test_the_drivers_hold_their_contract_on_a_real_usb_stack(uml, tmp_path, capsys):
+def test_the_drivers_hold_their_contract_on_a_real_usb_stack(boot, tmp_path, capsys):
     guest = tmp_path / "guest.sh"
     guest.write_text(GUEST.format(root=shlex.quote(str(ROOT)), python=shlex.quote(sys.executable)))
-    environment = {**os.environ, "TMO": "180"}
-    run = subprocess.run([uml, guest], capture_output=True, text=True, errors="replace", env=environment)
+    environment = {**os.environ, "TMO": "900"}
+    run = subprocess.run([boot, guest], capture_output=True, text=True, errors="replace", env=environment)
     with capsys.disabled():
         told = [line for line in run.stdout.splitlines() if line.startswith("UsbIpBench: ")]
         sys.stdout.write("\n" + "\n".join(told) + "\n")

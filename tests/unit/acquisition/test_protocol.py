@@ -165,6 +165,34 @@ def test_a_block_that_was_cut_costs_no_other():
         assert [d.skipped_bytes for d in damages] == [kept]
 
 
+@pytest.mark.parametrize("eager", [True, False])
+def test_blocks_that_come_whole_keep_their_place_among_pieces(eager):
+    blocks = [make_block(PlaneLayout(9, 5), 4, i, 4 * i, seed=i) for i in range(6)]
+    whole = [encode_block(block) for block in blocks]
+    fed = [
+        whole[0],
+        b"noise",
+        whole[1],
+        whole[2][:100],
+        whole[2][100:] + whole[3][:5],
+        whole[3][5:],
+        whole[4],
+        whole[5],
+    ]
+    parser, found = BlockParser(), []
+    for piece_fed in fed:
+        parser.feed(piece_fed)
+        found += iter(parser.next, None) if eager else []
+    found += iter(parser.next, None)
+    assert [f.skipped_bytes if isinstance(f, Damage) else f"block {f.block_id}" for f in found] == [
+        "block 0",
+        5,
+        *(f"block {i}" for i in range(1, 6)),
+    ]
+    for one, other in zip([f for f in found if isinstance(f, Block)], blocks, strict=True):
+        assert_same(one, other)
+
+
 def test_a_leader_that_promises_more_than_the_camera_sends_is_not_waited_for():
     blocks, stream = three_blocks()
     size = len(blocks[0].packed.tobytes())
