@@ -18,22 +18,9 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from rigs.toml import catalog_rig, dump_rig
-from server.cli.main import main
 
 LAYERS = ("device", "link", "ring", "disk")
 SMALL = ("--size", "40x25", "--ticks", "30", "--truth-every", "30")
-
-
-@pytest.fixture
-def spike4dgs(monkeypatch, capsys):
-    def run(*args):
-        monkeypatch.setattr(sys, "argv", ["spike4dgs", *map(str, args)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        out, err = capsys.readouterr()
-        return caught.value.code, out, err.strip().splitlines()
-
-    return run
 
 
 @pytest.fixture(scope="module")

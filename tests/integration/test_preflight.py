@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import itertools
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from acquisition.session.preflight import Check, Surroundings, preflight
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from rigs.toml import catalog_rig, dump_rig
-from server.cli.main import main
 
 RIG = catalog_rig("lab3x3")
 LAYOUT = PlaneLayout(400, 250)
@@ -263,18 +261,6 @@ def test_a_disk_test_where_nothing_can_be_written_says_so(tmp_path):
         write_speed(tmp_path / "file", 0.1)
     with pytest.raises(DiskError, match="gone: cannot be written"):
         write_speed(tmp_path / "gone", 0.1)
-
-
-@pytest.fixture
-def spike4dgs(monkeypatch, capsys):
-    def run(*args):
-        monkeypatch.setattr(sys, "argv", ["spike4dgs", *map(str, args)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        out, err = capsys.readouterr()
-        return caught.value.code, out, err.strip().splitlines()
-
-    return run
 
 
 def test_the_command_says_what_to_change(spike4dgs, fast_disk, tmp_path, monkeypatch):
