@@ -4,7 +4,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
-.PHONY: install demo test test-slow usbvm check bench serve clean
+.PHONY: install demo test test-slow usbvm check bench sheets serve clean
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
@@ -31,7 +31,11 @@ check: install
 	$(VENV)/bin/pyright
 
 bench: install
-	for name in images rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	for name in images pixels rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	$(PY) -m reconstruction.images.learned.train curve reconstruction/images/learned/weights/small.json reconstruction/images/learned/weights/blindspot.json --out tests/benchmarks/learned.png
+
+sheets: install
+	$(PY) -m reconstruction.bench.sheets --out runs/sheets
 
 serve: install
 	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker

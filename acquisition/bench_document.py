@@ -14,12 +14,16 @@ from acquisition.revision import code_revision
 
 @dataclass
 class BenchDocument:
-    """`rows`: one a measurement; `omissions`: what failed or was not run, and why; `summary`: named numbers."""
+    """`rows`: one a measurement; `omissions`: what failed or was not run, and why; `summary`: named numbers.
+
+    `scenes` is the digest of the evaluation scenes that this code has.
+    """
 
     bench: str
     rows: list[dict] = field(default_factory=list)
     omissions: list[str] = field(default_factory=list)
     summary: dict[str, float] = field(default_factory=dict)
+    scenes: str = ""
 
     def to_json(self) -> dict:
         """The whole document, with the machine and the code it was measured on."""
@@ -28,6 +32,7 @@ class BenchDocument:
             "bench": self.bench,
             "device": device,
             "revision": code_revision(),
+            "scenes": self.scenes,
             "rows": self.rows,
             "omissions": self.omissions,
             "summary": {k: round(v, 6) for k, v in self.summary.items()},

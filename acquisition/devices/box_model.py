@@ -8,8 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from acquisition.devices import descriptors
-from acquisition.devices.device_model import DeviceModel, StallError
-from acquisition.devices.registers import VENDOR_ID
+from acquisition.devices.control_channel import StallError
+from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.profile import DIRECT, VENDOR_ID
 from acquisition.devices.trigger_box import (
     BOX_PRODUCT_ID,
     COMMAND_BYTES,
@@ -36,7 +37,7 @@ _REPORTS = (
     + b"\xc0"
 )
 _DEVICE = {
-    **descriptors.CAMERA_DEVICE,
+    **descriptors.device(DIRECT),
     "bcdUSB": 0x0200,
     "bDeviceClass": 0,
     "bMaxPacketSize0": 64,
@@ -63,6 +64,7 @@ class BoxModel:
         clock: Callable[[], float] = time.monotonic,
     ):
         self.serial = serial
+        self.stream_endpoint = 0x81
         self._cameras = tuple(cameras)
         self._clock = clock
         self._state = BoxState.IDLE
@@ -112,6 +114,14 @@ class BoxModel:
         """It has nothing to say on its own."""
         time.sleep(timeout_s)
         return memoryview(b"")
+
+    def take(self, endpoint: int, data: bytes) -> None:
+        """It has no pipe to write to; raises StallError."""
+        raise StallError
+
+    def give(self, endpoint: int) -> bytes:
+        """It has no other pipe to read from; raises StallError."""
+        raise StallError
 
     def wake(self) -> None:
         """Nobody waits for long."""

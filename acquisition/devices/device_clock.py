@@ -1,13 +1,26 @@
-"""The clock of a simulated camera, and what it sees of the shared line's pulses."""
+"""The clock of a simulated camera, what it sees of the shared line's pulses, and whether time waits for the host."""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.errors import DeviceError
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Planes come at the tick rate whether they are fetched or not: `clock` counts seconds.
+
+    Of more than `memory_planes` that wait, the oldest are thrown away.
+    """
+
+    memory_planes: int
+    clock: Callable[[], float] = time.monotonic
 
 
 @dataclass(frozen=True)

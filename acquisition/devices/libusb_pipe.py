@@ -16,8 +16,8 @@ import libusb_package
 import usb1
 from usb.core import USBError
 
-from acquisition.devices.registers import STREAM_ENDPOINT
-from acquisition.devices.stream import TRANSFER_BYTES, Completion, Outcome
+from acquisition.devices.profile import Profile
+from acquisition.devices.stream import Completion, Outcome
 
 _ERRNO = {
     -1: errno.EIO,
@@ -44,7 +44,9 @@ class LibusbPipe:
     Each has a libusb context of its own, so that no camera handles another's events. Raises USBError.
     """
 
-    def __init__(self, bus: int, address: int):
+    def __init__(self, bus: int, address: int, profile: Profile):
+        self._profile = profile
+        self._closed = False
         self._free: list[usb1.USBTransfer] = []
         self._flying: deque[usb1.USBTransfer] = deque()
         with _as_pyusb():
@@ -53,17 +55,18 @@ class LibusbPipe:
         try:
             with _as_pyusb():
                 self._handle = self._open(bus, address)
-                self._handle.claimInterface(0)
+                self._handle.claimInterface(profile.interface)
         except USBError:
             self._context.close()
             raise
 
     def submit(self) -> None:
-        """Queue one more transfer of 1 MiB."""
+        """Queue one more transfer."""
+        self._require_open()
         with _as_pyusb():
             transfer = self._free.pop() if self._free else self._handle.getTransfer()
             if not transfer.getBuffer():
-                transfer.setBulk(STREAM_ENDPOINT, TRANSFER_BYTES)
+                transfer.setBulk(self._profile.stream_endpoint, self._profile.transfer_bytes)
             try:
                 transfer.submit()
             except usb1.USBError:
@@ -97,13 +100,30 @@ class LibusbPipe:
     def clear_halt(self) -> None:
         """End a stall."""
         with _as_pyusb():
-            self._handle.clearHalt(STREAM_ENDPOINT)
+            self._handle.clearHalt(self._profile.stream_endpoint)
+
+    def write(self, endpoint: int, data: bytes, timeout_s: float) -> None:
+        """Send all of `data` to another endpoint of the interface."""
+        self._require_open()
+        with _as_pyusb():
+            self._handle.bulkWrite(endpoint, data, round(timeout_s * 1e3))
+
+    def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
+        """What comes from another endpoint, up to a short packet or `size` bytes."""
+        self._require_open()
+        with _as_pyusb():
+            return bytes(self._handle.bulkRead(endpoint, size, round(timeout_s * 1e3)))
 
     def close(self) -> None:
         """Give the device back."""
+        self._closed = True
         with contextlib.suppress(usb1.USBError):
             self._handle.close()
         self._context.close()
+
+    def _require_open(self) -> None:
+        if self._closed:  # libusb would not survive it
+            raise USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
 
     def _open(self, bus: int, address: int) -> usb1.USBDeviceHandle:
         for device in self._context.getDeviceIterator(skip_on_error=True):

@@ -16,9 +16,9 @@ from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 
 from acquisition.devices import descriptors
-from acquisition.devices.device_model import DeviceModel, StallError
+from acquisition.devices.control_channel import StallError
+from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock_pipe import MockPipe, Port, UsbfsMemory
-from acquisition.devices.registers import STREAM_ENDPOINT
 from acquisition.recording.manifest import Trigger
 
 _SUPER_SPEED = 4
@@ -64,6 +64,7 @@ class MockBackend(IBackend):
         for number, port in enumerate(self._ports):
             if port.model.serial == serial:
                 port.plugged = False
+                port.model.power_up()
                 self._ports[number] = Port(port.model, 1 + max(each.address for each in self._ports))
 
     def open_stream(self, device: usb.core.Device) -> MockPipe:
@@ -81,19 +82,20 @@ class MockBackend(IBackend):
     def get_device_descriptor(self, dev: Port) -> SimpleNamespace:
         """The device descriptor and where the device sits."""
         place = {"bus": 1, "address": dev.address, "port_number": dev.address, "port_numbers": (dev.address,)}
-        return SimpleNamespace(**descriptors.CAMERA_DEVICE, **place, speed=_SUPER_SPEED)
+        return SimpleNamespace(**descriptors.device(dev.model.profile), **place, speed=_SUPER_SPEED)
 
     def get_configuration_descriptor(self, dev: Port, config: int) -> SimpleNamespace:
         """The only configuration."""
-        return _only(descriptors.CAMERA_CONFIGURATION, config)
+        return _at([descriptors.configuration(dev.model.profile)], config)
 
     def get_interface_descriptor(self, dev: Port, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """The only interface."""
-        return _only(descriptors.CAMERA_INTERFACE, intf, alt, config)
+        """An interface; each has one setting."""
+        return _at([fields for fields, _ in descriptors.interfaces(dev.model.profile)], intf, alt, config)
 
     def get_endpoint_descriptor(self, dev: Port, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """The only endpoint."""
-        return _only(descriptors.CAMERA_ENDPOINT, ep, intf, alt, config)
+        """An endpoint of an interface."""
+        found = descriptors.interfaces(dev.model.profile)
+        return _at(found[intf][1] if intf < len(found) else [], ep, alt, config)
 
     def open_device(self, dev: Port) -> _Handle:
         """A handle on a camera that is plugged in."""
@@ -119,8 +121,8 @@ class MockBackend(IBackend):
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
         """There is only setting 0."""
-        dev_handle.port.require()
-        if (intf, altsetting) != (0, 0):
+        model = dev_handle.port.require()
+        if intf > model.profile.interface or altsetting:
             raise USBError("Entity not found", -5, errno.ENOENT)
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
@@ -137,7 +139,7 @@ class MockBackend(IBackend):
     def bulk_read(self, dev_handle: _Handle, ep: int, intf: int, buff: array.array, timeout: int) -> int:
         """Bytes put into `buff`; what is ready after a timeout is a short read, nothing is error 110."""
         model = dev_handle.port.require()
-        if ep != STREAM_ENDPOINT:
+        if ep != model.stream_endpoint:
             raise USBError("Entity not found", -5, errno.ENOENT)
         try:
             data = model.stream(len(buff), timeout / 1000)
@@ -151,7 +153,7 @@ class MockBackend(IBackend):
         return len(data)
 
     def bulk_write(self, dev_handle: _Handle, ep: int, intf: int, data: array.array, timeout: int) -> int:
-        """The cameras have no pipe to write to."""
+        """Commands go through `open_stream`, which holds the interface."""
         dev_handle.port.require()
         raise USBError("Entity not found", -5, errno.ENOENT)
 
@@ -168,9 +170,11 @@ class MockBackend(IBackend):
         """String descriptors and the vendor's registers; anything else stalls."""
         model = dev_handle.port.require()
         try:
-            answer = model.control(bmRequestType, bRequest, wValue, wIndex)
+            answer = model.control(bmRequestType, bRequest, wValue, wIndex, bytes(data))
         except StallError as error:
             raise _stalled() from error
+        if not bmRequestType & usb.util.CTRL_IN:
+            return len(data)
         taken = answer[: len(data)]
         with memoryview(data) as view:
             view[: len(taken)] = taken
@@ -181,8 +185,8 @@ class MockBackend(IBackend):
         dev_handle.port.require().clear_halt()
 
     def reset_device(self, dev_handle: _Handle) -> None:
-        """End a stall and forget the configuration."""
-        dev_handle.port.require().clear_halt()
+        """The camera begins anew, without a configuration, at the same address."""
+        dev_handle.port.require().power_up()
         dev_handle.port.configuration = 0
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
@@ -207,7 +211,7 @@ class MockTriggerLine:
             model.trigger()
 
 
-def _only(fields: dict, *numbers: int) -> SimpleNamespace:
-    if any(numbers):
-        raise IndexError(f"found no descriptor {numbers}")
-    return SimpleNamespace(**{**_ABSENT, **fields})
+def _at(found: Sequence[dict], number: int, *others: int) -> SimpleNamespace:
+    if number >= len(found) or any(others):
+        raise IndexError(f"found no descriptor {(number, *others)}")
+    return SimpleNamespace(**{**_ABSENT, **found[number]})

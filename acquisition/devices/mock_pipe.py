@@ -7,11 +7,12 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from usb.core import USBError
+from usb.core import USBError, USBTimeoutError
 
+from acquisition.devices.control_channel import StallError
 from acquisition.devices.descriptors import MAX_PACKET_BYTES
-from acquisition.devices.device_model import DeviceModel, StallError
-from acquisition.devices.stream import TRANSFER_BYTES, Completion, Outcome
+from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.stream import Completion, Outcome
 
 
 @dataclass(eq=False)
@@ -51,15 +52,16 @@ class MockPipe:
     def __init__(self, port: Port, memory: UsbfsMemory):
         port.claim(self)
         self._port, self._memory = port, memory
+        self._transfer_bytes = port.model.profile.transfer_bytes
         self._flying: deque[bytearray] = deque()
         self._cancelled = 0
 
     def submit(self) -> None:
-        """Queue one more transfer of 1 MiB."""
+        """Queue one more transfer."""
         self._port.require()
-        if self._memory.free_bytes < TRANSFER_BYTES:
+        if self._memory.free_bytes < self._transfer_bytes:
             raise USBError("Insufficient memory", -11, errno.ENOMEM)
-        self._memory.free_bytes -= TRANSFER_BYTES
+        self._memory.free_bytes -= self._transfer_bytes
         self._flying.append(bytearray())
 
     def reap(self, timeout_s: float) -> Completion | None:
@@ -76,11 +78,11 @@ class MockPipe:
                 return self._ended(Outcome.GONE)
             left_s = deadline_s - time.monotonic()
             try:
-                data = self._port.model.stream(TRANSFER_BYTES - len(buffer), max(0.0, left_s))
+                data = self._port.model.stream(self._transfer_bytes - len(buffer), max(0.0, left_s))
             except StallError:
                 return self._ended(Outcome.STALLED)
             buffer += data
-            if len(buffer) == TRANSFER_BYTES or len(data) % MAX_PACKET_BYTES:
+            if len(buffer) == self._transfer_bytes or len(data) % MAX_PACKET_BYTES:
                 return self._ended(Outcome.DONE)
             if left_s <= 0:
                 return None
@@ -93,6 +95,25 @@ class MockPipe:
         """End a stall."""
         self._port.require().clear_halt()
 
+    def write(self, endpoint: int, data: bytes, timeout_s: float) -> None:
+        """Send all of `data` to another endpoint."""
+        model = self._port.require()
+        try:
+            model.take(endpoint, data)
+        except StallError as error:
+            raise USBError("Pipe error", -9, errno.EPIPE) from error
+
+    def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
+        """What another endpoint has; there is nothing to wait for."""
+        model = self._port.require()
+        try:
+            data = model.give(endpoint)
+        except StallError as error:
+            raise USBError("Pipe error", -9, errno.EPIPE) from error
+        if not data:
+            raise USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+        return data[:size]
+
     def close(self) -> None:
         """Give the camera back."""
         while self._flying:
@@ -101,5 +122,5 @@ class MockPipe:
             self._port.claimed_by = None
 
     def _ended(self, outcome: Outcome) -> Completion:
-        self._memory.free_bytes += TRANSFER_BYTES
+        self._memory.free_bytes += self._transfer_bytes
         return Completion(outcome, memoryview(self._flying.popleft()))

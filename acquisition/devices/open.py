@@ -19,6 +19,7 @@ from usb.backend import IBackend
 
 from acquisition.devices.box_model import BoxModel, MockHid
 from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.faults import give_fault, parse_fault
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.replay import replay_sources
 from acquisition.devices.trigger_box import TriggerBox, find_box
@@ -37,7 +38,7 @@ from rigs.rig import Rig
 class Simulation:
     """What simulated cameras see: a named scene, its seed, the sensor model, samples x samples rays a pixel.
 
-    Truth is written for every `truth_every`-th plane.
+    Truth is written for every `truth_every`-th plane. `fault` is a fault of one camera, as `noisy:cam12`.
     """
 
     scene: str
@@ -45,8 +46,11 @@ class Simulation:
     sensor: SensorKind = "real"
     samples: int = 2
     truth_every: int = 20
+    fault: str = ""
 
     def __post_init__(self) -> None:
+        if self.fault:
+            parse_fault(self.fault)
         if self.sensor not in SENSOR_KINDS:
             raise CameraSetupError(f"found the sensor {self.sensor!r}, expected one of {', '.join(SENSOR_KINDS)}")
         if self.samples < 1 or self.truth_every < 1:
@@ -90,7 +94,7 @@ def parse_devices(uri: str) -> Devices:
     for name, value in values.items():
         if name not in fields:
             raise CameraSetupError(f"{uri}: found {name}, expected {', '.join(fields)}")
-        if name != "sensor":
+        if name not in ("sensor", "fault"):
             if not str(value).isdecimal():
                 raise CameraSetupError(f"{uri}: found {name}={value}, expected a whole number")
             values[name] = int(str(value))
@@ -117,7 +121,10 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
         scene = build_scene(devices.scene, devices.seed)
         models = _models(rig, scene, devices, planes)
     box = TriggerBox(MockHid(BoxModel("box", models)))
-    with _opened(rig, MockBackend(models)) as cameras, _closing(box):
+    backend = MockBackend(models)
+    if isinstance(devices, Simulation) and devices.fault:
+        give_fault(devices.fault, dict(zip(rig.ids, models, strict=True)), backend)
+    with _opened(rig, backend) as cameras, _closing(box):
         yield OpenCameras(cameras, box, scene)
 
 

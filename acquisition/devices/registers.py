@@ -1,4 +1,4 @@
-"""The registers of a camera, behind vendor control requests; PROTOCOL.md says what their bytes mean."""
+"""The registers of a camera, and their requests; PROTOCOL.md says what their bytes mean."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ from typing import NamedTuple
 from acquisition.errors import DeviceError
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 
-PROTOCOL_VERSION = 2
-VENDOR_ID = 0x1209  # pid.codes, an identifier open to projects like this one
-PRODUCT_ID = 0x0001
-STREAM_ENDPOINT = 0x81
+PROTOCOL_VERSION = 3
 IDENTITY_MAGIC = b"S4CM"
 _PIXEL_FORMATS: dict[tuple[BitOrder, RowOrder], int] = {
     ("lsb", "bottom"): 0x10,
@@ -21,18 +18,23 @@ _PIXEL_FORMATS: dict[tuple[BitOrder, RowOrder], int] = {
     ("msb", "top"): 0x13,
 }
 LAYOUT_ORDERS = {code: orders for orders, code in _PIXEL_FORMATS.items()}
+THRESHOLDS, EXPOSURES = (250, 4000), (1, 1000)  # thousandths
 
 
 class Request(enum.IntEnum):
-    """bRequest of a vendor request to the device: the first four are read, the last three are commands."""
+    """What a camera is asked: below 10 a register is read, from 10 on something is done."""
 
     IDENTITY = 0x01
     GEOMETRY = 0x02
     TICK_RATE = 0x03
     STATUS = 0x04
+    SENSITIVITY = 0x05
+    CLOCK = 0x06
+    LINK = 0x07
     ARM = 0x10
     START = 0x11
     STOP = 0x12
+    SET_SENSITIVITY = 0x13
 
 
 class State(enum.IntEnum):
@@ -102,11 +104,101 @@ class Status(NamedTuple):
         return cls(State(state), *counters)
 
 
+class Sensitivity(NamedTuple):
+    """Register SENSITIVITY, 8 B: the charge at which a pixel fires and the part of a tick in which it gathers light.
+
+    Both are in thousandths, of the nominal threshold and of the tick. Check with `refuse_wild`.
+    """
+
+    threshold: int = 1000
+    exposure: int = 1000
+
+    @property
+    def gain(self) -> float:
+        """Spikes for the same light, as a share of those at the nominal values."""
+        return self.exposure / self.threshold
+
+    def refuse_wild(self) -> None:
+        """Raise DeviceError for values no camera takes."""
+        for name, value, (least, most) in (
+            ("threshold", self.threshold, THRESHOLDS),
+            ("exposure", self.exposure, EXPOSURES),
+        ):
+            if not least <= value <= most:
+                raise DeviceError(f"found the {name} {value}, expected {least} to {most} thousandths")
+
+    def encode(self) -> bytes:
+        """The register's bytes."""
+        return _SENSITIVITY.pack(*self)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Sensitivity:
+        """Raises DeviceError for bytes that are not this register."""
+        found = cls(*_unpack(_SENSITIVITY, data, "sensitivity"))
+        found.refuse_wild()
+        return found
+
+
+class ClockRegister(NamedTuple):
+    """Register CLOCK, 16 B: the oscillator that counts the ticks, in ns since power-up, when the request came.
+
+    `trigger_ns` is what it showed at the trigger of the run, None where the camera does not run.
+    """
+
+    now_ns: int
+    trigger_ns: int | None
+
+    def encode(self) -> bytes:
+        """The register's bytes."""
+        return _CLOCK.pack(self.now_ns, _NO_TRIGGER if self.trigger_ns is None else self.trigger_ns)
+
+    @classmethod
+    def decode(cls, data: bytes) -> ClockRegister:
+        """Raises DeviceError for bytes that are not this register."""
+        now_ns, trigger_ns = _unpack(_CLOCK, data, "clock")
+        return cls(now_ns, None if trigger_ns == _NO_TRIGGER else trigger_ns)
+
+
+class LinkCounters(NamedTuple):
+    """Register LINK, 24 B, since power-up: packets sent again, times the link was trained anew, memory overruns."""
+
+    errors: int = 0
+    recoveries: int = 0
+    overruns: int = 0
+
+    def since(self, before: LinkCounters) -> LinkCounters:
+        """What came after `before`; all of it where the camera has been powered up anew."""
+        if any(now < then for now, then in zip(self, before, strict=True)):
+            return self
+        return LinkCounters(*(now - then for now, then in zip(self, before, strict=True)))
+
+    def encode(self) -> bytes:
+        """The register's bytes."""
+        return _LINK.pack(*self)
+
+    @classmethod
+    def decode(cls, data: bytes) -> LinkCounters:
+        """Raises DeviceError for bytes that are not this register."""
+        return cls(*_unpack(_LINK, data, "link"))
+
+
 _IDENTITY = struct.Struct("<4sHH")
 _GEOMETRY = struct.Struct("<HHII")
 _STATUS = struct.Struct("<QQQQ")
 _TICK_RATE = struct.Struct("<Q")
-REGISTER_BYTES = {Request.IDENTITY: 8, Request.GEOMETRY: 12, Request.TICK_RATE: 8, Request.STATUS: 32}
+_SENSITIVITY = struct.Struct("<II")
+_CLOCK = struct.Struct("<QQ")
+_LINK = struct.Struct("<QQQ")
+_NO_TRIGGER = (1 << 64) - 1
+REGISTER_BYTES = {
+    Request.IDENTITY: 8,
+    Request.GEOMETRY: 12,
+    Request.TICK_RATE: 8,
+    Request.STATUS: 32,
+    Request.SENSITIVITY: 8,
+    Request.CLOCK: 16,
+    Request.LINK: 24,
+}
 
 
 def encode_tick_rate(tick_rate_hz: float) -> bytes:
@@ -120,7 +212,13 @@ def decode_tick_rate(data: bytes) -> float:
 
 
 def pixel_format(layout: PlaneLayout) -> int:
-    """The code of one-bit pixels in this bit and row order."""
+    """The code of one-bit pixels in this bit and row order.
+
+    Raises DeviceError for columns behind the pixels, which no format has.
+    """
+    if layout.trailing_columns:
+        found = f"found {layout.trailing_columns} columns behind the pixels"
+        raise DeviceError(f"{found}, expected none; send planes of pixels only")
     return _PIXEL_FORMATS[layout.bit_order, layout.row_order]
 
 

@@ -12,7 +12,6 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import usb.core
 from usb.core import USBError
 
-TRANSFER_BYTES = 1 << 20
 IN_FLIGHT = 8
 RECOMMENDED_USBFS_MB = 256
 _COLLECT_S = 2.0  # a kernel that has not given a cancelled transfer back by then never will
@@ -52,6 +51,14 @@ class StreamPipe(Protocol):
 
     def clear_halt(self) -> None:
         """End a stall."""
+        ...
+
+    def write(self, endpoint: int, data: bytes, timeout_s: float) -> None:
+        """Send all of `data` to another endpoint of the same interface, waiting."""
+        ...
+
+    def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
+        """What comes from another endpoint, up to a short packet or `size` bytes, waiting."""
         ...
 
     def close(self) -> None:

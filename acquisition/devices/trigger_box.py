@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 import hidraw
 
-from acquisition.devices.registers import VENDOR_ID
+from acquisition.devices.profile import VENDOR_ID
 from acquisition.errors import DeviceError
 from acquisition.recording.manifest import Trigger
 

@@ -4,37 +4,39 @@ from __future__ import annotations
 
 import contextlib
 import errno
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import usb.core
 import usb.util
 from usb.backend import IBackend
 
+from acquisition.devices.control_channel import MessageChannel, RequestChannel
+from acquisition.devices.discovery import CameraSetupError, device_profile, find_camera
 from acquisition.devices.libusb_pipe import LibusbPipe
+from acquisition.devices.profile import DIRECT, Profile
 from acquisition.devices.protocol import Block, BlockParser, Damage, RepeatFilter
 from acquisition.devices.registers import (
-    PRODUCT_ID,
     PROTOCOL_VERSION,
-    REGISTER_BYTES,
-    VENDOR_ID,
+    ClockRegister,
     Geometry,
     Identity,
+    LinkCounters,
     Request,
+    Sensitivity,
     State,
     Status,
     decode_tick_rate,
 )
-from acquisition.devices.stream import IN_FLIGHT, RECOMMENDED_USBFS_MB, BulkStream, StreamingBackend
+from acquisition.devices.stream import RECOMMENDED_USBFS_MB, BulkStream, StreamingBackend
 from acquisition.errors import DeviceError
 from acquisition.recording.manifest import Trigger
 from rigs.camera import Camera
 
 _USBFS_MB = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
-_CONTROL_TIMEOUT_MS = 1000
-_READ_REGISTER = usb.util.CTRL_IN | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_DEVICE
-_COMMAND = usb.util.CTRL_OUT | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_DEVICE
+_LATCHES = 3
 _ADVICE = {
     errno.ENODEV: "it is not connected any more; check its cable and power",
     errno.EACCES: "access was denied; allow this user to open the device (a udev rule)",
@@ -43,10 +45,16 @@ _ADVICE = {
 }
 
 
-class CameraSetupError(DeviceError):
-    """A rig and the cameras that are connected do not fit together."""
+class ClockLatch(NamedTuple):
+    """A camera's clock read at `host_s` on the host's, which is right to `uncertainty_s`, half the round trip.
 
-    exit_code = 2
+    `oscillator_s` counts from the camera's power-up, `run_s` from the trigger (None where it does not run).
+    """
+
+    host_s: float
+    oscillator_s: float
+    run_s: float | None
+    uncertainty_s: float
 
 
 class UsbCamera:
@@ -59,18 +67,31 @@ class UsbCamera:
         self.id = camera.id
         self.serial = camera.serial
         self.damages = 0
-        self._device = device
+        self._camera, self._backend, self._device = camera, backend, device
         self._repeated = RepeatFilter()
+        self._profile = device_profile(device) or DIRECT
+        self._attach()
+
+    def _attach(self) -> None:
+        """Configure the device, hold its pipes and learn its geometry."""
+        device = self._device
         with self._named():
             device.set_configuration()
-        geometry = Geometry.decode(self._register(Request.GEOMETRY))
+            if isinstance(self._backend, StreamingBackend):
+                pipe = self._backend.open_stream(device)
+            else:
+                pipe = LibusbPipe(cast(int, device.bus), cast(int, device.address), self._profile)
+        self._stream = BulkStream(pipe, self._profile.in_flight)
+        messages = self._profile.command_endpoint
+        self._control = MessageChannel(pipe, self._profile) if messages else RequestChannel(device)
+        try:
+            geometry = Geometry.decode(self._register(Request.GEOMETRY))
+        except DeviceError:
+            self._stream.close()
+            raise
         self.layout = geometry.layout
         self._block_bytes = geometry.planes_per_block * geometry.layout.plane_bytes
         self._parser = BlockParser(self._block_bytes)
-        with self._named():
-            own = isinstance(backend, StreamingBackend)
-            pipe = backend.open_stream(device) if own else LibusbPipe(cast(int, device.bus), cast(int, device.address))
-        self._stream = BulkStream(pipe)
 
     @property
     def repeats(self) -> int:
@@ -83,7 +104,7 @@ class UsbCamera:
 
         Raises CameraSetupError when it is missing or has another version, size or tick rate.
         """
-        device = _find(camera, backend)
+        device = find_camera(camera, backend)
         try:
             opened = cls(camera, device, backend)
         except DeviceError:
@@ -96,15 +117,15 @@ class UsbCamera:
             raise
         return opened
 
-    def arm(self) -> None:
-        """Get ready for the trigger, and confirm it."""
+    def arm(self, *, joins: bool = False) -> None:
+        """Get ready for the trigger, and confirm it; `joins`: it may have come already, from a line that pulses."""
         self._parser, self._repeated = BlockParser(self._block_bytes), RepeatFilter()
         self.damages = 0
         with self._named():
             self._stream.stop()
         self._command(Request.ARM)
         state = self.status().state
-        if state is not State.ARMED:
+        if state is not State.ARMED and not (joins and state is State.RUNNING):
             raise DeviceError(f"{self.id}: found it {state.name.lower()} after arming, expected armed; reconnect it")
         with self._named():
             self._stream.start()
@@ -120,6 +141,36 @@ class UsbCamera:
     def identity(self) -> Identity:
         """The protocol and firmware it runs."""
         return Identity.decode(self._register(Request.IDENTITY))
+
+    def sensitivity(self) -> Sensitivity:
+        """The threshold and the exposure."""
+        return Sensitivity.decode(self._register(Request.SENSITIVITY))
+
+    def set_sensitivity(self, wanted: Sensitivity) -> None:
+        """Set threshold and exposure of an idle camera, and confirm them; raises DeviceError for wild values."""
+        try:
+            wanted.refuse_wild()
+        except DeviceError as error:
+            raise CameraSetupError(f"{self.id}: {error}; choose another value") from error
+        self._command(Request.SET_SENSITIVITY, wanted.encode())
+        found = self.sensitivity()
+        if found != wanted:
+            raise DeviceError(f"{self.id}: found {found} after setting it, expected {wanted}; update its firmware")
+
+    def link_counters(self) -> LinkCounters:
+        """What its end of the link has counted since it was powered up."""
+        return LinkCounters.decode(self._register(Request.LINK))
+
+    def latch(self, clock: Callable[[], float] = time.monotonic) -> ClockLatch:
+        """Its clock against the host's, the quickest of three requests."""
+        found = []
+        for _ in range(_LATCHES):
+            before_s = clock()
+            register = ClockRegister.decode(self._register(Request.CLOCK))
+            half_s = (clock() - before_s) / 2
+            run_s = None if register.trigger_ns is None else (register.now_ns - register.trigger_ns) * 1e-9
+            found.append(ClockLatch(before_s + half_s, register.now_ns * 1e-9, run_s, half_s))
+        return min(found, key=lambda latch: latch.uncertainty_s)
 
     def read_block(self, timeout_s: float) -> Block | None:
         """The next whole block, or None when `timeout_s` passed without new bytes; damaged ones are counted."""
@@ -137,6 +188,25 @@ class UsbCamera:
         """Stop sending, whatever it was doing; a camera that is gone has stopped."""
         with contextlib.suppress(DeviceError):
             self._command(Request.STOP)
+
+    def reset(self) -> None:
+        """Reset it by the host's port, as when it hangs; `reopen` it then. It may come back as another device."""
+        self.close()
+        with self._named():
+            self._device.reset()
+
+    def reopen(self) -> None:
+        """Find it on the bus again, by its serial, after a reset or when it was plugged in anew.
+
+        Raises CameraSetupError while it is not there, DeviceError for one that is another camera than before.
+        """
+        self.close()
+        before = self.layout
+        self._device = find_camera(self._camera, self._backend)
+        self._attach()
+        if self.layout != before:
+            self.close()
+            raise DeviceError(f"{self.id}: found planes of {self.layout}, expected {before} as before; reconnect it")
 
     def close(self) -> None:
         """Give the device back."""
@@ -166,14 +236,11 @@ class UsbCamera:
 
     def _register(self, request: Request) -> bytes:
         with self._named():
-            answer = self._device.ctrl_transfer(
-                _READ_REGISTER, request, 0, 0, REGISTER_BYTES[request], _CONTROL_TIMEOUT_MS
-            )
-        return bytes(answer)
+            return self._control.read(request)
 
-    def _command(self, request: Request) -> None:
+    def _command(self, request: Request, data: bytes = b"") -> None:
         with self._named():
-            self._device.ctrl_transfer(_COMMAND, request, 0, 0, None, _CONTROL_TIMEOUT_MS)
+            self._control.write(request, data)
 
     @contextlib.contextmanager
     def _named(self) -> Iterator[None]:
@@ -184,7 +251,7 @@ class UsbCamera:
 
     def _failed(self, error: usb.core.USBError) -> DeviceError:
         if error.errno == errno.ENOMEM:
-            return DeviceError(f"{self.id} (serial {self.serial}): {_usbfs_advice()}")
+            return DeviceError(f"{self.id} (serial {self.serial}): {_usbfs_advice(self._profile)}")
         advice = _ADVICE.get(error.errno or 0, f"{error.strerror}; reconnect it")
         return DeviceError(f"{self.id} (serial {self.serial}): {advice}")
 
@@ -204,34 +271,9 @@ class SoftwareTrigger:
             camera.start()
 
 
-def _find(camera: Camera, backend: IBackend) -> usb.core.Device:
-    if not camera.serial:
-        raise CameraSetupError(
-            f"{camera.id}: found no serial in the rig, expected the one on the camera; add it to the rig"
-        )
-    devices = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
-    serials = []
-    for device in cast(Iterable[usb.core.Device], devices or ()):
-        serial = _serial_of(device)
-        if serial == camera.serial:
-            return device
-        serials.append(serial)
-    connected = ", ".join(sorted(serials)) or "none"
-    raise CameraSetupError(
-        f"{camera.id}: found no camera with serial {camera.serial} (connected: {connected}); check its cable and power"
-    )
-
-
-def _usbfs_advice() -> str:
+def _usbfs_advice(profile: Profile) -> str:
     limit = f"{_USBFS_MB.read_text().strip()} MB" if _USBFS_MB.exists() else "its limit"
     return (
-        f"found the kernel's memory for USB transfers full at {limit}, expected {IN_FLIGHT} MB a camera; "
+        f"found the kernel's memory for USB transfers full at {limit}, expected {profile.queued_mb:g} MB a camera; "
         f"write {RECOMMENDED_USBFS_MB} to {_USBFS_MB}"
     )
-
-
-def _serial_of(device: usb.core.Device) -> str:
-    try:
-        return str(device.serial_number)
-    except (usb.core.USBError, ValueError):  # one that may not be opened; a serial is only needed from ours
-        return "unreadable"

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from acquisition.devices.control_channel import StallError
 from acquisition.devices.descriptors import MAX_PACKET_BYTES
-from acquisition.devices.device_model import StallError
 from acquisition.errors import DeviceError
 
 HOST_CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
@@ -32,6 +32,7 @@ class UsbModel(Protocol):
     """What a device is below its bus."""
 
     serial: str
+    stream_endpoint: int
 
     def control(self, kind: int, request: int, value: int, index: int, data: bytes = b"") -> bytes:
         """Answer a control request; raises StallError."""
@@ -39,6 +40,14 @@ class UsbModel(Protocol):
 
     def stream(self, size: int, timeout_s: float) -> memoryview:
         """Bytes of the bulk pipe; raises StallError."""
+        ...
+
+    def take(self, endpoint: int, data: bytes) -> None:
+        """Bytes to another bulk pipe; raises StallError."""
+        ...
+
+    def give(self, endpoint: int) -> bytes:
+        """The next message of another bulk pipe, empty where there is none; raises StallError."""
         ...
 
     def wake(self) -> None:
@@ -64,6 +73,7 @@ class UsbIpDevice:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         self._changed = threading.Condition()
         self._waiting: deque[_Transfer] = deque()
+        self._asked: deque[tuple[int, _Transfer]] = deque()  # for messages of other endpoints
         self._plugged = True
         try:
             port = _free_port("ss" if speed == SUPER_SPEED else "hs")
@@ -92,10 +102,12 @@ class UsbIpDevice:
             command, number, _, inward, endpoint, _, size, *_, setup = _HEADER.unpack(header)
             if command == _UNLINK:
                 self._unlink(number, struct.unpack_from(">I", header, 20)[0])
-            elif endpoint:
+            elif endpoint and inward and 0x80 | endpoint == self._model.stream_endpoint:
                 with self._changed:
                     self._waiting.append(_Transfer(number, size))
                     self._changed.notify_all()
+            elif endpoint:
+                self._message(number, endpoint, size, self._take(size) if not inward else None)
             else:
                 self._control(number, setup, b"" if inward else self._take(size))
 
@@ -124,7 +136,27 @@ class UsbIpDevice:
         answer = answer[:size]
         self._submitted(number, 0, answer, len(answer) if kind & 0x80 else len(data))
 
+    def _message(self, number: int, endpoint: int, size: int, data: bytes | None) -> None:
+        """A transfer of another endpoint: `data` is taken at once, without data it waits for a message."""
+        try:
+            if data is not None:
+                self._model.take(endpoint, data)
+                self._submitted(number, 0, b"", len(data))
+            else:
+                self._asked.append((0x80 | endpoint, _Transfer(number, size)))
+            while self._asked and (found := self._model.give(self._asked[0][0])):
+                _, transfer = self._asked.popleft()
+                self._submitted(transfer.number, 0, found[: transfer.size], min(len(found), transfer.size))
+        except StallError:
+            if data is None:
+                self._asked.pop()
+            self._submitted(number, -errno.EPIPE, b"", 0)
+
     def _unlink(self, number: int, unlinked: int) -> None:
+        for asked in [each for each in self._asked if each[1].number == unlinked]:
+            self._asked.remove(asked)
+            self._unlinked(number, -errno.ECONNRESET)
+            return
         with self._changed:
             for position, transfer in enumerate(self._waiting):
                 if transfer.number == unlinked and position == 0:

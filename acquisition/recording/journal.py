@@ -2,6 +2,11 @@
 
 A line is JSON: `{"block": 3, "planes": 80, "xxh3": "..."}` once all bytes of the block were written,
 `{"gap": [first plane, planes, layer]}` before the block in which the gap ends, `{"skew_s": ...}` once.
+
+Neither the journal nor a `.dat` is brought to the disk (fsync) while it grows: that would stall all writers, and a
+recorder that is killed loses nothing of it. When the machine itself goes down, lines may be there without their bytes,
+or bytes without their lines; so `finalise` trusts no line, and reads every block back against the line's digest. The
+manifest is flushed at arm and start, and everything once at the end, before the recording takes its name.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from acquisition.errors import BadRecordingError
@@ -68,7 +68,9 @@ class CameraFile:
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
     the file (None while it is being recorded). `skew_s` is how far its first plane was from the trigger (None where
     nothing measured it), `skew_sd_s` its standard deviation where that was estimated, and `clock` all that was told of
-    the camera's clock from sync pulses; `partial_bytes` what an imported file held beyond its last whole plane.
+    the camera's clock from sync pulses. `device` is what the camera said of itself: serial, firmware, sensitivity, what
+    its link counted, its clock against the host's, and where it came back after it was lost. `partial_bytes` is what an
+    imported file held beyond its last whole plane.
     """
 
     id: str
@@ -85,6 +87,7 @@ class CameraFile:
     conversion: Conversion | None = None
     skew_sd_s: float | None = None
     clock: dict[str, Any] | None = None
+    device: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         whole = type(self.planes) is type(self.block_planes) is int
@@ -119,6 +122,7 @@ class Manifest:
 
     `reason` says why an incomplete recording is one. `direct_io` is false where the file system made the writer go
     through the page cache. `trigger_plane` is the plane at which a run with a pre-trigger was told to save.
+    `pixels_sha256` are of the pixel calibrations beside the rig, by file name.
     """
 
     tick_rate_hz: float
@@ -130,6 +134,7 @@ class Manifest:
     reason: str | None = None
     direct_io: bool | None = None
     trigger_plane: int | None = None
+    pixels_sha256: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.tick_rate_hz > 0:
@@ -170,9 +175,17 @@ def load_manifest(text: str | bytes) -> Manifest:
             raise BadRecordingError(f"{MANIFEST_FILE}: found schema {version}, {expected}")
         cameras = tuple(_camera(table) for table in document.pop("cameras"))
         manifest = Manifest(cameras=cameras, **document)
-        texts = (manifest.writer, manifest.rig_sha256, manifest.reason or "")
+        digests = manifest.pixels_sha256.items()
+        texts = (
+            manifest.writer,
+            manifest.rig_sha256,
+            manifest.reason or "",
+            *(text for pair in digests for text in pair),
+        )
         if not all(isinstance(text, str) for text in texts):
             raise TypeError("found values of another kind")
+        if not all(set("/\0").isdisjoint(name) for name in manifest.pixels_sha256):
+            raise ValueError("found a pixel calibration outside the recording")
         return manifest
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadRecordingError(
@@ -212,8 +225,8 @@ def _check_kinds(camera: CameraFile) -> None:
     numbers = (camera.first_tick, camera.partial_bytes, layout.width, layout.height)
     if not all(isinstance(text, str) for text in texts) or not all(type(number) is int for number in numbers):
         raise TypeError("found values of another kind")
-    if not (camera.clock is None or isinstance(camera.clock, dict)):
-        raise TypeError("found a clock of another kind")
+    if not all(table is None or isinstance(table, dict) for table in (camera.clock, camera.device)):
+        raise TypeError("found a clock or a device of another kind")
     if not all(text.isprintable() for text in (camera.id, camera.file)):
         raise ValueError("found a name that cannot be printed")
     numbers_or_none = (camera.skew_s, camera.skew_sd_s)

@@ -63,6 +63,9 @@ class Recording:
     def stream(self, camera_id: str) -> SpikeStream:
         """The memory-mapped planes of one camera; raises BadRecordingError where the file is not what was recorded."""
         entry = self.manifest.camera(camera_id)
+        if not entry.planes:
+            found = f"found no plane of {camera_id}, expected at least one"
+            raise BadRecordingError(f"{self.path}: {found}; mend or leave it out, and record again")
         stream = SpikeStream.open(self.path / entry.file, entry.layout, self.tick_rate_hz)
         if len(stream) != entry.planes:
             found = f"found {len(stream)} planes, expected {entry.planes}"

@@ -54,6 +54,7 @@ class StreamWriter:
         self.failure: OSError | None = None
         self.damage: str | None = None  # what `entry` found on reading back
         self.clock: dict[str, Any] | None = None  # what sync pulses told of the camera's clock
+        self.device: dict[str, Any] | None = None  # what the camera said of itself
         self.path = folder / f"{camera_id}.dat"
         self.block_planes = block_planes_of(layout)
         self._skew_s: float | None = None
@@ -176,6 +177,7 @@ class StreamWriter:
             skew_s=self.skew_s if self.clock is None else self.clock["skew_s"],
             skew_sd_s=None if self.clock is None else self.clock["skew_sd_s"],
             clock=self.clock,
+            device=self.device,
             partial_bytes=self.partial_bytes,
         )
 

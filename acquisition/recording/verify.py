@@ -29,7 +29,9 @@ class Damaged:
 def verify(path: Path, progress: Progress = silent) -> list[Damaged]:
     """Every damage of the recording in `path`, none when sound; raises BadRecordingError when it is no recording."""
     manifest = read_manifest(path)
-    damages = _verify_rig(path / RIG_FILE, manifest.rig_sha256)
+    damages = _verify_whole(path / RIG_FILE, manifest.rig_sha256)
+    for name, sha256 in sorted(manifest.pixels_sha256.items()):
+        damages += _verify_whole(path / name, sha256)
     total = max(1, sum(camera.planes for camera in manifest.cameras))
     done = 0
     for camera in manifest.cameras:
@@ -40,7 +42,7 @@ def verify(path: Path, progress: Progress = silent) -> list[Damaged]:
     return damages
 
 
-def _verify_rig(path: Path, sha256: str) -> list[Damaged]:
+def _verify_whole(path: Path, sha256: str) -> list[Damaged]:
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import errno
 import fcntl
+import functools
 import hashlib
 import importlib.metadata
 import os
@@ -55,6 +56,7 @@ class RecordingWriter:
         self.full: str | None = None
         self.problems: list[str] = []
         self.trigger_plane: int | None = None
+        self.first_plane = 0  # as the cameras count: how many came before the recording
         self._use = use if isinstance(use, DiskUse) else DiskUse(use)
         self._lock = -1
         self._streams: list[StreamWriter] = []
@@ -122,15 +124,27 @@ class RecordingWriter:
             "trigger": trigger,
             "writer": f"spike4dgs {importlib.metadata.version('spike4dgs')}",
             "rig_sha256": hashlib.sha256(dump_rig(self.rig).encode()).hexdigest(),
+            "pixels_sha256": {pixels.name: sha256 for pixels, sha256 in self._pixels.items()},
             "direct_io": all(stream.direct for stream in self._streams),
         }
+
+    @functools.cached_property
+    def _pixels(self) -> dict[Path, str]:
+        """The SHA-256 of each pixel calibration the rig names; raises BadRecordingError for one that is not there."""
+        found = {}
+        for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
+            try:
+                found[pixels] = hashlib.sha256(pixels.read_bytes()).hexdigest()
+            except OSError as error:
+                raise BadRecordingError(f"{pixels}: cannot be read ({error.strerror}); calibrate again") from error
+        return found
 
     def _drafts(self) -> tuple[CameraFile, ...]:
         return tuple(stream.draft() for stream in self._streams)
 
     def _mark(self, manifest: Manifest) -> None:
         with disk_errors(self.folder):
-            for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
+            for pixels in self._pixels:
                 shutil.copyfile(pixels, self.folder / pixels.name)
         write_durably(self.folder / RIG_FILE, dump_rig(self.rig))
         write_durably(self.folder / MANIFEST_FILE, dump_manifest(manifest))

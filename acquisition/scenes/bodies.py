@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from acquisition.errors import AcquisitionError
-from acquisition.scenes.motion import Motion
+from acquisition.scenes.motion import Motion, Movement
 from rigs.transform import Transform
 
 KINDS = ("rectangle", "box", "sphere", "cylinder")  # the order the native ray caster numbers them in
@@ -55,11 +56,40 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Shapes that move as one; the name is what `scene.json` calls it."""
+    """Shapes under one name, as `scene.json` calls it, that move as one or each by a motion of its own.
+
+    The body is there from `from_s` up to but without `to_s`. Raises AcquisitionError where shapes and motions differ
+    in number or it never is there.
+    """
 
     name: str
     shapes: tuple[Shape, ...]
-    motion: Motion
+    motion: Movement | tuple[Movement, ...]
+    from_s: float = -math.inf
+    to_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        if isinstance(self.motion, tuple) and len(self.motion) != len(self.shapes):
+            raise AcquisitionError(
+                f"{self.name}: found {len(self.motion)} motions of {len(self.shapes)} shapes, expected one for each"
+            )
+        if not self.from_s < self.to_s:
+            raise AcquisitionError(f"{self.name}: found from {self.from_s} to {self.to_s} s, expected a time between")
+
+    @property
+    def motions(self) -> tuple[Movement, ...]:
+        """The motion of each shape."""
+        return self.motion if isinstance(self.motion, tuple) else (self.motion,) * len(self.shapes)
+
+    @property
+    def lasting(self) -> bool:
+        """Whether it is there all the time."""
+        return math.isinf(self.from_s) and math.isinf(self.to_s)
+
+    @property
+    def moving(self) -> bool:
+        """Whether any of it moves, appears or goes."""
+        return not self.lasting or any(motion.moving for motion in self.motions)
 
 
 def still(name: str, center: tuple[float, float, float], *shapes: Shape, turn_rad: float = 0.0) -> Body:

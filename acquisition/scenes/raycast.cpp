@@ -14,10 +14,12 @@ struct RaycastScene {
   const double* shapes;   // [count][10]: kind, half sizes (3), texture, texels per metre, u0, v0, albedo low, high
   const uint8_t* moving;  // [count]
   const int8_t* ids;      // [count]
-  const float* textures;  // [K][texture_size][texture_size], periodic
+  const float* textures;  // [K][texture_size][texture_size], periodic; coarser levels behind
   double sun[3];          // unit, towards the sun
   double white, ambient, background;
-  int32_t count, texture_size;  // at most 64 shapes; the size a power of two
+  double slope[3], offset, least;  // all light at x is times offset + slope . x, between `least` and 1
+  int32_t count, texture_size;     // at most 64 shapes; the size a power of two
+  int32_t texture_count, levels;   // one level: textures are sampled as they are, however far away
 };
 struct RaycastView {
   double fx, fy, cx, cy, rotation[9], center[3];  // cam_from_world
@@ -42,7 +44,8 @@ class Tracer {
  public:
   Tracer(const RaycastScene& scene, const RaycastView& view, const double* rotations, const double* positions)
       : scene_(scene), view_(view), eye_{view.center[0], view.center[1], view.center[2]},
-        sun_{scene.sun[0], scene.sun[1], scene.sun[2]}, placed_(scene.count) {
+        sun_{scene.sun[0], scene.sun[1], scene.sun[2]}, slope_{scene.slope[0], scene.slope[1], scene.slope[2]},
+        textures_{scene.textures, scene.texture_count, scene.texture_size, scene.levels}, placed_(scene.count) {
     for (int k = 0; k < scene.count; ++k) {
       place(k, rotations + 9 * k, {positions[3 * k], positions[3 * k + 1], positions[3 * k + 2]});
       (scene.moving[k] ? moving : still) |= uint64_t(1) << k;
@@ -93,9 +96,12 @@ class Tracer {
     const Surface s = surface(p, p.eye + depth * ray);
     const Vec normal = turn(p.pose, s.normal);
     const double facing = dot(normal, d) > 0 ? -dot(normal, sun_) : dot(normal, sun_);
-    const double albedo = p.row[8] + (p.row[9] - p.row[8]) * texel(scene_.textures, scene_.texture_size, p.row, s);
-    const double unlit = scene_.white * albedo * scene_.ambient;
-    return {unlit + scene_.white * albedo * (1 - scene_.ambient) * std::max(0.0, facing), unlit};
+    const double spacing = textures_.levels > 1 ? ray_spacing(d, normal, depth) * p.row[5] : 0;
+    const double albedo = p.row[8] + (p.row[9] - p.row[8]) * texel(textures_, p.row, s, spacing);
+    const double uneven = scene_.offset + dot(slope_, eye_ + depth * d);
+    const double white = scene_.white * std::min(1.0, std::max(scene_.least, uneven));
+    const double unlit = white * albedo * scene_.ambient;
+    return {unlit + white * albedo * (1 - scene_.ambient) * std::max(0.0, facing), unlit};
   }
 
   // Light of the hit (k, depth), its sun taken away where one of `candidates` that can stand in the way does.
@@ -107,6 +113,12 @@ class Tracer {
   }
 
  private:
+  // Metres between neighbouring rays on the surface they hit, the mean of both ways where it is seen askew.
+  double ray_spacing(Vec d, Vec normal, double depth) const {
+    const double facing = std::abs(dot(normal, d)) / std::sqrt(dot(d, d));
+    return depth / (view_.fx * view_.samples) / std::sqrt(facing);
+  }
+
   void place(int k, const double* pose, Vec position) {
     const double* row = scene_.shapes + 10 * k;
     Placed& p = placed_[k];
@@ -129,7 +141,8 @@ class Tracer {
 
   const RaycastScene& scene_;
   const RaycastView& view_;
-  Vec eye_, sun_;
+  Vec eye_, sun_, slope_;
+  Pyramid textures_;
   std::vector<Placed> placed_;
 };
 
@@ -232,10 +245,10 @@ S4_API void raycast_still(const RaycastScene* scene, const RaycastView* view, co
     }
 }
 
-// Frames of n instants; `depth` and `ids` may both be null.
+// Frames of n instants, the light of each times its gain; `depth` and `ids` may both be null.
 S4_API void raycast_frames(const RaycastScene* scene, const RaycastView* view, const RaycastStill* still, int64_t n,
-                           const double* rotations, const double* positions, float* intensity, float* depth,
-                           int8_t* ids) {
+                           const double* rotations, const double* positions, const double* gains, float* intensity,
+                           float* depth, int8_t* ids) {
   const SunPlane plane(scene->sun);
   const int64_t width = view->width, height = view->height;
   std::vector<Tracer> tracers;
@@ -246,11 +259,14 @@ S4_API void raycast_frames(const RaycastScene* scene, const RaycastView* view, c
   for (int64_t line = 0; line < n * height; ++line) {
     const Tracer& tracer = tracers[line / height];
     const int y = int(line % height);
+    const float gain = float(gains[line / height]);
     std::vector<uint64_t> near(width), dark(width);
     mark_row(tracer, *view, plane, y, still->foot + 3 * y * width, near.data(), dark.data());
     for (int x = 0; x < width; ++x) {
       const int64_t pixel = y * width + x, to = line * width + x;
-      intensity[to] = near[x] | dark[x] ? trace_pixel(tracer, *view, x, y, *still, near[x], dark[x]) : still->mean[pixel];
+      const bool touched = near[x] | dark[x];
+      intensity[to] =
+          gain * (touched ? trace_pixel(tracer, *view, x, y, *still, near[x], dark[x]) : still->mean[pixel]);
       if (!depth) continue;
       double z = still->middle[pixel];
       const int k = near[x] ? tracer.nearest(near[x], tracer.direction(x + 0.5, y + 0.5), &z) : -1;

@@ -6,6 +6,7 @@ Letters: n instants, P shapes, K textures of S x S texels, H rows, W columns, s 
 from __future__ import annotations
 
 import ctypes
+import functools
 import os
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
 from acquisition.native import load_library
+from acquisition.scenes.light import EVEN, Uneven
 from rigs.camera import Camera
 
 Floats = NDArray[np.float64]
@@ -35,7 +37,10 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A scene as arrays. A surface of albedo 1 that faces the sun emits `white` spikes per tick."""
+    """A scene as arrays. A surface of albedo 1 that faces the sun emits `white` spikes per tick.
+
+    With `mipmapped` textures are averaged as far as the rays lie apart, so that detail finer than those does not alias.
+    """
 
     shapes: Floats  # [P, 10], see bodies.Shape.row
     moving: NDArray[np.bool_]  # [P]
@@ -45,6 +50,8 @@ class Geometry:
     white: float
     ambient: float  # fraction of `white` that needs no sun
     background: float  # spikes per tick where nothing is
+    uneven: Uneven = EVEN
+    mipmapped: bool = False
 
     def __post_init__(self) -> None:
         size = self.textures.shape[-1]
@@ -55,13 +62,25 @@ class Geometry:
         if not 0 <= self.shapes[:, 4].min() <= self.shapes[:, 4].max() < len(self.textures):
             raise AcquisitionError(f"found a texture index outside the {len(self.textures)} textures of the scene")
 
+    @functools.cached_property
+    def pyramid(self) -> tuple[NDArray[np.float32], ...]:
+        """The textures [K, S, S], then, where `mipmapped`, means of 2 x 2 texels again and again down to [K, 2, 2]."""
+        levels = [np.ascontiguousarray(self.textures, dtype=np.float32)]
+        while self.mipmapped and levels[-1].shape[1] > 2:
+            count, size, _ = levels[-1].shape
+            fine = levels[-1].reshape(count, size // 2, 2, size // 2, 2)
+            levels.append(fine.mean(axis=(2, 4), dtype=np.float64).astype(np.float32))
+        return tuple(levels)
+
 
 class _Scene(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("shapes", "moving", "ids", "textures")),
         ("sun", ctypes.c_double * 3),
         *((name, ctypes.c_double) for name in ("white", "ambient", "background")),
-        *((name, ctypes.c_int32) for name in ("count", "texture_size")),
+        ("slope", ctypes.c_double * 3),
+        *((name, ctypes.c_double) for name in ("offset", "least")),
+        *((name, ctypes.c_int32) for name in ("count", "texture_size", "texture_count", "levels")),
     ]
 
 
@@ -111,7 +130,8 @@ class Raycaster:
         self._trace_still(placement, samples)
 
     def _native_scene(self, geometry: Geometry) -> _Scene:
-        arrays = (geometry.shapes, geometry.moving, geometry.ids, geometry.textures)
+        levels = np.concatenate([level.ravel() for level in geometry.pyramid])
+        arrays = (geometry.shapes, geometry.moving, geometry.ids, levels)
         kinds = (np.float64, np.uint8, np.int8, np.float32)
         # Kept, for the structure holds their addresses only.
         self._arrays = [np.ascontiguousarray(a, dtype=kind) for a, kind in zip(arrays, kinds, strict=True)]
@@ -121,8 +141,13 @@ class Raycaster:
             geometry.white,
             geometry.ambient,
             geometry.background,
+            (ctypes.c_double * 3)(*geometry.uneven.slope),
+            geometry.uneven.offset,
+            geometry.uneven.least,
             len(geometry.shapes),
             geometry.textures.shape[1],
+            len(geometry.textures),
+            len(geometry.pyramid),
         )
 
     def _trace_still(self, placement: tuple[Floats, Floats], samples: int) -> None:
@@ -150,28 +175,45 @@ class Raycaster:
             raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}, expected {count} of them")
         return np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(positions, np.float64)
 
-    def intensity(self, rotations: Floats, positions: Floats) -> NDArray[np.float32]:
-        """Light alone [n, H, W] with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3]."""
+    @property
+    def still_depth(self) -> Floats:
+        """The depth of what stands still, of each pixel's centre ray in double precision [H, W]; NaN: nothing."""
+        middle = self._still_arrays[4]
+        return np.where(np.isfinite(middle), middle, np.nan)
+
+    def intensity(self, rotations: Floats, positions: Floats, gains: Floats | None = None) -> NDArray[np.float32]:
+        """Light alone [n, H, W] with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3].
+
+        The light of each instant is times its `gains` [n]; None: 1.
+        """
         intensity = np.empty((len(rotations), *self._size), dtype=np.float32)
-        self._trace(rotations, positions, intensity, None, None)
+        self._trace((rotations, positions, gains), intensity, None, None)
         return intensity
 
-    def frames(self, rotations: Floats, positions: Floats) -> Frames:
+    def frames(self, rotations: Floats, positions: Floats, gains: Floats | None = None) -> Frames:
         """Light, depth and objects with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3]."""
         shape = (len(rotations), *self._size)
         frames = Frames(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int8))
-        self._trace(rotations, positions, frames.intensity, frames.depth, frames.ids)
+        self._trace((rotations, positions, gains), frames.intensity, frames.depth, frames.ids)
         return frames
 
     def _trace(
-        self, rotations: Floats, positions: Floats, intensity: NDArray, depth: NDArray | None, ids: NDArray | None
+        self,
+        placements: tuple[Floats, Floats, Floats | None],
+        intensity: NDArray,
+        depth: NDArray | None,
+        ids: NDArray | None,
     ) -> None:
-        rotations, positions = self._checked(rotations, positions)
+        rotations, positions = self._checked(*placements[:2])
+        gains = np.ones(len(rotations)) if placements[2] is None else placements[2]
+        if gains.shape != rotations.shape[:1]:
+            raise AcquisitionError(f"found gains {gains.shape}, expected one for each of {len(rotations)} instants")
+        gains = np.ascontiguousarray(gains, dtype=np.float64)
+        arrays = (rotations, positions, gains, intensity, depth, ids)
         load_library("acquisition").raycast_frames(
             ctypes.byref(self._scene),
             ctypes.byref(self._view),
             ctypes.byref(self._still),
             ctypes.c_int64(len(rotations)),
-            *(ctypes.c_void_p(None if a is None else a.ctypes.data) for a in (rotations, positions, intensity)),
-            *(ctypes.c_void_p(None if a is None else a.ctypes.data) for a in (depth, ids)),
+            *(ctypes.c_void_p(None if a is None else a.ctypes.data) for a in arrays),
         )

@@ -14,10 +14,13 @@ from rigs.camera import Camera
 NEAR_M = 1e-4
 
 
-def trace_reference(geometry: Geometry, camera: Camera, rotations: Floats, positions: Floats, samples: int) -> Frames:
+def trace_reference(
+    geometry: Geometry, camera: Camera, rotations: Floats, positions: Floats, samples: int, *, gain: float = 1.0
+) -> Frames:
     """One instant [1, H, W] with the shapes at world_from_shape `rotations` [P, 3, 3], `positions` [P, 3]."""
     steps = (np.arange(samples) + 0.5) / samples
-    light = _Rays(geometry, camera, rotations, positions, _pixels(camera, steps)).light()
+    rays = _Rays(geometry, camera, rotations, positions, _pixels(camera, steps))
+    light = gain * rays.light(spacing=1 / (camera.fx * samples))
     middle = _Rays(geometry, camera, rotations, positions, _pixels(camera, np.array([0.5])))
     shape = (1, camera.height, camera.width)
     return Frames(
@@ -54,9 +57,9 @@ class _Rays:
             t = _ENTRIES[KINDS[int(self.geometry.shapes[k, 0])]](self.geometry.shapes[k, 1:4], o, d)
             return np.where(t > least, t, np.inf)
 
-    def light(self) -> Floats:
-        """Spikes per tick of each ray [N]."""
-        scene = self.geometry
+    def light(self, spacing: float) -> Floats:
+        """Spikes per tick of each ray [N], at one metre's distance `spacing` metres from the next."""
+        scene, uneven = self.geometry, self.geometry.uneven
         out = np.full(len(self.depth), scene.background)
         for k in range(len(scene.shapes)):
             hit = self.shape == k
@@ -69,8 +72,12 @@ class _Rays:
             facing = np.maximum(0, towards * (outward @ scene.sun))
             shaded = self._shaded(k, point)
             low, high = scene.shapes[k, 8:10]
-            albedo = low + (high - low) * _texel(scene, scene.shapes[k], face, uv)
-            out[hit] = scene.white * albedo * (scene.ambient + (1 - scene.ambient) * np.where(shaded, 0, facing))
+            across = abs((outward * self.direction[hit]).sum(axis=-1)) / np.linalg.norm(self.direction[hit], axis=-1)
+            with np.errstate(divide="ignore"):
+                spacing_m = self.depth[hit] * spacing / np.sqrt(across)
+            albedo = low + (high - low) * _texel(scene, scene.shapes[k], face, uv, spacing_m)
+            white = scene.white * np.clip(point @ np.array(uneven.slope) + uneven.offset, uneven.least, 1)
+            out[hit] = white * albedo * (scene.ambient + (1 - scene.ambient) * np.where(shaded, 0, facing))
         return out
 
     def _shaded(self, own: int, point: Floats) -> NDArray[np.bool_]:
@@ -135,13 +142,26 @@ def _surface(row: Floats, at: Floats) -> tuple[Floats, NDArray[np.int64], Floats
     return normal, 2 * axis + (sign < 0), np.take_along_axis(at, others, axis=-1)
 
 
-def _texel(scene: Geometry, row: Floats, face: NDArray[np.int64], uv: Floats) -> Floats:
-    """The texture, bilinear and periodic; faces show parts 0.37 of the texture apart."""
-    image = scene.textures[int(row[4])].astype(np.float64)
-    size = len(image)
-    at = uv * row[5] + row[6:8] + 0.37 * size * face[:, None]
+def _texel(scene: Geometry, row: Floats, face: NDArray[np.int64], uv: Floats, spacing_m: Floats) -> Floats:
+    """The texture, bilinear and periodic, between the two levels whose texels are about as wide as `spacing_m` [N].
+
+    Faces show parts 0.37 of the texture apart.
+    """
+    pyramid, last = scene.pyramid, len(scene.pyramid) - 1
+    at = uv * row[5] + row[6:8] + 0.37 * len(pyramid[0][0]) * face[:, None]
+    wide = np.maximum(1, spacing_m * row[5]) if last else np.ones(len(at))
+    level = np.minimum(np.frexp(np.minimum(wide, 2.0**30))[1] - 1, last)  # the whole part of its logarithm
+    seen = np.stack([_bilinear(image[int(row[4])], (at + 0.5) / 2**k - 0.5) for k, image in enumerate(pyramid)])
+    weight = np.where(level == last, 0, wide / 2.0**level - 1)
+    fine, coarse = (np.take_along_axis(seen, np.minimum(level + step, last)[None], axis=0)[0] for step in (0, 1))
+    return fine + np.where(weight > 0, weight * (coarse - fine), 0)
+
+
+def _bilinear(image: NDArray[np.float32], at: Floats) -> Floats:
+    """Values [N] at `at` [N, 2] texels (u, v) of a periodic image whose texel centres are whole numbers."""
+    size, values = len(image), image.astype(np.float64)
     corner = np.floor(at).astype(np.int64)
     wu, wv = (at - corner).T
     (x0, y0), (x1, y1) = corner.T % size, (corner.T + 1) % size
-    top = (1 - wu) * image[y0, x0] + wu * image[y0, x1]
-    return (1 - wv) * top + wv * ((1 - wu) * image[y1, x0] + wu * image[y1, x1])
+    top = (1 - wu) * values[y0, x0] + wu * values[y0, x1]
+    return (1 - wv) * top + wv * ((1 - wu) * values[y1, x0] + wu * values[y1, x1])

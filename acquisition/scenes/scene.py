@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
 from acquisition.scenes.bodies import Body
+from acquisition.scenes.light import EVEN, Flicker, Uneven
 from acquisition.scenes.raycast import Floats, Frames, Geometry, Raycaster
 from rigs.camera import Camera
+
+NOWHERE_M = (0.0, 1e9, -1e9)  # below and behind
+
+
+class Placements(NamedTuple):
+    """world_from_shape at n instants: `rotations` [n, P, 3, 3], `positions` [n, P, 3] in metres; light `gains` [n]."""
+
+    rotations: Floats
+    positions: Floats
+    gains: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +31,9 @@ class Scene:
     """Bodies in the rig frame (metres, x right, y down, z forward) under one sun.
 
     `white` is the light of a perfectly white surface that faces the sun, in spikes per tick; `ambient` the fraction of
-    it that reaches shadows; `center` the point the scene happens around. Body i has the object id i + 1.
+    it that reaches shadows; `center` the point the scene happens around. Body i has the object id i + 1. A body that is
+    not there yet, or not any more, stands out of every camera's and the sun's sight. The scene has been going on for
+    `begins_s` at the instant 0.
     """
 
     name: str
@@ -31,6 +45,10 @@ class Scene:
     white: float = 0.6
     ambient: float = 0.3
     background: float = 0.02
+    begins_s: float = 0.0
+    flicker: Flicker | None = None
+    uneven: Uneven = EVEN
+    mipmapped: bool = False
 
     def __post_init__(self) -> None:
         names = [body.name for body in self.bodies]
@@ -48,7 +66,7 @@ class Scene:
     @property
     def movers(self) -> dict[str, int]:
         """The object ids of the bodies that move, by name."""
-        return {body.name: self.object_ids[body.name] for body in self.bodies if body.motion.moving}
+        return {body.name: self.object_ids[body.name] for body in self.bodies if body.moving}
 
     @functools.cached_property
     def geometry(self) -> Geometry:
@@ -56,28 +74,37 @@ class Scene:
         owners = [(i, shape) for i, body in enumerate(self.bodies) for shape in body.shapes]
         return Geometry(
             shapes=np.array([shape.row() for _, shape in owners], dtype=np.float64),
-            moving=np.array([self.bodies[i].motion.moving for i, _ in owners]),
+            moving=np.array(
+                [not body.lasting or motion.moving for body in self.bodies for motion in body.motions], dtype=bool
+            ),
             ids=np.array([i + 1 for i, _ in owners], dtype=np.int8),
             textures=np.ascontiguousarray(self.textures, dtype=np.float32),
             sun=np.array(self.to_sun) / np.linalg.norm(self.to_sun),
             white=self.white,
             ambient=self.ambient,
             background=self.background,
+            uneven=self.uneven,
+            mipmapped=self.mipmapped,
         )
 
-    def placements(self, instants_s: NDArray[np.float64]) -> tuple[Floats, Floats]:
-        """world_from_shape at each instant: rotations [n, P, 3, 3], positions [n, P, 3] in metres."""
+    def placements(self, instants_s: NDArray[np.float64]) -> Placements:
+        """Where the shapes are at each of `instants_s` [n], and how bright the light is."""
+        instants_s = np.asarray(instants_s, dtype=np.float64) + self.begins_s
         rotations, positions = [], []
         for body in self.bodies:
-            turned, moved = body.motion.world_from_body(instants_s)
-            for shape in body.shapes:
+            gone = ~((instants_s >= body.from_s) & (instants_s < body.to_s))
+            poses = {motion: motion.world_from_body(instants_s) for motion in body.motions}
+            for shape, motion in zip(body.shapes, body.motions, strict=True):
+                turned, moved = poses[motion]
                 rotations.append(turned @ shape.body_from_shape.rotation)
                 positions.append(turned @ shape.body_from_shape.translation + moved)
-        return np.stack(rotations, axis=1), np.stack(positions, axis=1)
+                positions[-1][gone] = NOWHERE_M
+        gains = self.flicker.gains(instants_s) if self.flicker else np.ones(len(instants_s))
+        return Placements(np.stack(rotations, axis=1), np.stack(positions, axis=1), gains)
 
     def raycaster(self, camera: Camera, samples: int, threads: int = 0) -> Raycaster:
         """A ray caster that has already traced what stands still; feed it `placements`."""
-        rotations, positions = self.placements(np.zeros(1))
+        rotations, positions, _ = self.placements(np.zeros(1))
         return Raycaster(self.geometry, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
 
     def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:

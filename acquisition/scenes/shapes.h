@@ -119,16 +119,41 @@ inline Surface surface(const Placed& p, Vec at) {
   return {{at.x / p.a, at.y / p.a, 0}, std::atan2(at.y, at.x) * p.a, at.z, 0};
 }
 
-inline double texel(const float* textures, int64_t size, const double* row, const Surface& s) {
+// Textures [count][size][size], periodic, each level half as wide as the one before and behind it in memory.
+struct Pyramid {
+  const float* data;
+  int64_t count, size;
+  int levels;
+  const float* image(int index, int level) const {
+    const float* start = data;
+    for (int l = 0; l < level; ++l) start += count * (size >> l) * (size >> l);
+    return start + index * (size >> level) * (size >> level);
+  }
+};
+
+inline double bilinear(const float* image, int64_t size, double u, double v) {
   const int64_t mask = size - 1;
-  const double shift = 0.37 * double(size) * s.face;  // faces show different parts of the texture
-  const double u = s.u * row[5] + row[6] + shift, v = s.v * row[5] + row[7] + shift;
   const double fu = std::floor(u), fv = std::floor(v), wu = u - fu, wv = v - fv;
   const int64_t x0 = int64_t(fu) & mask, y0 = int64_t(fv) & mask, x1 = (x0 + 1) & mask, y1 = (y0 + 1) & mask;
-  const float* image = textures + int64_t(row[4]) * size * size;
   const double top = (1 - wu) * image[y0 * size + x0] + wu * image[y0 * size + x1];
   const double bottom = (1 - wu) * image[y1 * size + x0] + wu * image[y1 * size + x1];
   return (1 - wv) * top + wv * bottom;
+}
+
+// The texture as rays `spacing` texels apart should see it: between the two levels whose texels are about as wide.
+inline double texel(const Pyramid& textures, const double* row, const Surface& s, double spacing) {
+  const double shift = 0.37 * double(textures.size) * s.face;  // faces show different parts of the texture
+  const double u = s.u * row[5] + row[6] + shift, v = s.v * row[5] + row[7] + shift;
+  const int index = int(row[4]);
+  if (textures.levels == 1 || spacing <= 1) return bilinear(textures.image(index, 0), textures.size, u, v);
+  const int octave = std::ilogb(spacing), last = textures.levels - 1, level = octave < last ? octave : last;
+  const auto at = [&](int l) {  // texel centres are whole numbers at every level
+    const double scale = 1.0 / double(1 << l);
+    return bilinear(textures.image(index, l), textures.size >> l, (u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5);
+  };
+  if (level == last) return at(last);
+  const double fine = at(level);
+  return fine + (spacing / double(1 << level) - 1) * (at(level + 1) - fine);
 }
 
 }  // namespace raycast

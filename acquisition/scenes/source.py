@@ -40,6 +40,7 @@ class SceneSource:
         if len(sizes) > 1:
             raise BadRecordingError(f"{camera.id}: found camera, sensor and layout of the sizes {sizes}, expected one")
         self.layout = layout
+        self.sensitivity = 1.0  # spikes for the same light, as a share of those at the nominal threshold
         self._scene, self._camera, self._sensor = scene, camera, sensor
         self._clock, self._ticks = clock, ticks
         self._samples, self._threads = samples, threads
@@ -63,4 +64,5 @@ class SceneSource:
         instants_s = np.array([self._clock.instant_s(k) for k in range(self._rendered, last)])
         self._rendered = last
         light = self._raycaster.intensity(*self._scene.placements(instants_s))
+        light = light if self.sensitivity == 1 else light * np.float32(self.sensitivity)
         return pack(self._sensor.expose(light), self.layout)

@@ -3,10 +3,14 @@
 Layout, for every k-th plane of each camera: `camRC/000120.npy` float32 [H, W], the light at (120 + 0.5) / rate;
 `depth_` float32; `id_` int8; `blur_` float32, the mean light of the exposure that `scene.json` states. Viewpoints no
 camera of the rig has are `novelN/`, without blur. `cameras.json` is nerfstudio's and exact.
+
+The first are the paper's clean frames (CI), the `blur_` ones its blurred frames (BI).
 """
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +19,7 @@ import numpy as np
 from acquisition.durable import write_array, write_durably, write_json
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
+from acquisition.scenes.light import EVEN
 from acquisition.scenes.scene import Scene
 from acquisition.spikes.sensor import SensorKind
 from rigs.camera import Camera
@@ -99,6 +104,21 @@ def _description(scene: Scene, rig: Rig, ticks: int, every: int) -> dict[str, ob
         "tick_rate_hz": rig.tick_rate_hz,
         "every": every,
         "object_ids": scene.object_ids,
-        "movers": [{"id": number, "name": name} for name, number in scene.movers.items()],
+        "movers": [_mover(scene, name) for name in scene.movers],
+        "light": {
+            "ambient": scene.ambient,
+            "to_sun": list(scene.to_sun),
+            "flicker": dataclasses.asdict(scene.flicker) if scene.flicker else None,
+            "uneven": dataclasses.asdict(scene.uneven) if scene.uneven != EVEN else None,
+        },
         "blur": {"window_ticks": BLUR_PLANES, "stride_ticks": BLUR_STRIDE, "samples": BLUR_SAMPLES},
     }
+
+
+def _mover(scene: Scene, name: str) -> dict[str, object]:
+    """Its id and name; where it is not always there, from and to which instant in seconds (None: no end)."""
+    body = scene.bodies[scene.object_ids[name] - 1]
+    found: dict[str, object] = {"id": scene.object_ids[name], "name": name}
+    if not body.lasting:
+        found |= {key: t if math.isfinite(t) else None for key, t in (("from_s", body.from_s), ("to_s", body.to_s))}
+    return found

@@ -16,6 +16,7 @@ from acquisition.devices.protocol import Block
 from acquisition.errors import DeviceError, DiskError
 from acquisition.recording.manifest import Gap, Layer, Trigger
 from acquisition.recording.stream_writer import StreamWriter
+from acquisition.session.contact import AskedCamera, Contact, Recovery
 from acquisition.spikes.layout import PlaneLayout
 
 READ_TIMEOUT_S = 1.0
@@ -50,12 +51,14 @@ class CaptureRules:
 
     `waits`: the cameras wait for the host (simulated ones), so a full ring holds them up instead of losing planes.
     `pre_planes`: keep so many planes until the run is saved; None records from the first plane.
+    `recovery`: a camera that fails is looked for, and recorded on; None leaves it.
     """
 
     tick_rate_hz: float
     trigger: Trigger
     waits: bool = False
     pre_planes: int | None = None
+    recovery: Recovery | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +89,10 @@ class Capture:
         self.repeated_blocks = 0
         self.failure: DeviceError | None = None
         self.stamps: list[tuple[int, float]] = []  # pulses counted since the trigger, and when the last of them came
+        self.stamped_until_s = 0.0  # a pulse before it, on the camera's clock, would be among them
+        self.contact = Contact(camera) if isinstance(camera, AskedCamera) else None
+        self.returned: list[str] = []  # where it was away and came back
+        self._began_again = 0  # where the camera's plane 0 lies since then
         self._rules = rules
         self._first: int | None = None
         self._end: float = math.inf
@@ -110,23 +117,55 @@ class Capture:
 
     def run(self, stop: threading.Event) -> None:
         """Read and write until all planes are there or `stop` is set; a camera's failure ends its own run only."""
-        silent_reads = 0
-        try:
-            while not stop.is_set() and self.position < self._end:
-                block = self.camera.read_block(READ_TIMEOUT_S)
-                silent_reads = 0 if block else silent_reads + 1
-                if silent_reads == SILENT_READS:
-                    found = f"found no data for {SILENT_READS} reads after {self.position} planes"
-                    raise DeviceError(f"{self.camera.id}: {found}, expected blocks; check its cable and trigger")
-                if block:
-                    self._receive(block)
-                    self._pass_on()
-        except DeviceError as error:
-            self.failure = error
+        while not self.failure:
+            try:
+                self._read(stop)
+                break
+            except DeviceError as error:
+                if not self._found_again(stop):
+                    self.failure = error
         while self._first is not None and self._held:
             self._give(self._held[0], wait=True)
             self._let_go(self._held.popleft())
         self.writer.close_keeping()
+
+    def _read(self, stop: threading.Event) -> None:
+        """Take blocks until all planes are there or `stop` is set; raises DeviceError."""
+        silent_reads = 0
+        while not stop.is_set() and self.position < self._end:
+            block = self.camera.read_block(READ_TIMEOUT_S)
+            silent_reads = 0 if block else silent_reads + 1
+            if silent_reads == SILENT_READS:
+                found = f"found no data for {SILENT_READS} reads after {self.position} planes"
+                raise DeviceError(f"{self.camera.id}: {found}, expected blocks; check its cable and trigger")
+            if block:
+                self._receive(self._placed(block))
+                self._pass_on()
+                if self.contact:
+                    self.contact.count_block()
+
+    def _found_again(self, stop: threading.Event) -> bool:
+        """Wait for a camera that was lost; where it came back, its planes go on where they belong."""
+        contact, recovery, rate_hz = self.contact, self._rules.recovery, self._rules.tick_rate_hz
+        if not (contact and recovery and recovery.seconds > 0):
+            return False
+
+        def is_over() -> bool:
+            run_s = contact.run_s(recovery.clock())
+            return run_s is not None and run_s * rate_hz >= self._end
+
+        found = contact.find_again(recovery, stop, is_over)
+        if found is None or round(found.run_s * rate_hz) < self.position:
+            return False
+        self._began_again, self._dropped = round(found.run_s * rate_hz), 0
+        where = f"{self.camera.id} was away from plane {self.position - (self._first or 0)} on and came back"
+        sure = f"placed to {found.uncertainty_s * rate_hz:.1f} planes" if found.uncertainty_s else "placed by a pulse"
+        self.returned.append(f"{where} at plane {self._began_again - (self._first or 0)}, {sure}")
+        return True
+
+    def _placed(self, block: Block) -> Block:
+        again = self._began_again
+        return dataclasses.replace(block, first_plane=block.first_plane + again) if again else block
 
     def _receive(self, block: Block) -> None:
         if block.layout != self.writer.layout:
@@ -141,7 +180,9 @@ class Capture:
             raise DeviceError(f"{self.camera.id}: {found}; its counter began anew or cannot be right, reconnect it")
         if self.position == 0 and self._rules.trigger == "line":
             self.writer.skew_s = block.device_time_ns * 1e-9 - block.first_plane / self._rules.tick_rate_hz
-        if block.pulse_time_s is not None:
+        if not self.returned:
+            self.stamped_until_s = block.device_time_ns * 1e-9
+        if block.pulse_time_s is not None and not self.returned:
             self.stamps.append((block.sync_pulses - 1, block.pulse_time_s))
         dropped = max(0, block.dropped_planes - self._dropped)
         self._dropped = block.dropped_planes

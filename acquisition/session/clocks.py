@@ -14,7 +14,9 @@ def tell_clock(capture: Capture, period_s: float, tick_rate_hz: float) -> None:
         return
     counted, stamps_s = zip(*capture.stamps, strict=True)
     try:
-        estimate = estimate_clock(np.array(counted), np.array(stamps_s), period_s, capture.writer.planes / tick_rate_hz)
+        duration_s = capture.writer.planes / tick_rate_hz
+        estimate = estimate_clock(np.array(counted), np.array(stamps_s), period_s, duration_s)
     except TimingError:
         return
+    estimate = estimate.with_missed_until(capture.stamped_until_s, float(stamps_s[-1]), period_s)
     capture.writer.clock = json.loads(json.dumps(estimate.to_json()))

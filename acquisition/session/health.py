@@ -12,24 +12,32 @@ _BUSY = 0.4  # of the ring: from here on a pause of the disk will lose planes
 
 @dataclass(frozen=True)
 class CameraHealth:
-    """One camera: planes received, planes lost, the part of its ring in use, and why it stopped, if it did."""
+    """One camera: planes received, planes lost, the part of its ring in use, and why it stopped, if it did.
+
+    `link_errors` counts packets its link had to send again; `away`: it was lost, and is looked for.
+    """
 
     camera_id: str
     planes: int
     lost: dict[str, int]
     ring: float
     failure: str | None
+    link_errors: int = 0
+    away: bool = False
 
     @property
     def good(self) -> bool:
         """Whether there is nothing to tell."""
-        return not self.failure and not self.lost and self.ring < _BUSY
+        return not (self.failure or self.lost or self.link_errors or self.away) and self.ring < _BUSY
 
     def __str__(self) -> str:
         if self.failure:
             return f"{self.camera_id} failed after {self.planes} planes"
+        if self.away:
+            return f"{self.camera_id} lost after {self.planes} planes, looked for"
+        errors = f"{self.link_errors} link errors" if self.link_errors else ""
         lost = ", ".join(f"{planes} lost ({layer})" for layer, planes in self.lost.items())
-        return f"{self.camera_id} " + ", ".join(filter(None, (lost, f"ring {self.ring:.0%} full")))
+        return f"{self.camera_id} " + ", ".join(filter(None, (lost, errors, f"ring {self.ring:.0%} full")))
 
 
 def health_of(capture: Capture) -> CameraHealth:
@@ -38,7 +46,8 @@ def health_of(capture: Capture) -> CameraHealth:
     for gap in capture.writer.gaps:
         lost[gap.layer] = lost.get(gap.layer, 0) + gap.planes
     failure = str(capture.failure) if capture.failure else None
-    return CameraHealth(capture.camera.id, capture.position, lost, capture.writer.fullness, failure)
+    errors, away = (capture.contact.link.errors, capture.contact.away) if capture.contact else (0, False)
+    return CameraHealth(capture.camera.id, capture.position, lost, capture.writer.fullness, failure, errors, away)
 
 
 def describe(captures: Sequence[Capture]) -> str:

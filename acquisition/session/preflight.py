@@ -12,9 +12,12 @@ from pathlib import Path
 from acquisition.devices import sysfs
 from acquisition.devices.open import OpenCameras
 from acquisition.devices.protocol import Block
+from acquisition.devices.registers import LinkCounters
+from acquisition.devices.usb import ClockLatch
 from acquisition.errors import DeviceError, DiskError
 from acquisition.progress import Progress, silent
 from acquisition.recording.writer import free_bytes
+from acquisition.session.contact import CLOCK_SPREAD
 from acquisition.session.disk_test import write_speed
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
@@ -67,7 +70,7 @@ def preflight(rig: Rig, around: Surroundings, progress: Progress = silent) -> li
     progress(0.4, "USB")
     checks += [_firmware(checks), *_topology(rig, around.sysfs), _usbfs(rig, around.sysfs)]
     progress(0.5, "clock latch")
-    checks.append(_latch(rig, around, all(check.passed for check in checks[: len(rig.cameras)])))
+    checks += _run(rig, around, all(check.passed for check in checks[: len(rig.cameras)]))
     progress(0.6, "disk")
     checks += _disk(rig, around)
     progress(1.0, f"{sum(check.passed is False for check in checks)} of {len(checks)} checks failed")
@@ -146,22 +149,44 @@ def _usbfs(rig: Rig, root: Path | None) -> Check:
     return Check("USB memory", limit == 0 or limit >= needed, f"{limit or 'any number of'} MB", expected, change)
 
 
-def _latch(rig: Rig, around: Surroundings, ready: bool) -> Check:
-    expected = "the first plane of every camera within a plane of its clock's zero, the same pulses counted"
+@dataclass(frozen=True)
+class _Sample:
+    """A camera's clock against the host's and its link's counters, and the first block after the trigger."""
+
+    latches: tuple[ClockLatch, ClockLatch]
+    link: LinkCounters
+    block: Block | None
+
+
+def _run(rig: Rig, around: Surroundings, ready: bool) -> list[Check]:
+    """What is seen when all cameras are triggered: their first planes, their clocks, their links."""
+    names = {
+        "clock latch": "the first plane of every camera within a plane of its clock's zero, the same pulses counted",
+        "clock rate": f"every camera's clock as fast as the host's, to {CLOCK_SPREAD * 1e6:g} us a second",
+        "link errors": "none while the cameras ran",
+    }
     if not ready:
-        return Check("clock latch", None, "not all cameras", expected)
+        return [Check(name, None, "not all cameras", expected) for name, expected in names.items()]
     try:
         with around.open_rig(rig) as opened:
-            blocks = _first_blocks(opened, around.clock)
+            samples = _samples(opened, around.clock)
     except DeviceError as error:
-        return Check("clock latch", False, str(error), expected, "reconnect that camera")
-    silent_ones = [camera_id for camera_id, block in blocks.items() if block is None]
+        return [Check(name, False, str(error), expected, "reconnect that camera") for name, expected in names.items()]
+    return [
+        _latch(rig, samples, names["clock latch"], has_line=opened.trigger.kind != "software"),
+        _rate(samples, names["clock rate"]),
+        _links(samples, names["link errors"]),
+    ]
+
+
+def _latch(rig: Rig, samples: dict[str, _Sample], expected: str, *, has_line: bool) -> Check:
+    silent_ones = [camera_id for camera_id, sample in samples.items() if sample.block is None]
     change = "check the cables of the sync line and the trigger"
     if silent_ones:
         return Check("clock latch", False, f"no plane of {', '.join(silent_ones)} after the trigger", expected, change)
-    seen = {camera_id: block for camera_id, block in blocks.items() if block}
+    seen = {camera_id: sample.block for camera_id, sample in samples.items() if sample.block}
     errors_s = {c: b.device_time_ns * 1e-9 - b.first_plane / rig.tick_rate_hz for c, b in seen.items()}
-    if opened.trigger.kind == "software":
+    if not has_line:
         return Check("clock latch", None, "no sync line: cameras are started one after another", expected)
     worst = max(errors_s, key=lambda camera_id: abs(errors_s[camera_id]))
     counts = {camera_id: block.sync_pulses for camera_id, block in seen.items()}
@@ -172,16 +197,46 @@ def _latch(rig: Rig, around: Surroundings, ready: bool) -> Check:
     return Check("clock latch", not odd and abs(errors_s[worst]) < 1 / rig.tick_rate_hz, found, expected, change)
 
 
-def _first_blocks(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, Block | None]:
-    """The first block of each camera after the trigger; all are stopped again."""
+def _rate(samples: dict[str, _Sample], expected: str) -> Check:
+    """Each clock latched twice against the host's: what differs must be within the time the requests took."""
+    wrong, worst_s = [], 0.0
+    for camera_id, sample in samples.items():
+        first, last = sample.latches
+        host_s = last.host_s - first.host_s
+        error_s = last.oscillator_s - first.oscillator_s - host_s
+        worst_s = max(worst_s, abs(error_s))
+        if abs(error_s) > first.uncertainty_s + last.uncertainty_s + CLOCK_SPREAD * host_s:
+            wrong.append(f"{camera_id} went {host_s + error_s:.6f} s in {host_s:.6f} s")
+    found = "; ".join(wrong) or f"at most {worst_s * 1e6:.1f} us apart"
+    return Check("clock rate", not wrong, found, expected, "update the camera's firmware, or have it repaired")
+
+
+def _links(samples: dict[str, _Sample], expected: str) -> Check:
+    bad = [
+        f"{camera_id}: {sample.link.errors} errors, {sample.link.recoveries} recoveries"
+        for camera_id, sample in samples.items()
+        if sample.link.errors or sample.link.recoveries
+    ]
+    found = "; ".join(bad) or "none"
+    return Check("link errors", not bad, found, expected, "change the cable or the port of these cameras")
+
+
+def _samples(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, _Sample]:
+    """Arm, fire, and look at each camera before and after its first block; all are stopped again."""
+    cameras = opened.cameras
     try:
-        for camera in opened.cameras:
+        before = [(camera.link_counters(), camera.latch()) for camera in cameras]
+        for camera in cameras:
             camera.arm()
         opened.trigger.fire()
         end = clock() + _LATCH_TIMEOUT_S
-        return {camera.id: camera.read_block(max(0.01, end - clock())) for camera in opened.cameras}
+        blocks = [camera.read_block(max(0.01, end - clock())) for camera in cameras]
+        found = {}
+        for camera, (link, latch), block in zip(cameras, before, blocks, strict=True):
+            found[camera.id] = _Sample((latch, camera.latch()), camera.link_counters().since(link), block)
+        return found
     finally:
-        for camera in opened.cameras:
+        for camera in cameras:
             camera.ensure_stopped()
 
 

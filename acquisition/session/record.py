@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.devices.open import Devices, Simulation, open_cameras, parse_devices
+from acquisition.devices.registers import Sensitivity
 from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.progress import Progress, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
@@ -28,13 +30,16 @@ class Take:
     """How long to record and what to leave of the disk.
 
     `planes` of every camera, None until `control` stops it; `pre_trigger_ms` keeps the last so many milliseconds until
-    `control` saves, and counts among `planes`; the run ends before less than `keep_free_bytes` are free.
+    `control` saves, and counts among `planes`; the run ends before less than `keep_free_bytes` are free. The cameras
+    are set to `sensitivity`, None leaves them as they are. A hardware camera that is lost is looked for `rejoin_s`.
     """
 
     planes: int | None
     pre_trigger_ms: float | None = None
     keep_free_bytes: int = MARGIN_BYTES
     control: Control = field(default_factory=Control)
+    sensitivity: Sensitivity | None = None
+    rejoin_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.planes is not None and self.planes < 1:
@@ -68,6 +73,8 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     share = _RECORDING_SHARE if isinstance(devices, Simulation) else _WRITTEN
     with RecordingWriter(out, rig, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
+            for camera in opened.cameras if take.sensitivity else ():
+                camera.set_sensitivity(take.sensitivity or Sensitivity())
             streams = record_session(
                 opened.cameras,
                 opened.trigger,
@@ -76,12 +83,15 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
                 _part(progress, 0.0, share),
                 control=take.control,
                 waits=devices is not None,
+                rejoin_s=take.rejoin_s if devices is None else 0.0,
             )
-        if isinstance(devices, Simulation) and opened.scene and pre_planes is None:
+        nominal = take.sensitivity is None or take.sensitivity.gain == 1  # truth is in spikes of a nominal camera
+        if isinstance(devices, Simulation) and opened.scene and nominal:
+            scene = dataclasses.replace(opened.scene, begins_s=recording.first_plane / rig.tick_rate_hz)
             planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
             with disk_errors(folder):
                 report = _part(progress, share, _WRITTEN)
-                write_truth(opened.scene, rig, planes, every, folder, report, sensor=devices.sensor)
+                write_truth(scene, rig, planes, every, folder, report, sensor=devices.sensor)
         manifest = recording.commit(recording.entries(), opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
     if manifest.reason:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
 from acquisition.session.capture import Capture, CaptureRules, SessionCamera
 from acquisition.session.clocks import tell_clock
+from acquisition.session.contact import Recovery
 from acquisition.session.health import describe
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
@@ -64,22 +66,27 @@ def record_session(
     *,
     control: Control | None = None,
     waits: bool = False,
+    rejoin_s: float = 0.0,
 ) -> list[StreamWriter]:
     """Record every camera into `recording`, which stays to be committed; a thread a camera and one a file.
 
     A camera that fails, or a disk that fills, is noted in `recording.problems` and the others go on, or end together.
-    `waits`: the cameras wait for the host, so that a full ring holds them up instead of losing planes.
+    `waits`: the cameras wait for the host, so that a full ring holds them up instead of losing planes. A camera that is
+    lost is reset and looked for, `rejoin_s` long, and recorded on; the run is incomplete all the same.
     Raises DeviceError naming the camera that does not arm, or the first to fail where none sent a plane.
     """
     extent = Extent(extent) if isinstance(extent, int) else extent
-    rules = CaptureRules(recording.rig.tick_rate_hz, trigger.kind, waits, extent.pre_planes)
+    recovery = Recovery(rejoin_s, time.monotonic, trigger.kind, trigger.period_s)
+    rules = CaptureRules(recording.rig.tick_rate_hz, trigger.kind, waits, extent.pre_planes, recovery)
     captures = [Capture(c, recording.stream(c.id, c.layout, extent.planes), rules) for c in cameras]
     run = _Run(captures, extent, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:
         try:
             recording.mark_armed(trigger.kind)
-            for camera in cameras:
-                camera.arm()
+            for capture in captures:
+                if capture.contact:
+                    capture.contact.begin()
+                capture.camera.arm()
             run.steer()
             tasks = [pool.submit(capture.run, run.abort) for capture in captures]
             trigger.fire()
@@ -90,6 +97,8 @@ def record_session(
             for camera in cameras:
                 camera.ensure_stopped()
     run.conclude()
+    for capture in captures:
+        capture.writer.device = capture.contact and capture.contact.to_json()
     if trigger.period_s is not None:
         for capture in captures:
             tell_clock(capture, trigger.period_s, recording.rig.tick_rate_hz)
@@ -132,9 +141,12 @@ class _Run:
             if not self._began and not failures:
                 raise DeviceError("stopped before it was told to save, so nothing was kept")
             raise failures[0] if failures else DeviceError("stopped before the first plane, so nothing was kept")
-        problems = list(map(str, failures))
+        problems = [text for capture in self._captures for text in capture.returned] + list(map(str, failures))
         problems += [str(c.writer.disk_error()) for c in self._captures if c.writer.failure]
         problems += [self._recording.full] if self._recording.full else []
+        planes = max(capture.writer.planes for capture in self._captures)
+        if self._control.stop.is_set() and self._extent.planes and planes < self._extent.planes:
+            problems.append(f"it was stopped after {planes} of {self._extent.planes} planes")
         self._recording.problems += problems
 
     def _begin(self) -> None:
@@ -143,7 +155,7 @@ class _Run:
         if self._extent.pre_planes is not None:
             reached = min((c.position for c in self._captures if not c.failure), default=0)
             first = max(0, reached - self._extent.pre_planes)
-            self._recording.trigger_plane = reached - first
+            self._recording.trigger_plane, self._recording.first_plane = reached - first, first
         for capture in self._captures:
             if self._extent.planes is not None:
                 capture.end_at(first + self._extent.planes)

@@ -11,6 +11,7 @@ Letters: N stamped pulses.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ from acquisition.errors import AcquisitionError
 
 Missed = tuple[tuple[int, ...], tuple[tuple[int, int, int], ...]]  # pulses; (first, last, how many) of some
 MOST_STEPS = 1_000_000  # periods between two stamps; more is a broken clock
+MOST_NAMED = 1000  # pulses missed behind the last stamp that are named one by one; more are given as a range
+_ON_THE_WAY = 0.1  # periods
 _FAR = 5.0  # robust standard deviations; stamps farther from the line are not used
 _FINEST_S = 1e-9  # the resolution of a stamp
 
@@ -38,7 +41,7 @@ class ClockEstimate:
     `skew_s` is how far the camera's clock is ahead in the middle of the clip, `offset_s` at its start, `drift_ppm` by
     how many millionths it is fast; their standard deviations are None where too few pulses were left to tell.
     `missed_pulses` were not seen; `missed_between` are (first, last, how many) of pulses some of which were not seen.
-    `outlying_pulses` were stamped so far off that they are not used.
+    `outlying_pulses` were stamped so far off that they are not used; `last_pulse` is the last one that was stamped.
     """
 
     skew_s: float
@@ -52,6 +55,22 @@ class ClockEstimate:
     missed_pulses: tuple[int, ...] = ()
     missed_between: tuple[tuple[int, int, int], ...] = ()
     outlying_pulses: tuple[int, ...] = ()
+    last_pulse: int = 0
+
+    def with_missed_until(self, until_s: float, last_stamp_s: float, period_s: float) -> ClockEstimate:
+        """Also name the pulses that would have been seen behind the last stamp, before `until_s` on the camera's clock.
+
+        One that was due just before `until_s` may still be on its way, so it is not called missed.
+        """
+        here_s = period_s * (1 + (self.drift_ppm or 0.0) * 1e-6)
+        count = math.floor((until_s - last_stamp_s) / here_s - _ON_THE_WAY)
+        if not 0 < count <= MOST_STEPS:
+            return self
+        behind = range(self.last_pulse + 1, self.last_pulse + 1 + count)
+        if count > MOST_NAMED:
+            between = (*self.missed_between, (behind[0], behind[-1], count))
+            return dataclasses.replace(self, missed_between=between)
+        return dataclasses.replace(self, missed_pulses=(*self.missed_pulses, *behind))
 
     def to_json(self) -> dict[str, object]:
         """The estimate as a JSON object of the same names."""
@@ -134,6 +153,7 @@ def _fit(
         "missed_pulses": missed[0],
         "missed_between": missed[1],
         "outlying_pulses": tuple(pulses[~near].tolist()),
+        "last_pulse": int(pulses[-1]),
     }
     times, errors = rig_s[near], error_s[near]
     count, center = len(times), float(times.mean())

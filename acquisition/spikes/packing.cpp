@@ -1,73 +1,90 @@
-// Unpacking and counting of spike planes. Two threads help little here (memory bound), so both kernels are serial.
-#include <cstring>
+// Unpacking and counting of spike planes, straight from packed bits.
 #include <vector>
 
-#include "native.h"
+#include "lanes.h"
 
 namespace {
 
-struct Spread {  // byte -> eight bytes of 0 or 1, first pixel first
-  uint64_t lsb[256], msb[256];
-  Spread() {
-    for (int value = 0; value < 256; ++value) {
-      uint8_t low[8], high[8];
-      for (int bit = 0; bit < 8; ++bit) {
-        low[bit] = (value >> bit) & 1;
-        high[bit] = (value >> (7 - bit)) & 1;
-      }
-      std::memcpy(&lsb[value], low, 8);
-      std::memcpy(&msb[value], high, 8);
-    }
-  }
-};
+constexpr int kMost = 255;  // planes that eight levels can count
 
-const uint64_t* spread_table(bool msb) {
-  static const Spread spread;
-  return msb ? spread.msb : spread.lsb;
+// Three bits of one weight to one of it and a carry of twice the weight.
+inline Words carry_save(Words& sum, Words a, Words b) {
+  const Words both = sum ^ a, carry = (sum & a) | (both & b);
+  sum = both ^ b;
+  return carry;
 }
 
-void spread(const uint8_t* packed, int64_t bytes, const uint64_t* table, uint8_t* out) {
-  for (int64_t byte = 0; byte < bytes; ++byte) std::memcpy(out + byte * 8, &table[packed[byte]], 8);
+// Bit-sliced counts [8] of at most 255 planes of one block; eight planes at a time ripple only from level 3 up.
+template <bool whole>
+void count_block(const uint8_t* from, int64_t planes, int64_t stride, int64_t bytes, Words* slices) {
+  Words sum[8] = {};
+  const int64_t length = whole ? kBlock : bytes;
+  int64_t plane = 0;
+  for (; plane + 8 <= planes; plane += 8) {
+    Words fours[2];
+    for (Words& four : fours) {
+      const Words a = load_block(from, length), b = load_block(from + stride, length);
+      const Words c = load_block(from + 2 * stride, length), d = load_block(from + 3 * stride, length);
+      const Words low = carry_save(sum[0], a, b);
+      four = carry_save(sum[1], low, carry_save(sum[0], c, d));
+      from += 4 * stride;
+    }
+    ripple<5>(sum + 3, carry_save(sum[2], fours[0], fours[1]));
+  }
+  for (; plane < planes; ++plane, from += stride) ripple<8>(sum, load_block(from, length));
+  std::memcpy(slices, sum, sizeof sum);
 }
 
-template <typename Value>
-void copy_rows(const Value* pixels, int64_t width, int64_t height, bool bottom_first, Value* out) {
-  for (int64_t row = 0; row < height; ++row) {
-    const int64_t from = bottom_first ? height - 1 - row : row;
-    std::memcpy(out + row * width, pixels + from * width, width * sizeof(Value));
+// The counts [512] of a block over at most 255 planes.
+void expand(const Words* slices, int levels, bool msb, uint8_t* lanes) {
+  for (int word = 0; word < 8; ++word) {
+    uint64_t part[8];
+    for (int level = 0; level < levels; ++level)
+      part[level] = msb ? mirrored(slices[level][word]) : slices[level][word];
+    lanes_of(part, levels, lanes + 64 * word);
   }
 }
 
-typedef uint64_t Words __attribute__((vector_size(64)));  // 512 pixels, in as few registers as the processor has them
+int levels_for(int64_t planes) {
+  int levels = 0;
+  while (planes >> levels) ++levels;
+  return levels;
+}
 
-// counts[pixel] += bit over at most 255 planes, kept in eight bit-sliced counters of 512 pixels each:
-// adding a word to a counter is a ripple of and/xor, one addition for all its pixels.
-void add_sliced(const uint8_t* packed, int64_t planes, int64_t plane_bytes, const uint64_t* table, uint32_t* counts) {
-  constexpr int64_t block = sizeof(Words);
-  for (int64_t start = 0; start < plane_bytes; start += block) {
-    const int64_t bytes = plane_bytes - start < block ? plane_bytes - start : block;
-    Words slice[8] = {};
-    for (int64_t plane = 0; plane < planes; ++plane) {
-      const uint8_t* from = packed + plane * plane_bytes + start;
-      Words carry = {};
-      if (bytes == block) std::memcpy(&carry, from, block);
-      else std::memcpy(&carry, from, bytes);
-      for (Words& level : slice) {
-        const Words next = level & carry;
-        level ^= carry;
-        carry = next;
-      }
+void count_window(const uint8_t* packed, int64_t planes, int64_t plane_bytes, bool msb, const Placing<uint32_t>& out) {
+  uint8_t lanes[8 * kBlock];
+  uint32_t total[8 * kBlock];
+  Words slices[8];
+  for (int64_t start = 0; start < plane_bytes; start += kBlock) {
+    const int64_t bytes = plane_bytes - start < kBlock ? plane_bytes - start : kBlock;
+    const auto count = bytes == kBlock ? count_block<true> : count_block<false>;
+    if (planes <= kMost) {
+      count(packed + start, planes, plane_bytes, bytes, slices);
+      expand(slices, levels_for(planes), msb, lanes);
+      out.put(start * 8, bytes * 8, lanes);
+      continue;
     }
-    uint8_t slices[8][block];
-    std::memcpy(slices, slice, sizeof slices);
-    for (int64_t byte = 0; byte < bytes; ++byte) {
-      uint64_t lanes = 0;
-      for (int level = 0; level < 8; ++level) lanes += table[slices[level][byte]] << level;
-      uint8_t lane[8];
-      std::memcpy(lane, &lanes, 8);
-      for (int bit = 0; bit < 8; ++bit) counts[(start + byte) * 8 + bit] += lane[bit];
+    std::memset(total, 0, sizeof total);
+    for (int64_t plane = 0; plane < planes; plane += kMost) {
+      const int64_t some = planes - plane < kMost ? planes - plane : kMost;
+      count(packed + plane * plane_bytes + start, some, plane_bytes, bytes, slices);
+      expand(slices, levels_for(some), msb, lanes);
+      for (int64_t p = 0; p < 8 * kBlock; ++p) total[p] += lanes[p];
     }
+    out.put(start * 8, bytes * 8, total);
   }
+}
+
+void spread(const uint8_t* packed, int64_t bytes, bool msb, uint8_t* out) {
+  int64_t byte = 0;
+  for (; byte + 8 <= bytes; byte += 8) {
+    uint64_t word;
+    std::memcpy(&word, packed + byte, 8);
+    if (msb) word = mirrored(word);
+    lanes_of(&word, 1, out + byte * 8);
+  }
+  const uint64_t* table = spread_table(msb);
+  for (; byte < bytes; ++byte) std::memcpy(out + byte * 8, &table[packed[byte]], 8);
 }
 
 }  // namespace
@@ -75,27 +92,67 @@ void add_sliced(const uint8_t* packed, int64_t planes, int64_t plane_bytes, cons
 S4_API void unpack_planes(const uint8_t* packed, int64_t planes, int32_t width, int32_t height, int32_t msb,
                           int32_t bottom_first, uint8_t* out) {
   const int64_t pixels = int64_t(width) * height, plane_bytes = (pixels + 7) / 8;
-  const uint64_t* table = spread_table(msb);
   const bool whole_rows = width % 8 == 0;  // rows begin at a byte: straight to where they belong
   std::vector<uint8_t> plane(whole_rows ? 0 : plane_bytes * 8);
   for (int64_t t = 0; t < planes; ++t, packed += plane_bytes, out += pixels) {
     if (whole_rows) {
       for (int64_t row = 0; row < height; ++row)
-        spread(packed + row * width / 8, width / 8, table,
-               out + (bottom_first ? height - 1 - row : row) * width);
+        spread(packed + row * width / 8, width / 8, msb != 0, out + (bottom_first ? height - 1 - row : row) * width);
     } else {
-      spread(packed, plane_bytes, table, plane.data());
-      copy_rows(plane.data(), width, height, bottom_first, out);
+      spread(packed, plane_bytes, msb != 0, plane.data());
+      Placing<uint8_t>{width, height, bottom_first != 0, out}.put(0, pixels, plane.data());
     }
   }
 }
 
-S4_API void count_planes(const uint8_t* packed, int64_t planes, int32_t width, int32_t height, int32_t msb,
-                         int32_t bottom_first, uint32_t* out) {
+// Counts [windows][height][width] over planes [bounds[2 w], bounds[2 w + 1]) of each window w.
+S4_API void count_windows(const uint8_t* packed, int32_t width, int32_t height, int32_t msb, int32_t bottom_first,
+                          const int64_t* bounds, int64_t windows, int32_t threads, uint32_t* out) {
   const int64_t pixels = int64_t(width) * height, plane_bytes = (pixels + 7) / 8;
-  std::vector<uint32_t> total(plane_bytes * 8, 0);
-  for (int64_t t = 0; t < planes; t += 255)
-    add_sliced(packed + t * plane_bytes, planes - t < 255 ? planes - t : 255, plane_bytes, spread_table(msb),
-               total.data());
-  copy_rows(total.data(), width, height, bottom_first, out);
+#pragma omp parallel for num_threads(threads) schedule(dynamic) if (threads > 1)
+  for (int64_t w = 0; w < windows; ++w)
+    count_window(packed + bounds[2 * w] * plane_bytes, bounds[2 * w + 1] - bounds[2 * w], plane_bytes, msb != 0,
+                 {width, height, bottom_first != 0, out + w * pixels});
+}
+
+// The same counts as spikes per tick; every window has at least one plane.
+S4_API void mean_windows(const uint8_t* packed, int32_t width, int32_t height, int32_t msb, int32_t bottom_first,
+                         const int64_t* bounds, int64_t windows, int32_t threads, float* out) {
+  const int64_t pixels = int64_t(width) * height, plane_bytes = (pixels + 7) / 8;
+#pragma omp parallel num_threads(threads) if (threads > 1)
+  {
+    std::vector<uint32_t> counts(pixels);
+#pragma omp for schedule(dynamic)
+    for (int64_t w = 0; w < windows; ++w) {
+      const int64_t planes = bounds[2 * w + 1] - bounds[2 * w];
+      count_window(packed + bounds[2 * w] * plane_bytes, planes, plane_bytes, msb != 0,
+                   {width, height, bottom_first != 0, counts.data()});
+      for (int64_t p = 0; p < pixels; ++p) out[w * pixels + p] = float(counts[p]) / float(planes);
+    }
+  }
+}
+
+// Sums [kernels][height][width] of weights [kernels][planes] over the spikes of each pixel.
+S4_API void weigh_planes(const uint8_t* packed, int64_t planes, int32_t width, int32_t height, int32_t msb,
+                         int32_t bottom_first, const uint32_t* weights, int64_t kernels, int32_t threads,
+                         uint32_t* out) {
+  const int64_t pixels = int64_t(width) * height, plane_bytes = (pixels + 7) / 8;
+#pragma omp parallel num_threads(threads) if (threads > 1)
+  {
+    std::vector<uint32_t> sums(kernels * 64);
+#pragma omp for schedule(static)
+    for (int64_t start = 0; start < plane_bytes; start += 8) {
+      const int64_t bytes = plane_bytes - start < 8 ? plane_bytes - start : 8;
+      std::memset(sums.data(), 0, sums.size() * sizeof(uint32_t));
+      for (int64_t t = 0; t < planes; ++t) {
+        uint64_t word = 0;
+        std::memcpy(&word, packed + t * plane_bytes + start, bytes);
+        if (word) add_weighted(msb ? mirrored(word) : word, weights + t, planes, kernels, sums.data());
+      }
+      for (int64_t k = 0; k < kernels; ++k) {
+        const Placing<uint32_t> placing = {width, height, bottom_first != 0, out + k * pixels};
+        placing.put(start * 8, 64, sums.data() + k * 64);
+      }
+    }
+  }
 }

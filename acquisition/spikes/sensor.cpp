@@ -1,6 +1,7 @@
 // The integrate-and-fire sensor: charge in fixed point, so no accumulation ever drifts.
 //
 // Every random number is a hash of (pixel key, tick), so neither threads nor the size of a call change a byte.
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -11,6 +12,7 @@ namespace {
 constexpr double kThreshold = 1099511627776.0;  // 2^40 units of charge make a spike
 constexpr uint64_t kFull = uint64_t(1) << 40;
 constexpr uint64_t kTickStep = 0x9E3779B97F4A7C15u;
+constexpr uint64_t kResetSalt = 0xD6E8FEB86659FD93u;
 constexpr int64_t kBlock = 1024;
 
 uint64_t mix(uint64_t x) {  // the finaliser of SplitMix64
@@ -33,11 +35,15 @@ uint64_t units(double charge) {
   return uint64_t(int64_t(charge * kThreshold + 0.5));
 }
 
-void fire(uint64_t* charge, const uint64_t* added, int64_t pixels, uint8_t* spikes) {
+// A number of units that may be negative, to be added.
+uint64_t offset(double amount) { return uint64_t(int64_t(std::floor(amount + 0.5))); }
+
+// `limit` [pixels] or, where null, the nominal threshold.
+inline void fire(uint64_t* charge, const uint64_t* added, const uint64_t* limit, int64_t pixels, uint8_t* spikes) {
   for (int64_t p = 0; p < pixels; ++p) {
-    const uint64_t total = charge[p] + added[p];
-    const bool spike = total >= kFull;
-    charge[p] = spike ? total - kFull : total;
+    const uint64_t total = charge[p] + added[p], threshold = limit ? limit[p] : kFull;
+    const bool spike = total >= threshold;
+    charge[p] = spike ? total - threshold : total;
     spikes[p] = spike;
   }
 }
@@ -53,27 +59,35 @@ S4_API void sensor_ideal(const float* light, int64_t n, int64_t pixels, uint64_t
     uint64_t added[kBlock];
     for (int64_t t = 0; t < n; ++t) {
       for (int64_t p = 0; p < count; ++p) added[p] = units(light[t * pixels + start + p]);
-      fire(charge + start, added, count, spikes + t * pixels + start);
+      fire(charge + start, added, nullptr, count, spikes + t * pixels + start);
     }
   }
 }
 
-// The same with gain and dark current (spikes per tick) of each pixel, and shot noise of `electrons` to a spike.
+// The same with gain and dark current (spikes per tick) of each pixel, shot noise of `electrons` to a spike, and the
+// pixel's own threshold `full`, in units; every reset leaves the next one off by `thermal` units (normal). `limit`
+// [pixels] is the threshold that is waited for now and carries on as `charge` does.
 S4_API void sensor_real(const float* light, int64_t n, int64_t pixels, uint64_t* charge, uint8_t* spikes,
                         int32_t threads, const uint64_t* keys, const double* gain, const double* dark,
-                        double electrons, int64_t first_tick) {
+                        const uint64_t* full, uint64_t* limit, double electrons, double thermal, int64_t first_tick) {
 #pragma omp parallel for num_threads(threads)
   for (int64_t start = 0; start < pixels; start += kBlock) {
     const int64_t count = pixels - start < kBlock ? pixels - start : kBlock;
-    uint64_t added[kBlock];
+    uint64_t added[kBlock], bits[kBlock], waiting[kBlock];
+    std::copy(limit + start, limit + start + count, waiting);
     for (int64_t t = 0; t < n; ++t) {
       const uint64_t tick = uint64_t(first_tick + t) * kTickStep;
+      uint8_t* fired = spikes + t * pixels + start;
       for (int64_t p = 0; p < count; ++p) {
         const double raw = light[t * pixels + start + p], seen = raw > 0 ? raw : 0;
         const double mean = (seen < 1e6 ? seen : 1e6) * gain[start + p] + dark[start + p];
-        added[p] = units(mean + std::sqrt(mean / electrons) * normal(mix(keys[start + p] + tick)));
+        bits[p] = mix(keys[start + p] + tick);
+        added[p] = units(mean + std::sqrt(mean / electrons) * normal(bits[p]));
       }
-      fire(charge + start, added, count, spikes + t * pixels + start);
+      fire(charge + start, added, waiting, count, fired);
+      for (int64_t p = 0; p < count; ++p)
+        if (fired[p]) waiting[p] = full[start + p] + offset(thermal * normal(mix(bits[p] ^ kResetSalt)));
     }
+    std::copy(waiting, waiting + count, limit + start);
   }
 }

@@ -23,14 +23,18 @@ SENSOR_KINDS: tuple[SensorKind, ...] = ("ideal", "real")
 FRACTION_BITS = 40
 # SCSim (Hu et al., "SCSim: a realistic spike cameras simulator", ICME 2021) draws 5e4 electrons at full grey, which
 # is about one spike a tick, and spreads the dark current by 39 %. Its gain spread of 5.8 % is that of an uncorrected
-# sensor; 1 % is what a flat-field correction leaves. The dark level and the defects are ours.
+# sensor, and its threshold spread 4.5 % of the swing of 1.1 V; 1 % for both together is what a flat-field correction
+# leaves. Thermal noise is that of a reset, sqrt(kT / C) of its 4.348 fF at 300 K, against the swing. The dark level and
+# the defects are ours.
 ELECTRONS_PER_SPIKE = 5e4
-GAIN_SPREAD = 0.01
+GAIN_SPREAD, THRESHOLD_SPREAD = 0.008, 0.006  # 0.01 together
+THERMAL_NOISE = 8.9e-4  # of the threshold, standard deviation
 DARK_LEVEL, DARK_SPREAD = 5e-4, 0.39  # spikes per tick, relative
 DEFECT_SHARE = 1e-4  # of the pixels dead, and as many hot
 HOT_LEVELS = (0.2, 0.6)  # spikes per tick in the dark
 
 _TICK_STEP = np.uint64(0x9E3779B97F4A7C15)
+_RESET_SALT = np.uint64(0xD6E8FEB86659FD93)
 _NORMAL_SCALE = 2.6428997921e-5  # 1 / standard deviation of the sum of four uniform 16-bit numbers
 
 
@@ -45,7 +49,8 @@ class Sensor:
     """One camera's pixels; `expose` carries their charge on from call to call.
 
     The same `seed` and `camera_index` give the same planes for any `threads` (0: every core) and any cut into calls.
-    `real` adds gain and dark current of each pixel, shot noise, and a few dead and hot pixels to `ideal`.
+    `real` adds to `ideal` gain, dark current and threshold of each pixel, shot noise, thermal noise of each reset, and
+    a few dead and hot pixels.
     """
 
     def __init__(
@@ -65,7 +70,8 @@ class Sensor:
         root = np.random.SeedSequence([seed, camera_index])
         self._keys = _mix(pixels * np.uint64(0xD1342543DE82EF95) + root.generate_state(1, np.uint64))
         self._charge = _mix(self._keys - _TICK_STEP) >> np.uint64(64 - FRACTION_BITS)
-        self._gain, self._dark = _fixed_pattern(np.random.default_rng(root), width * height)
+        self._gain, self._dark, self._full = _fixed_pattern(np.random.default_rng(root), width * height)
+        self._limit = self._full.copy()
 
     def expose(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
         """The planes [n, H, W] of 0 and 1 that light [n, H, W] in spikes per tick gives; the charge carries on.
@@ -86,8 +92,14 @@ class Sensor:
         if self.kind == "ideal":
             library.sensor_ideal(*arguments)
         else:
-            pattern = (ctypes.c_void_p(a.ctypes.data) for a in (self._keys, self._gain, self._dark))
-            library.sensor_real(*arguments, *pattern, ctypes.c_double(ELECTRONS_PER_SPIKE), ctypes.c_int64(self.tick))
+            pattern = (self._keys, self._gain, self._dark, self._full, self._limit)
+            noise = (ELECTRONS_PER_SPIKE, THERMAL_NOISE * 2.0**FRACTION_BITS)
+            library.sensor_real(
+                *arguments,
+                *(ctypes.c_void_p(array.ctypes.data) for array in pattern),
+                *(ctypes.c_double(value) for value in noise),
+                ctypes.c_int64(self.tick),
+            )
         self.tick += len(light)
         return spikes
 
@@ -95,24 +107,29 @@ class Sensor:
         """The readable twin of `expose`, in NumPy, bit for bit the same."""
         light = self._checked(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
-        full = np.uint64(1 << FRACTION_BITS)
         for plane, seen in zip(spikes, light, strict=True):
-            charge = self._charge + self._collected(seen.astype(np.float64).ravel())
-            fired = charge >= full
-            self._charge[:] = np.where(fired, charge - full, charge)
+            bits = self._noise_bits()
+            charge = self._charge + self._collected(seen.astype(np.float64).ravel(), bits)
+            limit = self._limit if self.kind == "real" else np.uint64(1 << FRACTION_BITS)
+            fired = charge >= limit
+            self._charge[:] = np.where(fired, charge - limit, charge)
+            thermal = THERMAL_NOISE * 2.0**FRACTION_BITS * _normal(_mix(bits ^ _RESET_SALT))
+            renewed = (self._full.astype(np.int64) + np.floor(thermal + 0.5).astype(np.int64)).astype(np.uint64)
+            self._limit[:] = np.where(fired, renewed, self._limit)
             plane[:] = fired.reshape(self.shape)
             self.tick += 1
         return spikes
 
-    def _collected(self, light: NDArray[np.float64]) -> NDArray[np.uint64]:
+    def _noise_bits(self) -> NDArray[np.uint64]:
+        """The random bits of this tick [H * W]."""
+        with np.errstate(over="ignore"):
+            return _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
+
+    def _collected(self, light: NDArray[np.float64], bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
         """Units of charge of this tick [H * W]."""
         if self.kind == "real":
-            with np.errstate(over="ignore"):
-                bits = _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
-            parts = [(bits >> np.uint64(16 * i)) & np.uint64(65535) for i in range(4)]
-            normal = (np.sum(parts, axis=0).astype(np.float64) - 131070.0) * _NORMAL_SCALE
             mean = np.clip(light, 0, 1e6) * self._gain + self._dark
-            light = mean + np.sqrt(mean / ELECTRONS_PER_SPIKE) * normal
+            light = mean + np.sqrt(mean / ELECTRONS_PER_SPIKE) * _normal(bits)
         return (np.clip(light, 0, 1) * 2.0**FRACTION_BITS + 0.5).astype(np.uint64)
 
     def _checked(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -124,12 +141,21 @@ class Sensor:
         return light
 
 
-def _fixed_pattern(rng: np.random.Generator, pixels: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gain and dark current in spikes per tick of each pixel; dead ones have neither."""
+def _normal(bits: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """About normal numbers, mean 0 and variance 1: sums of four 16-bit uniform ones."""
+    parts = [(bits >> np.uint64(16 * i)) & np.uint64(65535) for i in range(4)]
+    return (np.sum(parts, axis=0).astype(np.float64) - 131070.0) * _NORMAL_SCALE
+
+
+def _fixed_pattern(
+    rng: np.random.Generator, pixels: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint64]]:
+    """Gain, dark current in spikes per tick and threshold in units of each pixel; dead ones gain and leak nothing."""
     gain = 1 + GAIN_SPREAD * rng.standard_normal(pixels)
     dark = DARK_LEVEL * np.maximum(0, 1 + DARK_SPREAD * rng.standard_normal(pixels))
     chance = rng.random(pixels)
     hot, dead = chance < DEFECT_SHARE, chance > 1 - DEFECT_SHARE
     dark[hot] = rng.uniform(*HOT_LEVELS, pixels)[hot]
     gain[dead], dark[dead] = 0.0, 0.0
-    return gain, dark
+    full = np.maximum(0.5, 1 + THRESHOLD_SPREAD * rng.standard_normal(pixels)) * 2.0**FRACTION_BITS
+    return gain, dark, np.round(full).astype(np.uint64)

@@ -1,6 +1,6 @@
 """Where a camera's planes come from when no hardware stands behind it."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +16,10 @@ class PlaneSource(Protocol):
     def next_planes(self, count: int) -> NDArray[np.uint8]:
         """The next packed planes [n, B] with n <= count."""
         ...
+
+
+@runtime_checkable
+class Adjustable(Protocol):
+    """A source whose camera can be told to give more or fewer spikes for the same light."""
+
+    sensitivity: float

@@ -1,56 +1,60 @@
-"""The native rasterizer: milliseconds forward and backward, against its torch reference, on one thread and two."""
+"""The native rasterizer: milliseconds and what the arithmetic would take, against its torch reference, on one thread
+and two; and where a whole step's time goes."""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 
 import torch
 
 from acquisition.bench_document import BenchDocument, fastest_s
+from reconstruction.bench.step import LOSS, PARTS, Step
 from reconstruction.gaussians.dynamic import Instantaneous
-from reconstruction.rendering.render import render
+from reconstruction.rendering.native import Work, work_of
+from reconstruction.rendering.pinhole import pinhole_of
+from reconstruction.rendering.render import Backend, render
 from rigs.camera import Camera
 from rigs.toml import catalog_rig
 
-COUNTS = (5_000, 20_000, 60_000)
+COUNTS = (20_000, 60_000)
 RADIUS_PX = 5.0  # mean 3-sigma radius
 REFERENCE = (500, 100, 64)  # Gaussians, width, height the reference is timed at
+REPEATS = 30
+# Additions and multiplications a pixel that a splat reaches: u, v 6, exponent 5, exp 13, cap 1, weight 1, sums 5; and
+# back the same without the sums, then 7 for d and B, 3 for g, 22 for the moments.
+FORWARD_FLOP, BACKWARD_FLOP = 31, 58
+STORED_BYTES = 48  # of a Gaussian
 
 
 def bench_rasterizer() -> BenchDocument:
-    """Random clouds before the lab rig's centre camera at 400x250, intensity, depth and alpha."""
+    """Random clouds before the lab rig's centre camera at 400x250, intensity, depth and alpha.
+
+    `forward_ms`, `backward_ms` and `x_reference` are on one thread, `steps_per_s` (motion, rendering, L1 and SSIM, the
+    gradients of all, Adam) on all. `..._of_limit` is the useful arithmetic and traffic at the rates of a matrix product
+    and a copy, over the time taken; `step_in_kernels` the share of a step outside the loss, which is partly torch's.
+    """
     document = BenchDocument("rasterizer")
-    camera = catalog_rig("lab3x3").camera("cam11")
-    threads = torch.get_num_threads()
-    for count in COUNTS:
-        for used in sorted({1, threads}):
-            torch.set_num_threads(used)
-            forward, both = _seconds(_cloud(count, camera), camera, "native")
-            document.rows.append(
-                {"method": "native", "gaussians": count, "threads": used, "forward_s": forward, "seconds": both}
-            )
-    torch.set_num_threads(threads)
-    one, all_threads = (r for r in document.rows if r["gaussians"] == 20_000)
-    count, width, height = REFERENCE
-    small = camera.scaled(width, height)
-    cloud = _cloud(count, small)
-    times = {backend: _seconds(cloud, small, backend)[1] for backend in ("native", "reference")}
-    document.rows += [{"method": f"{k}, {count} at {width}x{height}", "seconds": v} for k, v in times.items()]
-    document.summary = {
-        "gaussians": 20_000,
-        "forward_ms": 1e3 * all_threads["forward_s"],
-        "backward_ms": 1e3 * (all_threads["seconds"] - all_threads["forward_s"]),
-        "x_reference": times["reference"] / times["native"],
-        "two_thread_speedup": one["seconds"] / all_threads["seconds"],
-        "steps_per_s": 1 / all_threads["seconds"],
-    }
-    document.omissions.append(
-        "steps_per_s is render and gradient alone; the whole training step is in `bench training`"
-    )
+    camera, threads = catalog_rig("lab3x3").camera("cam11"), torch.get_num_threads()
+    try:
+        for count in COUNTS:
+            cloud = random_cloud(count, camera)
+            for used in sorted({1, threads}):
+                torch.set_num_threads(used)
+                document.rows += [_kernel_row(cloud, camera, used), *_step_rows(cloud, camera, used)]
+        torch.set_num_threads(1)
+        times = _against_reference(camera)
+    finally:
+        torch.set_num_threads(threads)
+    document.rows += times
+    document.summary = _summary(document.rows)
+    document.omissions.append("a training step also composes its target image: see `bench training`")
     return document
 
 
-def _cloud(count: int, camera: Camera) -> Instantaneous:
+def random_cloud(count: int, camera: Camera) -> Instantaneous:
+    """Gaussians of all opacities, 1.2 to 3.2 m before `camera`."""
     generator = torch.Generator().manual_seed(count)
     z = 1.2 + 2 * torch.rand(count, generator=generator)
     x = (torch.rand(count, generator=generator) - 0.5) * camera.width / camera.fx * z
@@ -66,18 +70,89 @@ def _cloud(count: int, camera: Camera) -> Instantaneous:
     )
 
 
-def _seconds(cloud: Instantaneous, camera: Camera, backend: str) -> tuple[float, float]:
-    """Seconds of a forward pass alone, and of forward and backward together."""
+def seconds_of(cloud: Instantaneous, camera: Camera, backend: Backend, repeats: int) -> tuple[float, float]:
+    """Seconds of a forward pass and of a backward pass, the fastest of each."""
     leaves = Instantaneous(*(t.clone().requires_grad_(True) for t in cloud))
+    forward, backward = [], []
+    for _ in range(repeats + 1):
+        started = time.perf_counter()
+        rendering = render(leaves, camera, backend=backend)
+        rendered = time.perf_counter()
+        loss = rendering.intensity.sum() + rendering.depth.sum()
+        summed = time.perf_counter()
+        loss.backward()
+        forward.append(rendered - started)
+        backward.append(time.perf_counter() - summed)
+    assert all(math.isfinite(s) for s in (*forward, *backward))
+    return min(forward[1:]), min(backward[1:])
 
-    def forward() -> torch.Tensor:
-        rendering = render(leaves, camera, backend=backend)  # type: ignore[arg-type]
-        return rendering.intensity.sum() + rendering.depth.sum()
 
-    def both() -> None:
-        forward().backward()
+def _kernel_row(cloud: Instantaneous, camera: Camera, threads: int) -> dict:
+    forward, backward = seconds_of(cloud, camera, "native", REPEATS)
+    work = work_of((*cloud[:4], cloud.intensities[:, 0].contiguous()), pinhole_of(camera, 0.01))
+    limits = _limits_s(work, len(cloud.means), camera, threads)
+    return {
+        "method": "native",
+        "gaussians": len(cloud.means),
+        "threads": threads,
+        "forward_s": forward,
+        "backward_s": backward,
+        "seconds": forward + backward,
+        **{f"{name}_limit_s": limit for name, limit in zip(("forward", "backward"), limits, strict=True)},
+        **work._asdict(),
+    }
 
-    repeats = 5 if backend == "native" else 2
-    seconds = fastest_s(forward, repeats), fastest_s(both, repeats)
-    assert all(math.isfinite(s) for s in seconds)
-    return seconds
+
+def _limits_s(work: Work, count: int, camera: Camera, threads: int) -> tuple[float, float]:
+    """What the useful work would take forward and backward at the best rates this machine showed."""
+    size = 768
+    a, b = (torch.rand(size, size) for _ in range(2))
+    flop_per_s = 2 * size**3 / fastest_s(lambda: a @ b, 10)
+    block = torch.zeros(4_000_000)
+    target = torch.empty_like(block)
+    bytes_per_s = 2 * 4 * len(block) / fastest_s(lambda: target.copy_(block), 10)
+    images = 3 * 4 * camera.width * camera.height
+    forward = max(work.pixels * FORWARD_FLOP / flop_per_s, (count * STORED_BYTES + images) / bytes_per_s)
+    return forward, max(work.pixels * BACKWARD_FLOP / flop_per_s, (2 * count * STORED_BYTES + images) / bytes_per_s)
+
+
+def _step_rows(cloud: Instantaneous, camera: Camera, threads: int) -> list[dict]:
+    whole, parts = Step(cloud, camera).fastest(REPEATS)
+    shared = {"gaussians": len(cloud.means), "threads": threads}
+    rows = [{"method": f"step: {name}", **shared, "seconds": seconds} for name, seconds in parts.items()]
+    return [{"method": "step", **shared, "seconds": whole}, *rows]
+
+
+def _against_reference(camera: Camera) -> list[dict]:
+    count, width, height = REFERENCE
+    small = camera.scaled(width, height)
+    cloud = random_cloud(count, small)
+    backends: tuple[tuple[Backend, int], ...] = (("native", REPEATS), ("reference", 2))
+    return [
+        {"method": f"{name}, {count} at {width}x{height}", "seconds": sum(seconds_of(cloud, small, name, repeats))}
+        for name, repeats in backends
+    ]
+
+
+def _summary(rows: list[dict]) -> dict[str, float]:
+    def found(method: str, count: int, pick: Callable = min) -> dict:
+        rows_of = [row for row in rows if row["method"] == method and row.get("gaussians") == count]
+        return pick(rows_of, key=lambda row: row["threads"])
+
+    one, step = found("native", COUNTS[0]), found("step", COUNTS[0], max)
+    native, reference = rows[-2:]
+    parts = [found(f"step: {name}", COUNTS[0], max)["seconds"] for name in PARTS]
+    loss = parts[PARTS.index(LOSS)]
+    return {
+        "gaussians": COUNTS[0],
+        "forward_ms": 1e3 * one["forward_s"],
+        "backward_ms": 1e3 * one["backward_s"],
+        "forward_of_limit": one["forward_limit_s"] / one["forward_s"],
+        "backward_of_limit": one["backward_limit_s"] / one["backward_s"],
+        "lane_use": one["pixels"] / (16 * one["in_blocks"]),
+        "x_reference": reference["seconds"] / native["seconds"],
+        "two_thread_speedup": one["seconds"] / found("native", COUNTS[0], max)["seconds"],
+        "steps_per_s": 1 / step["seconds"],
+        "steps_per_s@60k": 1 / found("step", COUNTS[1], max)["seconds"],
+        "step_in_kernels": 1 - loss / sum(parts),
+    }

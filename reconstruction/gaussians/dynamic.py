@@ -1,35 +1,24 @@
-"""Still Gaussians beside Gaussians that move in a straight line and live for a while.
+"""Still Gaussians beside Gaussians that move, by one of the models that `MODELS` lists.
 
-Letters: N still, M moving. Time is in clips: 0 at the clip's start, 1 at its end, so that one learning rate fits
-clips of any length. A moving Gaussian is at `means + velocities * (u - instants)` and its opacity is gated by
-exp(-((u - instants) / durations)^2 / 2). Source: Yang et al., "FreeTimeGS", CVPR 2025.
+Letters: N still, M moving. Time is in clips: 0 at the clip's start, 1 at its end.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.motion import Instantaneous, Motion, MotionModel
+from reconstruction.gaussians.rigid import RigidMotion
 
-LEAST_DURATION = 1e-3  # clips; shorter is a flash between two planes
-MOST_DURATION = 1e3  # clips; longer is always there
-
-
-class Instantaneous(NamedTuple):
-    """What the renderer takes: opacities are in [0, 1], after the gate; the rest is encoded as in the cloud."""
-
-    means: Tensor  # [N + M, 3]
-    quats_wxyz: Tensor  # [N + M, 4]
-    log_scales: Tensor  # [N + M, 3]
-    opacities: Tensor  # [N + M]
-    intensities: Tensor  # [N + M, C]
+MODELS: dict[str, type[MotionModel]] = {m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion)}
 
 
 @dataclass(frozen=True)
@@ -51,74 +40,72 @@ class Clip:
 
 
 @dataclass
-class Motion:
-    """Straight motion of M Gaussians: velocities [M, 3] in m per clip, instants [M] and log_durations [M] in clips."""
-
-    velocities: Tensor
-    instants: Tensor
-    log_durations: Tensor
-
-    @classmethod
-    def at_rest(cls, instants: Tensor, duration: float) -> Motion:
-        """No velocity yet; each alive around its instant for about `duration` clips."""
-        logs = torch.full_like(instants, math.log(duration))
-        return cls(torch.zeros(len(instants), 3, dtype=instants.dtype), instants.clone(), logs)
-
-
-@dataclass
 class DynamicCloud:
-    """`still` [N] and `moving` [M] with its `motion`, over `clip`."""
+    """`still` [N] and `moving` [M] with its `motion`, over `clip`.
+
+    `light` [T] is the gain of each of the clip's planes; one alone where the light is steady.
+    """
 
     still: GaussianCloud
     moving: GaussianCloud
-    motion: Motion
+    motion: MotionModel
     clip: Clip
+    light: Tensor = field(default_factory=lambda: torch.ones(1))
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
 
     def at(self, instant_s: float) -> Instantaneous:
         """The cloud at one instant of the rig clock; differentiable in everything stored."""
-        still, moving = self.still, self.moving
-        if len(moving) == 0:
-            return Instantaneous(
-                still.means, still.quats_wxyz, still.log_scales, still.opacity_logits.sigmoid(), still.intensities
-            )
-        since = self.clip.fraction(instant_s) - self.motion.instants
-        durations = self.motion.log_durations.clamp(math.log(LEAST_DURATION), math.log(MOST_DURATION)).exp()
-        gate = torch.exp(-0.5 * (since / durations).square())
-        return Instantaneous(
-            torch.cat([still.means, moving.means + self.motion.velocities * since[:, None]]),
-            torch.cat([still.quats_wxyz, moving.quats_wxyz]),
-            torch.cat([still.log_scales, moving.log_scales]),
-            torch.cat([still.opacity_logits.sigmoid(), moving.opacity_logits.sigmoid() * gate]),
-            torch.cat([still.intensities, moving.intensities]),
+        still, moving, u = self.still, self.moving, self.clip.fraction(instant_s)
+        now = Instantaneous(
+            still.means, still.quats_wxyz, still.log_scales, still.opacity_logits.sigmoid(), still.intensities
         )
+        if len(moving):
+            now = _joined(now, self.motion.at(moving, u))
+        return now if len(self.light) == 1 else now._replace(intensities=now.intensities * self.gain(u))
+
+    def gain(self, u: float) -> float:
+        """How bright the light is at u, in clips."""
+        return float(self.light[min(max(int(u * len(self.light)), 0), len(self.light) - 1)])
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
         """Every stored tensor by a stable name, `still.means` to `motion.log_durations`."""
-        for name in ("still", "moving", "motion"):
-            for field, tensor in vars(getattr(self, name)).items():
-                yield f"{name}.{field}", tensor
+        for name in ("still", "moving"):
+            for key, tensor in vars(getattr(self, name)).items():
+                yield f"{name}.{key}", tensor
+        for key, tensor in self.motion.tensors():
+            yield f"motion.{key}", tensor
 
     def state(self) -> dict:
-        """Plain tensors and numbers, for a checkpoint."""
+        """Plain tensors, numbers and names, for a checkpoint."""
         return {
             "clip": [self.clip.first_s, self.clip.last_s],
+            "light": self.light.clone(),
+            "model": self.motion.kind,
             "tensors": {k: v.detach().clone() for k, v in self.tensors()},
         }
 
     @classmethod
     def from_state(cls, state: dict) -> DynamicCloud:
-        """The inverse of `state`."""
+        """The inverse of `state`; raises ReconstructionError for a model or tensors it does not know."""
         parts: dict[str, dict[str, Tensor]] = {"still": {}, "moving": {}, "motion": {}}
-        for name, tensor in state["tensors"].items():
-            part, field = name.split(".")
-            parts[part][field] = tensor
-        first_s, last_s = state["clip"]
-        return cls(
-            GaussianCloud(**parts["still"]),
-            GaussianCloud(**parts["moving"]),
-            Motion(**parts["motion"]),
-            Clip(first_s, last_s),
-        )
+        kind = state.get("model", Motion.kind)
+        try:
+            for name, tensor in state["tensors"].items():
+                part, key = name.split(".")
+                parts[part][key] = tensor
+            motion = MODELS[kind](**parts["motion"])
+            first_s, last_s = state["clip"]
+            still, moving = (GaussianCloud(**parts[name]) for name in ("still", "moving"))
+            return cls(still, moving, motion, Clip(first_s, last_s), state.get("light", torch.ones(1)))
+        except (KeyError, TypeError, ValueError) as error:
+            found = f"the model {kind!r} with {', '.join(parts['motion']) or 'no tensors'}"
+            raise ReconstructionError(
+                f"found {found}, expected one of {', '.join(MODELS)} as this version stores it; train again"
+            ) from error
+
+
+def _joined(still: Instantaneous, moving: Instantaneous) -> Instantaneous:
+    """All Gaussians of both, the still ones first."""
+    return Instantaneous(*(torch.cat(pair) for pair in zip(still, moving, strict=True)))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.light import Light
 
 WINDOWS = 20  # equal parts of the clip
 SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background
@@ -28,14 +29,15 @@ class Background:
     stuck: NDArray[np.bool_]
 
 
-def background(stream: SpikeStream, moving: NDArray[np.bool_]) -> Background:
-    """The background behind the `moving` pixels [H, W] of a stream; stuck pixels take their neighbours' median."""
+def background(stream: SpikeStream, moving: NDArray[np.bool_], light: Light) -> Background:
+    """The background behind the `moving` pixels [H, W] in mean light; stuck pixels take their neighbours' median."""
     mean = stream.counts(0, len(stream)).astype(np.float32) / np.float32(len(stream))
     stuck = stuck_pixels(mean)
     length = len(stream) // WINDOWS
     if length == 0 or not moving.any():
         return Background(mended(mean, stuck), ~moving, stuck)
-    counts = np.stack([stream.counts(i * length, (i + 1) * length) for i in range(WINDOWS)]).astype(np.float32)
+    spans = [(i * length, (i + 1) * length) for i in range(WINDOWS)]
+    counts = np.stack([stream.counts(*span) / np.float32(light.over(*span)) for span in spans])
     median = np.median(counts, axis=0).astype(np.float32)
     elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)
     image = mean.copy()

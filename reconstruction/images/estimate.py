@@ -13,10 +13,15 @@ from rigs.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Linear intensity [H, W] float32 in spikes per tick, always finite; `valid` [H, W] where it is no mere bound."""
+    """Linear intensity [H, W] float32 in spikes per tick, always finite; `valid` [H, W] where it is no mere bound.
+
+    `sigma` [H, W] float32: one standard deviation of the intensity in spikes per tick under constant light, from the
+    quantisation to whole spikes and ticks and from shot noise (`noise`); finite. It knows nothing of motion blur.
+    """
 
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]
+    sigma: NDArray[np.float32]
 
 
 def window_around(stream: SpikeStream, plane: int, half_window: int) -> tuple[int, int]:

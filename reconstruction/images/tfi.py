@@ -2,31 +2,36 @@
 
 Order: sharp under motion (it looks no further than two spikes) but noisy: an interval is a whole number of ticks. Where
 one side has no spike within reach the value is the upper bound that the silence allows, and the pixel is not valid.
+Cost: a search outward from the instant over packed bits, as far as the darkest of 512 neighbours needs.
 Source: Zhu et al., "A retina-inspired sampling method for visual texture reconstruction", ICME 2019.
 """
 
-import numpy as np
+from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.spikes.intervals import intervals
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.estimate import Estimate, window_around
+from reconstruction.images.estimate import Estimate
+from reconstruction.images.noise import interval_sigma
 
 REACH = 128
 
 
 def tfi(stream: SpikeStream, plane: int, reach: int = REACH) -> Estimate:
     """Image at `plane`: 1 / (first spike after it - last spike at or before it), searched up to `reach` planes away."""
-    first, last = window_around(stream, plane, reach)
-    planes = stream.planes(first, last)
-    before, after = planes[: plane - first + 1][::-1], planes[plane - first + 1 :]
-    back, has_before = _first_spike(before)
-    ahead, has_after = _first_spike(after)
-    ticks = (back + ahead + 1).astype(np.float32)
-    return Estimate(np.reciprocal(ticks), has_before & has_after)
+    return tfi_images(stream, [plane], reach)[0]
 
 
-def _first_spike(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Planes [T, H, W] -> (silent planes before the first spike, T where none [H, W]; whether there is one [H, W])."""
-    if len(planes) == 0:
-        return np.zeros(planes.shape[1:], dtype=np.int64), np.zeros(planes.shape[1:], dtype=bool)
-    fired = np.asarray(planes.any(axis=0))
-    return np.where(fired, planes.argmax(axis=0), len(planes)), fired
+def tfi_images(stream: SpikeStream, planes: Sequence[int], reach: int = REACH, *, threads: int = 1) -> list[Estimate]:
+    """The images at many planes of one stream, in one call to the kernel on `threads` cores."""
+    ticks, before, after = intervals(stream.packed, stream.layout, planes, reach, threads=threads)
+    valid = before & after
+    intensity = np.reciprocal(ticks, dtype=np.float32)
+    return [Estimate(intensity[i], valid[i], interval_sigma(ticks[i])) for i in range(len(ticks))]
+
+
+def tfi_intensities(stream: SpikeStream, planes: Sequence[int], reach: int = REACH) -> NDArray[np.float32]:
+    """The intensities alone [N, H, W]."""
+    return np.reciprocal(intervals(stream.packed, stream.layout, planes, reach).ticks, dtype=np.float32)

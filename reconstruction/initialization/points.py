@@ -29,6 +29,10 @@ class Points:
     def __len__(self) -> int:
         return len(self.positions)
 
+    def select(self, which: NDArray) -> Points:
+        """The points at indices, or where a mask is true."""
+        return Points(self.positions[which], self.intensities[which], self.spacing[which], self.instants_s[which])
+
     @classmethod
     def none(cls) -> Points:
         """No points."""

@@ -1,7 +1,8 @@
 """What each stage reads and writes.
 
-plan -> plan/moving_camRC.npy; images -> images/{image,trusted,stuck}_camRC.npy; points -> points/{still,moving}_*.npy;
-train -> checkpoint.pt, snapshots/; report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/.
+plan -> plan/moving_camRC.npy, plan/light.npy; images -> images/{image,trusted,stuck}_camRC.npy; points ->
+points/{still,moving}_*.npy, and points/bodies_*.npy for the model `bases`; train -> checkpoint.pt, snapshots/;
+report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from reconstruction.errors import StereoError
 from reconstruction.images.background import Background, background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
+from reconstruction.images.light import Light
 from reconstruction.images.methods import method
+from reconstruction.initialization.bodies import Bodies, find_bodies
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
     DepthMap,
@@ -32,6 +35,7 @@ from reconstruction.training.run import RunFolder
 from rigs.camera import Camera
 
 INSTANTS = 8  # at which movers are swept
+CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200
 LEAST_SHARE = 0.3  # of the pixels that must find a depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
@@ -42,7 +46,8 @@ Image = NDArray[np.float32]
 def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Decide what this scene needs and keep each view's moving pixels."""
     streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
-    plan, masks = make_plan(run.config, recording.rig, streams)
+    plan, masks, light = make_plan(run.config, recording.rig, streams)
+    run.write_array("plan/light", light.gains)
     for view, mask in masks.items():
         run.write_array(f"plan/moving_{view}", mask)
     run.document["plan"] = plan.to_json()
@@ -51,9 +56,9 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
 
 def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Keep the background of every training view: what stays when the movers are taken away."""
-    views = run.plan.views
+    views, light = run.plan.views, Light(run.read_array("plan/light"))
     for i, view in enumerate(views):
-        found = background(recording.stream(view), run.read_array(f"plan/moving_{view}"))
+        found = background(recording.stream(view), run.read_array(f"plan/moving_{view}"), light)
         for f in fields(Background):
             run.write_array(f"images/{f.name}_{view}", getattr(found, f.name))
         progress((i + 1) / len(views), f"background of {view}, {int(found.stuck.sum())} stuck pixels")
@@ -61,13 +66,14 @@ def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
 
 def composite_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
     """The target images of every training view, from the artefacts of the plan and images stages."""
-    plan = run.plan
+    plan, light = run.plan, Light(run.read_array("plan/light"))
     return {
         view: CompositeSource(
             recording.stream(view),
             Background(*(run.read_array(f"images/{f.name}_{view}") for f in fields(Background))),
             run.read_array(f"plan/moving_{view}"),
             method(plan.images),
+            light,
         )
         for view in plan.views
     }
@@ -80,7 +86,8 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     rng = np.random.default_rng(run.config.seed)
     cameras = [rig.camera(view) for view in plan.views]
     options = SweepOptions(*depth_range_m(cameras))
-    rounds = 1 + (INSTANTS if plan.moving_gaussians else 0)
+    planes = moving_planes(recording.planes, plan.model) if plan.moving_gaussians else []
+    rounds = 1 + len(planes)
     stills = [sources[view].background.image for view in plan.views]
     maps = swept_maps(cameras, stills, options)
     share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
@@ -88,20 +95,32 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     masks = [sources[view].background.trusted for view in plan.views]
     _write_points(run, "still", sample_points(maps, stills, masks, plan.still_gaussians, 0.0, rng), share)
     parts = []
-    for i, plane in enumerate(moving_planes(recording.planes) if rounds > 1 else []):
-        parts.append(_moving_points(sources, cameras, plane, recording, plan.moving_gaussians // INSTANTS, rng))
+    count = plan.moving_gaussians // (CANONICAL if len(planes) == 1 else INSTANTS)
+    for i, plane in enumerate(planes):
+        parts.append(_moving_points(sources, cameras, plane, recording, count, rng))
         progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
-    _write_points(run, "moving", Points.joined(parts), 1.0)
+    moving = Points.joined(parts)
+    _write_points(run, "moving", moving, 1.0)
+    if plan.model == "bases":
+        instants_s = [rig.clock.instant_s(plane) for plane in moving_planes(recording.planes, plan.model)]
+        _write_bodies(run, find_bodies(moving, instants_s), progress)
 
 
-def moving_planes(planes: int) -> list[int]:
-    """The planes at which movers are swept: the middles of equal parts of the clip."""
+def moving_planes(planes: int, model: str) -> list[int]:
+    """The planes at which movers are swept: the middles of equal parts of the clip, or the canonical one of 4dgs."""
+    if model == "4dgs":
+        return [planes // 2]
     return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
 
 
 def read_points(run: RunFolder, kind: str) -> Points:
     """The points of kind `still` or `moving`."""
     return Points(*(run.read_array(f"points/{kind}_{f.name}") for f in fields(Points)))
+
+
+def read_bodies(run: RunFolder) -> Bodies:
+    """The rigid bodies of a run whose model is `bases`."""
+    return Bodies(*(run.read_array(f"points/bodies_{f.name}") for f in fields(Bodies)))
 
 
 def swept_maps(cameras: list[Camera], images: list[Image], options: SweepOptions) -> list[DepthMap]:
@@ -129,6 +148,14 @@ def _moving_points(
     near, far = depth_range_m(cameras)
     maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
     return sample_points(maps, images, masks, count, recording.rig.clock.instant_s(plane), rng)
+
+
+def _write_bodies(run: RunFolder, bodies: Bodies, progress: Progress) -> None:
+    """Keep the bodies, and say in `run.json` how many points ride on them and why the others do not."""
+    for f in fields(Bodies):
+        run.write_array(f"points/bodies_{f.name}", getattr(bodies, f.name))
+    run.document["bodies"] = {"rigid": len(bodies), "attached": bodies.attached, "free": bodies.free}
+    progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
 
 
 def _write_points(run: RunFolder, kind: str, points: Points, share: float) -> None:

@@ -7,16 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import ReconstructionError
-from reconstruction.gaussians.dynamic import Clip
-from reconstruction.pipeline.stages import INSTANTS, composite_sources, read_points
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.images.light import Light
+from reconstruction.pipeline.stages import INSTANTS, composite_sources, read_bodies, read_points
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.run import RunFolder
-from reconstruction.training.seed import seed_cloud
-from reconstruction.training.trainer import Trainer, TrainerSettings, TrainingView, train
+from reconstruction.training.seed import seed_cloud, seed_field, seed_rigid
+from reconstruction.training.supervision import TrainingView
+from reconstruction.training.trainer import Trainer, TrainerSettings, train
 
 CHECKPOINT_EVERY_S = 5.0
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
@@ -118,12 +121,24 @@ class _Saver:
 def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     rig, plan = recording.rig, run.plan
     clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
-    cloud = seed_cloud(read_points(run, "still"), read_points(run, "moving"), clip, INSTANTS)
+    cloud = _seeded(run, clip)
+    light = Light(run.read_array("plan/light"))
+    if light.flickers:
+        cloud.light = torch.from_numpy(light.gains)
     sources = composite_sources(run, recording)
     views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
-    settings = TrainerSettings(variation=plan.supervision == "variation", white=max(white, 1e-6))
+    settings = TrainerSettings(plan.supervision, white=max(white, 1e-6))
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
+
+
+def _seeded(run: RunFolder, clip: Clip) -> DynamicCloud:
+    still, moving = (read_points(run, kind) for kind in ("still", "moving"))
+    if run.plan.model == "bases":
+        return seed_rigid(still, moving, clip, INSTANTS, read_bodies(run))
+    if run.plan.model == "4dgs":
+        return seed_field(still, moving, clip, run.config.seed)
+    return seed_cloud(still, moving, clip, INSTANTS, cubic=run.plan.model == "cubic")
 
 
 def process_budget(run: RunFolder, started: float, clock: Callable[[], float] = time.monotonic) -> Budget:

@@ -31,10 +31,14 @@ S4_API void *render_forward(const s4::Pinhole *camera, const s4::Cloud *cloud, c
     frame->tiles_x = (camera->width + s4::kTile - 1) / s4::kTile;
     frame->tiles_y = (camera->height + s4::kTile - 1) / s4::kTile;
     threads = std::max(threads, 1);
-    s4::project(*frame, *cloud, radii, threads);
-    s4::sort_by_depth(*frame);
-    s4::bin(*frame, threads);
-    s4::rasterize(*frame, *image, threads);
+    s4::prepare(*frame, *cloud, threads);
+#pragma omp parallel num_threads(threads)
+    {
+        s4::project(*frame, *cloud, radii);
+        s4::sort_and_count(*frame);
+        s4::fill_tiles(*frame);
+        s4::rasterize(*frame, *image);
+    }
     return frame.release();
 }
 
@@ -42,9 +46,12 @@ S4_API void *render_forward(const s4::Pinhole *camera, const s4::Cloud *cloud, c
 S4_API void render_backward(void *handle, const s4::Cloud *cloud, const s4::ImageGradient *gradient,
                             const s4::CloudGradient *out, int32_t threads) {
     s4::Frame &frame = *static_cast<s4::Frame *>(handle);
-    threads = std::max(threads, 1);
-    s4::rasterize_backward(frame, *gradient, threads);
-    s4::project_backward(frame, *cloud, *out, threads);
+    frame.moments.resize(frame.slots);
+#pragma omp parallel num_threads(std::max(threads, 1))
+    {
+        s4::rasterize_backward(frame, *gradient);
+        s4::project_backward(frame, *cloud, *out);
+    }
 }
 
 S4_API void render_release(void *handle) {

@@ -1,13 +1,15 @@
-// One rendered image as the kernels see it: splats in depth order, tile lists, and what backward needs again.
+// One rendered image as the kernels see it: splats, tile lists in depth order, and what backward needs again.
+// The stages are called by every thread of a team and share their work among it. A barrier costs a sleep and a wake
+// where threads do not spin, so there are as few as can be: `prepare` makes the room before the team starts.
 #pragma once
 #include <cstdint>
 #include <vector>
 
 namespace s4 {
 
-constexpr int kTile = 16;                  // pixels a side; one row of a tile is one 512-bit vector
+constexpr int kTile = 16;                  // pixels a side: 4x4 blocks of 4x4 pixels
 constexpr int kPixels = kTile * kTile;
-constexpr int kChunk = 32;                 // splats between two checkpoints of the transmittance
+constexpr int kGroup = 64;                 // splats of a tile between two checkpoints of the transmittance
 constexpr float kAlphaMax = 0.99f;
 constexpr float kTransmittanceMin = 1e-4f;
 constexpr double kDilation = 0.3;          // px^2 added to the projected covariance
@@ -22,15 +24,21 @@ struct Cloud {  // [N, 3], [N, 4], [N, 3], [N], [N]
     int64_t count;
 };
 
-// A projected Gaussian. sigma = u^2 + v^2 with u = p dx + q dy, v = r dy: a Cholesky factor of half the conic, so that
-// needles lose nothing to cancellation.
-struct alignas(64) Splat {
-    float x, y, p, q, r, sigma_max, opacity, intensity, depth;
-    int32_t x_first, x_last, y_first, y_last;  // pixels whose centre may lie inside, inclusive
-    int64_t slot;                              // where its per-tile moments start
-    int tiles_across() const { return x_last / kTile - x_first / kTile + 1; }
-    int tiles_down() const { return y_last / kTile - y_first / kTile + 1; }
+struct Span {  // tiles a splat may touch, inclusive
+    uint16_t x_first, x_last, y_first, y_last;
+    int across() const { return x_last - x_first + 1; }
+    int64_t tiles() const { return int64_t(across()) * (y_last - y_first + 1); }
 };
+
+// A projected Gaussian: alpha = exp(-(u^2 + v^2 + veil)), where that is at least 1/255, with u = p dx + q dy, v = r dy:
+// a Cholesky factor of half the conic, so that needles lose nothing to cancellation; veil = -log(opacity).
+// Along a column alpha is most at dy = lean_y dx, along a row at dx = lean_x dy.
+struct alignas(64) Splat {
+    float x, y, p, q, r, veil, intensity, depth, lean_x, lean_y;
+    Span span;
+    int64_t slot;  // where its per-tile moments start
+};
+constexpr float kVeilMax = 5.541263545158426f;  // log 255
 
 // Sums over pixels of g = dL/dalpha * alpha: g, g u, g v, g u^2, g u v, g v^2; and dL/dintensity, dL/ddepth.
 constexpr int kMoments = 8;
@@ -41,17 +49,19 @@ struct Moments {
 struct Frame {
     Pinhole camera;
     int tiles_x, tiles_y;
-    std::vector<Splat> projected, splats;     // by Gaussian; in depth order
-    std::vector<int32_t> visible;             // which Gaussians became splats, in their order
-    std::vector<uint64_t> keys, keys_scratch;
+    std::vector<Splat> splats;                // by Gaussian
+    std::vector<Span> spans;                  // by Gaussian
+    std::vector<int32_t> visible;             // which Gaussians became splats, in their order; visible_count of them
+    std::vector<uint64_t> keys, keys_scratch; // depth and Gaussian, as many
+    std::vector<int64_t> part_visible, part_slots;  // by thread
     std::vector<int64_t> tile_start;          // [tiles + 1]
     std::vector<int64_t> cursor;
-    std::vector<int32_t> entries;             // splat ranks, tile after tile, nearest first
-    std::vector<int64_t> tile_end;            // where a tile became opaque
-    std::vector<int64_t> checkpoint_start;    // [tiles + 1], in chunks
-    std::vector<float> checkpoints;           // transmittance of a tile before each chunk
-    std::vector<Moments> moments;            // by slot: one a splat and tile
-    int64_t slots;
+    std::vector<int32_t> entries;             // Gaussians, tile after tile, nearest first
+    std::vector<uint16_t> blocks;             // by entry: blocks of the tile it was blended into
+    std::vector<int64_t> checkpoint_start;    // [tiles + 1], in groups
+    std::vector<float> checkpoints;           // transmittance of a tile before each group but the first
+    std::vector<Moments> moments;             // by slot: one a splat and tile
+    int64_t visible_count, slots;
 };
 
 struct Image {
@@ -64,11 +74,12 @@ struct CloudGradient {
     float *means, *quats, *log_scales, *opacities, *intensities;
 };
 
-void project(Frame &frame, const Cloud &cloud, int32_t *radii, int threads);
-void sort_by_depth(Frame &frame);
-void bin(Frame &frame, int threads);
-void rasterize(Frame &frame, const Image &image, int threads);
-void rasterize_backward(Frame &frame, const ImageGradient &gradient, int threads);
-void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out, int threads);
+void prepare(Frame &frame, const Cloud &cloud, int threads);  // before the team
+void project(Frame &frame, const Cloud &cloud, int32_t *radii);
+void sort_and_count(Frame &frame);
+void fill_tiles(Frame &frame);
+void rasterize(Frame &frame, const Image &image);
+void rasterize_backward(Frame &frame, const ImageGradient &gradient);
+void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out);
 
 }  // namespace s4

@@ -31,7 +31,10 @@ void locate(Geometry &g, const Pinhole &c) {
         const double *r = c.rotation + 3 * k, t = c.translation[k];
         S4_EACH_LANE g.in_cam[k][i] = r[0] * g.mean[0][i] + r[1] * g.mean[1][i] + r[2] * g.mean[2][i] + t;
     }
-    S4_EACH_LANE g.depth[i] = g.in_cam[2][i] >= c.near_m ? g.in_cam[2][i] : 1;
+    S4_EACH_LANE {
+        g.depth[i] = g.in_cam[2][i] >= c.near_m ? g.in_cam[2][i] : 1;
+        g.inverse_depth[i] = 1 / g.depth[i];
+    }
 }
 
 void linearise(Geometry &g, const Pinhole &c) {
@@ -40,7 +43,7 @@ void linearise(Geometry &g, const Pinhole &c) {
         const double f = focal[axis], margin = 0.15 * size[axis];
         const double low = (-principal[axis] - margin) / f, high = (size[axis] - principal[axis] + margin) / f;
         S4_EACH_LANE {
-            const double inverse_z = 1 / g.depth[i], slope = g.in_cam[axis][i] * inverse_z;
+            const double inverse_z = g.inverse_depth[i], slope = g.in_cam[axis][i] * inverse_z;
             const double above = slope > low ? slope : low, held = above < high ? above : high;
             g.slope[axis][i] = held;
             g.slope_free[axis][i] = held == slope ? 1 : 0;

@@ -1,16 +1,17 @@
-"""The C++ renderer as a torch function: float32 on the CPU, one channel, torch's number of threads."""
+"""The C++ renderer as a torch function: float32 on the CPU, torch's number of threads."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
+from reconstruction.errors import ReconstructionError
 from reconstruction.native import library
 from reconstruction.rendering.pinhole import Pinhole
 
@@ -50,26 +51,47 @@ def _cloud(tensors: tuple[Tensor, ...]) -> _Cloud:
     return _Cloud(_pointers(*tensors), len(tensors[0]))
 
 
+def _forward(camera: Pinhole, cloud: tuple[Tensor, ...]) -> tuple[_Frame, tuple[Tensor, ...]]:
+    """The frame, and intensity, depth, alpha and radii."""
+    intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
+    radii = torch.empty(len(cloud[0]), dtype=torch.int32)
+    numbers = (*camera.rotation, *camera.translation, *camera.focal, *camera.principal, camera.near_m)
+    pointer = _kernels().render_forward(
+        ctypes.byref(_Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)),
+        ctypes.byref(_cloud(cloud)),
+        _pointers(intensity, depth, alpha),
+        ctypes.c_void_p(radii.data_ptr()),
+        torch.get_num_threads(),
+    )
+    return _Frame(pointer), (intensity, depth, alpha, radii)
+
+
+class Work(NamedTuple):
+    """How much a rendering was: `pixels` counts every pixel of every splat that took something of its light."""
+
+    splats: int
+    in_tiles: int
+    in_blocks: int  # of 4x4 pixels
+    pixels: int
+
+
+def work_of(cloud: tuple[Tensor, ...], camera: Pinhole) -> Work:
+    """Renders a cloud as `render_native` takes it, intensities [N], and counts."""
+    frame, _ = _forward(camera, cloud)
+    counts = (ctypes.c_int64 * 4)()
+    _kernels().render_work(ctypes.c_void_p(frame.pointer), counts)
+    return Work(*counts)
+
+
 class _Render(Function):
     @staticmethod
     def forward(ctx: Any, camera: Pinhole, *cloud: Tensor) -> tuple[Tensor, ...]:
         cloud = tuple(t.contiguous() for t in cloud)
-        intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
-        radii = torch.empty(len(cloud[0]), dtype=torch.int32)
-        numbers = (*camera.rotation, *camera.translation, *camera.focal, *camera.principal, camera.near_m)
-        ctx.frame = _Frame(
-            _kernels().render_forward(
-                ctypes.byref(_Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)),
-                ctypes.byref(_cloud(cloud)),
-                _pointers(intensity, depth, alpha),
-                ctypes.c_void_p(radii.data_ptr()),
-                torch.get_num_threads(),
-            )
-        )
+        ctx.frame, images = _forward(camera, cloud)
         ctx.save_for_backward(*cloud)
-        ctx.mark_non_differentiable(radii)
+        ctx.mark_non_differentiable(images[3])
         ctx.set_materialize_grads(False)
-        return intensity, depth, alpha, radii
+        return images
 
     @staticmethod
     @once_differentiable
@@ -90,8 +112,18 @@ class _Render(Function):
 def render_native(
     means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor, camera: Pinhole
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Native twin of `render_reference`, for one channel of float32 on the CPU."""
-    intensity, depth, alpha, radii = _Render.apply(
-        camera, means, quats_wxyz, log_scales, opacities, intensities.squeeze(-1)
-    )
-    return intensity[..., None], depth, alpha, radii
+    """Native twin of `render_reference` for float32 on the CPU; each channel beyond the first is another pass.
+
+    Raises ReconstructionError for tensors of another type or elsewhere.
+    """
+    if means.dtype != torch.float32 or means.device.type != "cpu" or intensities.shape[1] == 0:
+        raise ReconstructionError(
+            f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}, "
+            "expected float32 on the CPU; use the reference backend"
+        )
+    geometry = (camera, means, quats_wxyz, log_scales, opacities)
+    if intensities.shape[1] == 1:
+        intensity, depth, alpha, radii = _Render.apply(*geometry, intensities.squeeze(-1))
+        return intensity[..., None], depth, alpha, radii
+    passes = [_Render.apply(*geometry, channel) for channel in intensities.unbind(-1)]
+    return torch.stack([intensity for intensity, *_ in passes], -1), *passes[0][1:]

@@ -15,9 +15,9 @@ struct alignas(64) Gradient {
 };
 
 void gather(const Frame &frame, const Cloud &cloud, int32_t source, int i, Geometry &g, Gradient &d) {
-    const Splat &s = frame.projected[source];
+    const Splat &s = frame.splats[source];
     load_gaussian(g, cloud, source, i);
-    const int64_t end = s.slot + int64_t(s.tiles_across()) * s.tiles_down();
+    const int64_t end = s.slot + s.span.tiles();
     float sum[kMoments] = {};
     for (int64_t slot = s.slot; slot < end; ++slot)
         for (int k = 0; k < kMoments; ++k) sum[k] += frame.moments[slot].value[k];
@@ -101,7 +101,7 @@ void to_mean(const Geometry &g, const Pinhole &c, Gradient &d) {
             const double r0 = d.ray[axis][0][i], r1 = d.ray[axis][1][i], r2 = d.ray[axis][2][i];
             const double jacobian = r0 * direct[0] + r1 * direct[1] + r2 * direct[2];
             const double jacobian_z = r0 * along_z[0] + r1 * along_z[1] + r2 * along_z[2];
-            const double gu = d.sum[1][i], gv = d.sum[2][i], inverse_z = 1 / g.depth[i];
+            const double gu = d.sum[1][i], gv = d.sum[2][i], inverse_z = g.inverse_depth[i];
             const double center = axis == 0 ? 2 * d.p[i] * gu : 2 * (d.q[i] * gu + d.r[i] * gv);
             const double slope = f * (center - g.slope_free[axis][i] * jacobian_z * inverse_z);
             in_cam[axis][i] = slope * inverse_z;
@@ -125,9 +125,9 @@ void scatter(const Geometry &g, const Gradient &d, int64_t source, int i, const 
 
 }  // namespace
 
-void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out, int threads) {
-    const int64_t n = int64_t(frame.visible.size()), blocks = (n + kLanes - 1) / kLanes;
-#pragma omp parallel for schedule(static) num_threads(threads)
+void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out) {
+    const int64_t n = frame.visible_count, blocks = (n + kLanes - 1) / kLanes;
+#pragma omp for schedule(static) nowait
     for (int64_t block = 0; block < blocks; ++block) {
         const int64_t first = block * kLanes;
         Geometry g;

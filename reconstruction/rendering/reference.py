@@ -35,13 +35,18 @@ class Splats:
     source: Tensor  # [M]
 
 
-def rotations_of(quats_wxyz: Tensor) -> Tensor:
-    """Rotation matrices [N, 3, 3] of quaternions [N, 4] of any length; the identity where all four are zero."""
+def unit_quats(quats_wxyz: Tensor) -> Tensor:
+    """Quaternions [N, 4] of any length at length one; no rotation where all four numbers are zero."""
     largest = quats_wxyz.abs().amax(-1, keepdim=True).detach()
     some = largest > 0
     # Scaled first, so that 1e20 and 1e-20 survive the squares.
     scaled = torch.where(some, quats_wxyz / torch.where(some, largest, 1), quats_wxyz.new_tensor([1.0, 0, 0, 0]))
-    w, x, y, z = (scaled / scaled.norm(dim=-1, keepdim=True)).unbind(-1)
+    return scaled / scaled.norm(dim=-1, keepdim=True)
+
+
+def rotations_of(quats_wxyz: Tensor) -> Tensor:
+    """Rotation matrices [N, 3, 3] of quaternions [N, 4] of any length; the identity where all four are zero."""
+    w, x, y, z = unit_quats(quats_wxyz).unbind(-1)
     rows = [
         *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),

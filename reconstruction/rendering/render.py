@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,12 +10,14 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.rendering.gsplat_backend import render_gsplat
 from reconstruction.rendering.native import render_native
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import render_reference
 from rigs.camera import Camera
 
-Backend = Literal["native", "reference"]
+Backend = Literal["native", "reference", "gsplat"]
+RENDERERS = {"native": render_native, "reference": render_reference, "gsplat": render_gsplat}
 NEAR_M = 0.01
 
 
@@ -33,6 +36,8 @@ NAMES = ("means", "quats_wxyz", "log_scales", "opacities", "intensities")
 
 def _check(gaussians: tuple[Tensor, ...]) -> None:
     means, opacities, n = gaussians[0], gaussians[3].detach(), len(gaussians[0])
+    if means.dtype not in (torch.float32, torch.float64):
+        raise ReconstructionError(f"found means of {means.dtype}, expected float32 or float64: covariances need them")
     shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, *gaussians[4].shape[1:2]))
     for name, shape, tensor in zip(NAMES, shapes, gaussians, strict=True):
         if tensor.shape != shape:
@@ -40,10 +45,11 @@ def _check(gaussians: tuple[Tensor, ...]) -> None:
         if tensor.dtype != means.dtype or tensor.device != means.device:
             found, expected = f"{tensor.dtype} on {tensor.device}", f"{means.dtype} on {means.device}"
             raise ReconstructionError(f"found {name} as {found}, expected {expected} as the means are")
-        # x - x is 0 for finite numbers only, and a sum of zeros is much faster than isfinite.
-        if (tensor.detach() - tensor.detach()).sum() != 0:
+        # A sum is finite where all are, unless it overflows, and much faster than isfinite.
+        if not math.isfinite(tensor.detach().sum()) and not tensor.isfinite().all():
             raise ReconstructionError(f"found NaN or infinity in {name}, expected finite numbers")
-    if n and not (opacities.amin() >= 0 and opacities.amax() <= 1):
+    least, most = opacities.aminmax() if n else (0, 1)
+    if not (least >= 0 and most <= 1):
         raise ReconstructionError("found opacities beyond [0, 1], expected them after the sigmoid")
 
 
@@ -58,20 +64,13 @@ def render(
     """Render N Gaussians as they are at one instant; differentiable in all of them.
 
     `gaussians`: means [N, 3] m in the rig frame, quats_wxyz [N, 4] of any length, log_scales [N, 3] (log m), opacities
-    [N] in [0, 1], intensities [N, C] in spikes per tick (native: C = 1, float32, CPU). `near_m`: nothing nearer is
-    seen. `background`: the intensity behind everything, one number or [H, W, C]; none is black.
+    [N] in [0, 1], intensities [N, C] in spikes per tick. `backend`: native (float32 on the CPU), reference (float32 or
+    float64, anywhere), gsplat (float32 on a CUDA device). `near_m`: nothing nearer is seen. `background`: the intensity
+    behind everything, one number or [H, W, C]; none is black.
     Raises ReconstructionError for shapes that do not fit, NaN or infinity, or a camera with lens distortion.
     """
     _check(gaussians)
-    means, _, _, _, intensities = gaussians
-    on_cpu = means.dtype == torch.float32 and means.device.type == "cpu"
-    if backend == "native" and not (on_cpu and intensities.shape[1] == 1):
-        raise ReconstructionError(
-            f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}, "
-            "expected one channel of float32 on the CPU; use the reference backend"
-        )
-    renderer = render_native if backend == "native" else render_reference
-    intensity, depth, alpha, radii = renderer(*gaussians, pinhole_of(camera, near_m))
+    intensity, depth, alpha, radii = RENDERERS[backend](*gaussians, pinhole_of(camera, near_m))
     if background is not None:
         intensity = intensity + (1 - alpha)[..., None] * background
     return Rendering(intensity, depth, alpha, radii)

@@ -7,10 +7,10 @@ from typing import Any, Literal, get_args
 
 from reconstruction.errors import BadRunError
 
-Model = Literal["auto", "static", "linear"]
+Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
 Init = Literal["auto", "sweep"]
-ImageSource = Literal["auto", "tfi", "tfp"]
-Supervision = Literal["auto", "pixels", "variation"]
+ImageSource = Literal["auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot"]
+Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
 
 DEFAULT_BUDGET_S = 120.0
 

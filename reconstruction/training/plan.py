@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
+from reconstruction.images.light import Light, estimate_light
 from reconstruction.images.motion import moving_pixels
 from reconstruction.training.config import ReconstructionConfig
 from rigs.rig import Rig
@@ -17,6 +18,7 @@ from rigs.rig import Rig
 DARK_RATE = 1e-4  # spikes per pixel and tick; below it a view carries no picture
 STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
 LEAST_VIEWS = 2
+LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 
 
 @dataclass(frozen=True)
@@ -54,18 +56,19 @@ class Plan:
 
 def make_plan(
     config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream]
-) -> tuple[Plan, dict[str, NDArray[np.bool_]]]:
-    """The plan, and each training view's mask of moving pixels [H, W]; reads no stream but the training ones."""
+) -> tuple[Plan, dict[str, NDArray[np.bool_]], Light]:
+    """The plan, each training view's mask of moving pixels [H, W], the light; reads no stream but the training ones."""
     decisions: list[Decision] = []
     views = _training_views(config, rig, streams, decisions)
-    masks = {view: moving_pixels(streams[view]) for view in views}
+    light = _light([streams[view] for view in views], decisions)
+    masks = {view: moving_pixels(streams[view], light) for view in views}
     model = _choose_model(config, masks, decisions)
     if model == "static":
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
-    images = config.images if config.images != "auto" else "tfp"
+    images = config.images if config.images != "auto" else "slope"
     if config.images == "auto":
         decisions.append(
-            Decision("images", images, "long mean where nothing moves, 33-plane TFP where something does", "--images")
+            Decision("images", images, "long mean where nothing moves, 33-plane slope where something does", "--images")
         )
     supervision = config.supervision
     if supervision == "auto":
@@ -75,7 +78,7 @@ def make_plan(
     decisions.append(Decision("poses", "not estimated", f"the rig's poses are {rig.poses} and used as given", "--init"))
     decisions.append(Decision("colour", "one grey channel, no view dependence", "a spike carries no colour", "none"))
     still, moving = _split(config.gaussians, model, masks)
-    return Plan(views, model, images, supervision, moving, still, tuple(decisions)), masks
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions)), masks, light
 
 
 def _training_views(
@@ -99,6 +102,17 @@ def _training_views(
             f"found {len(lit)} training views with light, expected {LEAST_VIEWS} or more; record again or name others"
         )
     return tuple(lit)
+
+
+def _light(streams: Sequence[SpikeStream], decisions: list[Decision]) -> Light:
+    light = estimate_light(streams[:LIGHT_VIEWS])
+    if light.flickers:
+        least, most = light.gains.min(), light.gains.max()
+        reason = f"still pixels see {least:.2f} to {most:.2f} of the mean light"
+        decisions.append(Decision("light", "one gain a plane", reason, "none"))
+    else:
+        decisions.append(Decision("light", "steady: no gains", "still pixels see no flicker", "none"))
+    return light
 
 
 def _choose_model(

@@ -2,27 +2,91 @@
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
-from reconstruction.initialization.points import Points
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.initialization.bodies import Bodies
+from reconstruction.initialization.points import Points, spacing
+from rigs.transform import Transform
 
 STILL_OPACITY = 0.7
 MOVING_OPACITY = 0.6
 WIDTH = 0.5  # of the gap to its neighbours: growing is quicker learnt than shrinking
 LIFE = 1.0  # of the gap between the instants at which movers were swept
+LONG_LIFE = 2.0  # clips: what rides on a body that is seen all the time
+ROOM = 10.0  # spacings a field reaches at least
 LARGEST_M = 0.25  # a lone point does not start as a cloud over everything
 
 
-def seed_cloud(still: Points, moving: Points, clip: Clip, instants: int) -> DynamicCloud:
+def seed_cloud(still: Points, moving: Points, clip: Clip, instants: int, *, cubic: bool = False) -> DynamicCloud:
     """One Gaussian a point; `instants` is at how many moments of the clip movers were swept."""
-    centers = torch.tensor([clip.fraction(s) for s in moving.instants_s], dtype=torch.float32)
-    return DynamicCloud(
-        _gaussians(still, STILL_OPACITY),
-        _gaussians(moving, MOVING_OPACITY),
-        Motion.at_rest(centers, duration=LIFE / instants),
-        clip,
+    motion = Motion.at_rest(_fractions(moving, clip), duration=LIFE / instants, cubic=cubic)
+    return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
+
+
+def seed_rigid(still: Points, moving: Points, clip: Clip, instants: int, bodies: Bodies) -> DynamicCloud:
+    """As `seed_cloud`, but points of bodies ride on them all the while their body was seen; the others go straight."""
+    order = np.concatenate([np.flatnonzero(bodies.owners >= 0), np.flatnonzero(bodies.owners < 0)])
+    placed, owners = moving.select(order), bodies.owners[order]
+    attached = int((owners >= 0).sum())
+    centers = _fractions(placed, clip)
+    durations = torch.full_like(centers, LIFE / instants)
+    carried = _in_bodies(placed, owners, bodies)
+    for k, (first, last) in enumerate(bodies.seen):
+        own = torch.from_numpy(owners == k)
+        centers[own] = float(first + last + 1) / (2 * instants)
+        durations[own] = LONG_LIFE if last - first == instants - 1 else float(last - first + 1) / (2 * instants)
+    motion = RigidMotion(
+        torch.from_numpy(owners[:attached]),
+        _knots(bodies.quats_wxyz),
+        _knots(bodies.centers),
+        torch.zeros(len(placed) - attached, 3),
+        centers,
+        durations.log(),
     )
+    return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(carried, MOVING_OPACITY), motion, clip)
+
+
+def seed_field(still: Points, moving: Points, clip: Clip, seed: int) -> DynamicCloud:
+    """One canonical Gaussian a point, deformed by a HexPlane field that starts from `seed`; no field without points."""
+    if len(moving) == 0:
+        return seed_cloud(still, moving, clip, 1)
+    canonical = _gaussians(moving, MOVING_OPACITY)
+    least_m = ROOM * float(np.median(moving.spacing))
+    motion = HexPlaneMotion.around(canonical.means, least_m, torch.Generator().manual_seed(seed))
+    return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
+
+
+def _in_bodies(points: Points, owners: np.ndarray, bodies: Bodies) -> Points:
+    """The same points, those of a body in its frame with the spacing that all of them together have there."""
+    positions, gaps = points.positions.copy(), points.spacing.copy()
+    for k in range(len(bodies)):
+        for i, instant_s in enumerate(bodies.instants_s):
+            own = (owners == k) & (points.instants_s == instant_s)
+            rig_from_body = Transform.from_quat_wxyz(bodies.quats_wxyz[k, i], bodies.centers[k, i])
+            positions[own] = rig_from_body.inverse().apply(points.positions[own])
+        gaps[owners == k] = spacing(positions[owners == k])
+    return Points(positions, points.intensities, gaps, points.instants_s)
+
+
+def _knots(values: np.ndarray) -> Tensor:
+    """[K, 2 I + 1, D] knots of values [K, I, D] in the middles of I equal parts: the ends and borders between them."""
+    if values.shape[1] == 1:
+        return torch.from_numpy(np.repeat(values, 3, axis=1).astype(np.float32))
+    before, after = 2 * values[:, :1] - values[:, 1:2], 2 * values[:, -1:] - values[:, -2:-1]
+    padded = np.concatenate([2 * before - values[:, :1], before, values, after, 2 * after - values[:, -1:]], axis=1)
+    between = (9 * (padded[:, 1:-2] + padded[:, 2:-1]) - padded[:, :-3] - padded[:, 3:]) / 16
+    knots = np.empty((len(values), 2 * values.shape[1] + 1, values.shape[2]))
+    knots[:, 1::2], knots[:, ::2] = values, between
+    return torch.from_numpy(knots.astype(np.float32))
+
+
+def _fractions(points: Points, clip: Clip) -> Tensor:
+    return torch.tensor([clip.fraction(s) for s in points.instants_s], dtype=torch.float32)
 
 
 def _gaussians(points: Points, opacity: float) -> GaussianCloud:

@@ -8,61 +8,57 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.images.composite import CompositeSource
-from reconstruction.images.estimate import shrunk
-from reconstruction.losses.ssim import ssim
-from reconstruction.losses.variation import variation_loss
-from reconstruction.rendering.render import Rendering, render
-from rigs.camera import Camera
+from reconstruction.training.adam import Adam
+from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
 from rigs.clock import RigClock
 
-
-@dataclass(frozen=True, eq=False)
-class TrainingView:
-    """A camera and the images it should see."""
-
-    camera: Camera
-    source: CompositeSource
+LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
+RATE_OF = {  # tensors of the field of 4dgs that share a rate
+    **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
+    **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
+}
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Adam's learning rates at the start; `means` and `velocities` fall to `final` of that, the others to a third.
+    """Adam's learning rates at the start; those of LENGTHS fall to `final` of that, the others to a third.
 
     Lengths are in units of the scene (the mean distance from the cameras to the points).
     """
 
     means: float = 1e-3
     velocities: float = 3e-3
+    accelerations: float = 5e-2
+    jerks: float = 1.2
     quats_wxyz: float = 1e-2
     log_scales: float = 4e-2
     opacity_logits: float = 6e-2
     intensities: float = 8e-3
     instants: float = 4e-3
     log_durations: float = 2e-2
+    knot_quats: float = 5e-4
+    knot_centers: float = 1e-4
+    planes: float = 5e-2
+    layers: float = 4e-3
     final: float = 0.05
 
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """`half_until`: share of the training at half resolution; `variation_every`: steps between variation losses.
+    """`white`: data range in spikes per tick. `half_until`: share of the training at half resolution.
 
-    `solid_weight` is against light that passes through everything: dark texture is not a hole.
+    `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
+    `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
 
-    variation: bool
+    supervision: str
+    white: float = 0.6
     rates: Rates = field(default_factory=Rates)
-    ssim_weight: float = 0.2
-    solid_weight: float = 0.02
     half_until: float = 0.1
-    variation_every: int = 4
-    variation_weight: float = 0.5
-    variation_instants: int = 3
-    variation_gap: int = 24  # planes between the instants of one variation loss
-    white: float = 0.6  # data range of SSIM, spikes per tick
+    spike_every: int = 2
+    canonical_until: float = 3 / 17
 
 
 class Trainer:
@@ -79,56 +75,31 @@ class Trainer:
         self.cloud = cloud
         self.views = views
         self.settings = settings
-        self.clock = clock
         self.rng = np.random.default_rng(seed)
         self.steps = 0
+        self.image, self.spikes = _terms(settings, clock)
         self.optimizer = _optimizer(cloud, views, settings.rates)
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
         self._anneal(done)
-        shrink = 2 if done < self.settings.half_until else 1
+        every, coarse = self.settings.spike_every, done < self.settings.half_until
+        due = self.spikes if not coarse and self.steps % every == every - 1 else None
         view = self.views[int(self.rng.integers(len(self.views)))]
         self.optimizer.zero_grad(set_to_none=True)
-        if self.settings.variation and self.steps % self.settings.variation_every == self.settings.variation_every - 1:
-            loss = self._variation(view, shrink)
-        else:
-            loss = self._pixels(view, int(self.rng.integers(len(view.source.stream))), shrink)
+        loss = (due or self.image)(self.cloud, view, self.rng, 2 if coarse else 1)
+        penalty = self.cloud.motion.penalty()
+        if penalty is not None:
+            loss = loss + penalty
         loss.backward()
         self.optimizer.step()
         self.steps += 1
         return float(loss.detach())
 
-    def _pixels(self, view: TrainingView, plane: int, shrink: int) -> Tensor:
-        rendered, target = self._pair(view, plane, shrink)
-        return self._photometric(rendered, target)
-
-    def _photometric(self, rendered: Rendering, target: Tensor) -> Tensor:
-        image, weight, white = rendered.intensity[..., 0], self.settings.ssim_weight, self.settings.white
-        pixels = (1 - weight) * (image - target).abs().mean() / white + weight * (1 - ssim(image, target, white))
-        return pixels + self.settings.solid_weight * (1 - rendered.alpha).mean()
-
-    def _variation(self, view: TrainingView, shrink: int) -> Tensor:
-        s, planes = self.settings, len(view.source.stream)
-        gap = min(s.variation_gap, max(1, (planes - 1) // (s.variation_instants - 1)))
-        first = int(self.rng.integers(max(1, planes - gap * (s.variation_instants - 1))))
-        instants = [min(first + i * gap, planes - 1) for i in range(s.variation_instants)]
-        pairs = [self._pair(view, plane, shrink) for plane in instants]
-        pixels = torch.stack([self._photometric(r, t) for r, t in pairs]).mean()
-        rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])
-        target = torch.stack([t for _, t in pairs])
-        return pixels + s.variation_weight * variation_loss(rendered, target) / s.white
-
-    def _pair(self, view: TrainingView, plane: int, shrink: int) -> tuple[Rendering, Tensor]:
-        camera, image = view.camera, view.source.at(plane)
-        if shrink > 1:
-            camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
-            image = shrunk(image, camera)
-        return render(self.cloud.at(self.clock.instant_s(plane)), camera), torch.from_numpy(image)
-
     def _anneal(self, done: float) -> None:
         for group in self.optimizer.param_groups:
-            group["lr"] = group["start"] * group["end"] ** min(max(done, 0.0), 1.0)
+            begun = not group["field"] or done >= self.settings.canonical_until
+            group["lr"] = group["start"] * group["end"] ** min(max(done, 0.0), 1.0) if begun else 0.0
 
     def state(self) -> dict:
         """Everything a resumed training needs, as tensors, numbers and strings."""
@@ -149,6 +120,14 @@ class Trainer:
         self.steps = state["steps"]
 
 
+def _terms(settings: TrainerSettings, clock: RigClock) -> tuple[ImageTerm, Term | None]:
+    image = ImageTerm(clock, settings.white)
+    name = settings.supervision
+    if name == "pixels":
+        return image, None
+    return image, VariationTerm(image) if name == "variation" else SpikeTerm(image, name)  # type: ignore[arg-type]
+
+
 def train(
     trainer: Trainer,
     done: Callable[[], float],
@@ -164,22 +143,23 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, views: Sequence[TrainingView], rates: Rates) -> torch.optim.Adam:
+def _optimizer(cloud: DynamicCloud, views: Sequence[TrainingView], rates: Rates) -> Adam:
     extent = _extent_m(cloud, views)
     groups = []
     for name, tensor in cloud.tensors():
-        if tensor.numel() == 0:
+        kind = name.split(".")[1]
+        if tensor.numel() == 0 or kind in cloud.motion.fixed:
             continue
         tensor.requires_grad_(True)
-        kind = name.split(".")[1]
-        length = kind in ("means", "velocities")
-        start = getattr(rates, kind) * (extent if length else 1.0)
-        groups.append({"params": [tensor], "lr": start, "start": start, "end": rates.final if length else 1 / 3})
-    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+        length = kind in LENGTHS
+        start = getattr(rates, RATE_OF.get(kind, kind)) * (extent if length else 1.0)
+        end = rates.final if length else 1 / 3
+        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
+    return Adam(groups)
 
 
 def _extent_m(cloud: DynamicCloud, views: Sequence[TrainingView]) -> float:
     """Mean distance from the cameras to the points: what a length is measured against."""
     centers = torch.tensor(np.stack([v.camera.center for v in views]), dtype=torch.float32)
-    points = torch.cat([cloud.still.means, cloud.moving.means]).detach()
+    points = cloud.at((cloud.clip.first_s + cloud.clip.last_s) / 2).means.detach()
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())

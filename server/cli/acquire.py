@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from acquisition.devices.open import Simulation
+from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, Stream, import_recording
@@ -16,7 +17,7 @@ from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_config, write_config
 from acquisition.recording.verify import verify
-from acquisition.scenes.catalog import SCENES
+from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, SCENES, STRESS
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from server.cli.operator import operator_control
@@ -45,13 +46,31 @@ _out = click.option(
 _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 
 
+_SCENES_HELP = "; ".join(
+    f"{purpose}: {' '.join(names)}"
+    for purpose, names in (
+        ("What the cameras look at. To develop on", DEVELOPMENT),
+        ("to evaluate on, and for nothing else", EVALUATION),
+        ("under stress", STRESS),
+        ("to calibrate with", CALIBRATION),
+    )
+)
+
+
 @click.command("simulate")
-@click.option("--scene", type=click.Choice(tuple(SCENES)), required=True, help="What the cameras look at.")
+@click.option("--scene", type=click.Choice(tuple(SCENES)), metavar="NAME", required=True, help=_SCENES_HELP)
 @click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
 @click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes of every camera.")
 @click.option("--size", type=SIZE, help="Pixels of every camera; scales the rig's intrinsics.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
+@click.option(
+    "--samples",
+    default=2,
+    show_default=True,
+    type=click.IntRange(min=1, max=8),
+    help="Rays a side of a pixel in each plane; the truth has 4 x 4.",
+)
 @click.option("--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="In planes.")
 @click.option("--spikecv", is_flag=True, help="Also write the config.yaml that SpikeCV reads.")
 @_out
@@ -89,11 +108,22 @@ def simulate_command(
 @click.option(
     "--keep-free", default=256, show_default=True, type=click.IntRange(min=0), help="MB of the disk to leave free."
 )
+@click.option("--threshold", type=click.IntRange(*THRESHOLDS), help="Charge of a spike, in thousandths of the nominal.")
+@click.option("--exposure", type=click.IntRange(*EXPOSURES), help="Part of a tick that gathers light, in thousandths.")
+@click.option(
+    "--rejoin",
+    "rejoin_s",
+    default=5.0,
+    show_default=True,
+    type=click.FloatRange(0, 50),
+    metavar="S",
+    help="Reset a camera that is lost and look for it so long; 0 gives it up at once.",
+)
 @click.option(
     "--devices",
     default="usb:",
     show_default=True,
-    help="usb:, mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20, or replay:REC",
+    help="usb:, mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20&fault=KIND:camRC, or replay:REC",
 )
 @_out
 @_json
@@ -103,18 +133,24 @@ def record_command(
     until_stopped: bool,
     pre_trigger_ms: float | None,
     keep_free: int,
+    threshold: int | None,
+    exposure: int | None,
+    rejoin_s: float,
     devices: str,
     out: Path,
     as_json: bool,
 ) -> None:
     """Arm all cameras of a rig, start them together, and record.
 
-    A camera that fails costs the others nothing: the recording is kept, marked incomplete, and the exit code is 1.
+    A camera that fails costs the others nothing: the recording is kept, marked incomplete, and the exit code is 1; so
+    it is where Ctrl-C ends a run of --ticks. --threshold and --exposure stay in the cameras until they are set anew.
     """
     if (ticks is None) != until_stopped:
         raise click.UsageError("expected either --ticks N or --until-stopped")
-    with operator_control(until_stopped=until_stopped, saves=pre_trigger_ms is not None) as control:
-        take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control)
+    chosen = threshold is not None or exposure is not None
+    sensitivity = Sensitivity(threshold or 1000, 1000 if exposure is None else exposure) if chosen else None
+    with operator_control(saves=pre_trigger_ms is not None) as control:
+        take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control, sensitivity, rejoin_s)
         manifest = record(load_named_rig(rig), devices, take, out, progress_of("record"))
     _print_recording(out, manifest, as_json)
 

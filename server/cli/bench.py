@@ -7,48 +7,90 @@ from pathlib import Path
 import click
 
 from acquisition.bench_document import BenchDocument
+from acquisition.devices.bench import parser_rows
 from acquisition.devices.open import Simulation
 from acquisition.durable import write_json
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
+from acquisition.scenes.catalog import EVALUATION, EVALUATION_SEEDS
+from acquisition.scenes.digest import committed_digests, scenes_digest
 from acquisition.session.record import simulate
 from rigs.toml import catalog_rig
 from server.cli.progress import progress_of
 
-EVALUATION_SEEDS = (101, 102, 103)  # development used seeds 1 to 9
 TICKS = 400
+_PARSED_BYTES = 10_000_000_000
 
 
 @click.command("bench")
-@click.argument("name", type=click.Choice(["images", "rasterizer", "recorder", "training"]))
-@click.option("--scene", default="fan_and_ball", show_default=True, help="Scene the bench runs on.")
-@click.option("--quick", is_flag=True, help="One seed and one budget; seconds of recording.")
+@click.argument("name", type=click.Choice(["images", "pixels", "rasterizer", "recorder", "training"]))
+@click.option("--scene", help="NAME,... [default: images: the evaluation scenes; others: fan_and_ball].")
+@click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
+@click.option(
+    "--metric-files",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Folder of parameters for the images' metrics: alexnet*.pth (LPIPS), brisque_model_live.yml and "
+    "brisque_range_live.yml (BRISQUE), niqe_pris_params.npz (NIQE).",
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for NAME.json and NAME.png; resumes there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the document as JSON.")
-def bench_command(name: str, scene: str, quick: bool, out: Path | None, as_json: bool) -> None:
-    """Measure NAME: images, rasterizer, recorder (the disk of --out, or of this folder) or training."""
+def bench_command(
+    name: str, scene: str | None, quick: bool, metric_files: Path | None, out: Path | None, as_json: bool
+) -> None:
+    """Measure NAME: images, pixels (calibrated or not), rasterizer, recorder (on the disk of --out) or training."""
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
         work = out / "work" if out else Path(spare)
         if name == "images":
-            from reconstruction.bench.images import bench_images  # a capture host has none of these
-
-            document = bench_images(scene, EVALUATION_SEEDS[0])
+            document = _images(scene, quick, work / name, metric_files)
         elif name == "rasterizer":
             from reconstruction.bench.rasterizer import bench_rasterizer
 
             document = bench_rasterizer()
-        elif name == "recorder":
-            document = bench_recorder(work / name, QUICK if quick else Schedule(), progress_of(name))
-        else:
-            document = _training(scene, quick, work)
-    found = document.to_json()
-    if out:
-        out.mkdir(parents=True, exist_ok=True)
-        write_json(out / f"{name}.json", found)
-        if name == "training":
-            from reconstruction.bench.plot import plot_training
+        elif name == "pixels":
+            from reconstruction.bench.pixels import bench_pixels
 
-            plot_training(out / f"{name}.png", found)
+            document = bench_pixels(scene or "fan_and_ball", EVALUATION_SEEDS[:1] if quick else EVALUATION_SEEDS)
+        elif name == "recorder":
+            document = _recorder(work / name, quick)
+        else:
+            document = _training(scene or "fan_and_ball", quick, work)
+        document.scenes = scenes_digest(committed_digests())
+        found = document.to_json()
+        if out:
+            _write(out, name, found, work)
     click.echo(json.dumps(found) if as_json else _table(found))
+
+
+def _recorder(folder: Path, quick: bool) -> BenchDocument:
+    """The rings and writers on the disk, and the parser that feeds them."""
+    document = bench_recorder(folder, QUICK if quick else Schedule(), progress_of("recorder"))
+    rows, summary = parser_rows(_PARSED_BYTES // 10 if quick else _PARSED_BYTES, document.summary["memcpy_gb_s"])
+    document.rows += rows
+    document.summary |= summary
+    return document
+
+
+def _write(out: Path, name: str, found: dict, work: Path) -> None:
+    """The document of a bench in `out`, and what it can be seen by."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / f"{name}.json", found)
+    if name == "training":
+        from reconstruction.bench.plot import plot_training
+
+        plot_training(out / f"{name}.png", found)
+    elif name == "images":
+        from reconstruction.bench.contact_sheet import write_sheet
+        from reconstruction.bench.plot_images import plot_images
+
+        plot_images(out / f"{name}.png", found)
+        write_sheet(out / f"{name}-sheet.png", work / name)
+
+
+def _images(scenes: str | None, quick: bool, work: Path, metric_files: Path | None) -> BenchDocument:
+    from reconstruction.bench.images import Extent, ImageBench  # a capture host has none of these
+
+    names = tuple(scenes.split(",")) if scenes else EVALUATION
+    extent = Extent(names[:1], EVALUATION_SEEDS[:1], sweeps=False) if quick else Extent(names, EVALUATION_SEEDS)
+    return ImageBench(extent, work, metric_files).run(progress_of("images"))
 
 
 def _training(scene: str, quick: bool, work: Path) -> BenchDocument:

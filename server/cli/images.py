@@ -23,6 +23,7 @@ FOLDER = click.Path(path_type=Path)
 @click.command("images")
 @click.argument("source", type=FOLDER)
 @click.option("--method", "name", required=True, help=f"One of: {', '.join(METHODS)}.")
+@click.option("--weights", type=FOLDER, help="Weights trained on your own recording, for a learned method.")
 @click.option("--size", type=SIZE, help="WxH of a bare .dat.")
 @click.option("--tick-rate", type=float, help="Planes per second of a bare .dat.")
 @click.option("--ticks", type=PLANES, help="Planes to make images at, A:B:STEP [default: every 20th].")
@@ -31,6 +32,7 @@ FOLDER = click.Path(path_type=Path)
 def images_command(
     source: Path,
     name: str,
+    weights: Path | None,
     size: tuple[int, int] | None,
     tick_rate: float | None,
     ticks: range | None,
@@ -41,7 +43,7 @@ def images_command(
 
     Pixels are evened out where the rig of REC has their calibration.
     """
-    estimate = method(name)
+    estimate = method(name, weights)
     streams, pixels = _streams(source, size, tick_rate, allow_partial), _pixels(source)
     shortest = min(len(stream) for stream in streams.values())
     planes = ticks if ticks is not None else range(0, shortest, 20)

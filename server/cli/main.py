@@ -22,6 +22,7 @@ COMMANDS = {  # name: (module, what it does)
     "render": ("server.cli.reconstruct", "Render a run from any camera at any time."),
     "evaluate": ("server.cli.reconstruct", "Compare a run with the truth."),
     "bench": ("server.cli.bench", "Measure speed and quality."),
+    "stability": ("server.cli.stability", "Run the stress catalogue on every backend of this machine."),
     "demo": ("server.cli.demo", "The main job on the simulated rig, through the service."),
     "serve": ("server.cli.serve", "Run the web service."),
     "worker": ("server.cli.serve", "Run queued jobs."),

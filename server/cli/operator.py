@@ -14,23 +14,21 @@ _POLL_S = 0.1
 
 
 @contextlib.contextmanager
-def operator_control(*, until_stopped: bool, saves: bool) -> Iterator[Control]:
-    """Set `stop` on the first SIGINT or SIGTERM where `until_stopped` (the second one interrupts as usual).
+def operator_control(*, saves: bool) -> Iterator[Control]:
+    """Set `stop` on the first SIGINT or SIGTERM (the second one interrupts as usual).
 
     Where it `saves`, the first line on standard input sets `save`; its end without a line does not.
     """
     control = Control()
     left = threading.Event()
-    before = {}
-    if until_stopped:
-        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
-        def stop(number: int, frame: object) -> None:
-            control.stop.set()
-            signal.signal(number, before[signal.Signals(number)])
+    def stop(number: int, frame: object) -> None:
+        control.stop.set()
+        signal.signal(number, before[signal.Signals(number)])
 
-        for number in before:
-            signal.signal(number, stop)
+    for number in before:
+        signal.signal(number, stop)
     if saves:
         threading.Thread(target=_wait_for_line, args=(control, left), name="standard input", daemon=True).start()
     try:

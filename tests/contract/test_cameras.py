@@ -13,15 +13,23 @@ import pytest
 import usb.core
 
 from acquisition.devices import usbip
-from acquisition.devices.device_clock import DeviceClock
-from acquisition.devices.device_model import DeviceModel, Pace
+from acquisition.devices.device_clock import DeviceClock, Pace
+from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.discovery import serial_of
 from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.profile import PROFILES, Profile
 from acquisition.devices.protocol import Block, BlockStatus
-from acquisition.devices.registers import VENDOR_ID, State
-from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera, _serial_of
+from acquisition.devices.registers import LinkCounters, Sensitivity, State
+from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
+from acquisition.recording.reader import Recording
+from acquisition.recording.verify import verify
+from acquisition.recording.writer import RecordingWriter
+from acquisition.session import capture as capture_module
+from acquisition.session.session import Control, Extent, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
+from rigs.rig import Rig
 from rigs.transform import Transform
 
 LAYOUT = PlaneLayout(9, 5)
@@ -42,11 +50,14 @@ class Stored:
 
 
 class MockBench:
-    """Cameras on the mock bus, and the hand that spoils them."""
+    """Cameras of a profile on the mock bus, and the hand that spoils them."""
 
-    def __init__(self):
-        self.models, self.backend = [], MockBackend([])
-        self.plug(DeviceModel("A1", Stored(), RATE))
+    def __init__(self, profile: Profile):
+        self.profile, self.models, self.backend = profile, [], MockBackend([])
+        self.plug(self.camera("A1", Stored()))
+
+    def camera(self, serial: str, source, **how) -> DeviceModel:
+        return DeviceModel(serial, source, RATE, profile=self.profile, **how)
 
     @property
     def model(self) -> DeviceModel:
@@ -62,8 +73,8 @@ class MockBench:
     def unplug(self, serial: str = "A1") -> None:
         self.backend.unplug(serial)
 
-    def replug(self) -> None:
-        self.backend.replug("A1")
+    def replug(self, serial: str = "A1") -> None:
+        self.backend.replug(serial)
 
     def limit_usbfs(self, megabytes: int) -> None:
         self.backend = MockBackend(self.models, megabytes << 20)
@@ -78,11 +89,12 @@ class MockBench:
 class UsbIpBench(MockBench):
     """The same cameras on this kernel's own USB stack."""
 
-    def __init__(self):
+    def __init__(self, profile: Profile):
+        self.profile = profile
         self.models, self.devices, self.limit = [], {}, USBFS_MB.read_text()
         self.backend = libusb_package.get_libusb1_backend()
         self.limit_usbfs(256)
-        self.plug(DeviceModel("A1", Stored(), RATE))
+        self.plug(self.camera("A1", Stored()))
 
     def plug(self, *models: DeviceModel) -> None:
         self.models += models
@@ -91,17 +103,19 @@ class UsbIpBench(MockBench):
             wait_until(lambda serial=model.serial: serial in self.connected())
 
     def connected(self) -> set[str]:
-        found = usb.core.find(find_all=True, backend=self.backend, idVendor=VENDOR_ID)
-        return {_serial_of(device) for device in found}
+        found = usb.core.find(find_all=True, backend=self.backend, idVendor=self.profile.vendor_id)
+        return {serial_of(device) for device in found}
 
     def unplug(self, serial: str = "A1") -> None:
         self.devices.pop(serial).unplug()
         wait_until(lambda: serial not in self.connected())
 
-    def replug(self) -> None:
-        self.unplug()
-        self.devices["A1"] = usbip.UsbIpDevice(self.model)
-        wait_until(lambda: "A1" in self.connected())
+    def replug(self, serial: str = "A1") -> None:
+        self.unplug(serial)
+        [model] = [model for model in self.models if model.serial == serial]
+        model.power_up()
+        self.devices[serial] = usbip.UsbIpDevice(model)
+        wait_until(lambda: serial in self.connected())
 
     def limit_usbfs(self, megabytes: int) -> None:
         USBFS_MB.write_text(str(megabytes))
@@ -128,9 +142,16 @@ def wait_until(holds, tries: int = 1000) -> None:
     raise AssertionError("what was waited for did not happen")
 
 
-@pytest.fixture(params=[MockBench, *([UsbIpBench] if usbip.is_available() else [])])
+BENCHES = [MockBench, *([UsbIpBench] if usbip.is_available() else [])]
+
+
+@pytest.fixture(
+    params=[(kind, profile) for kind in BENCHES for profile in PROFILES],
+    ids=lambda param: f"{param[0].__name__}-{param[1].name}",
+)
 def bench(request):
-    found = request.param()
+    kind, profile = request.param
+    found = kind(profile)
     yield found
     found.close()
 
@@ -241,7 +262,7 @@ def test_a_camera_that_came_back_is_another_device(bench, camera):
 
 def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
     planes = np.random.default_rng(1).integers(0, 256, (4000, LAYOUT.plane_bytes), dtype=np.uint8)
-    bench.plug(*(DeviceModel(f"N{i}", Stored(planes), RATE) for i in range(9)))
+    bench.plug(*(bench.camera(f"N{i}", Stored(planes)) for i in range(9)))
     cameras = [
         UsbCamera.open(dataclasses.replace(CAMERA, id=f"cam{i}", serial=f"N{i}"), RATE, bench.backend) for i in range(9)
     ]
@@ -263,7 +284,7 @@ def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
 
 
 def test_a_full_kernel_is_one_line_and_no_hang(bench, camera):
-    bench.limit_usbfs(4)
+    bench.limit_usbfs(3)
     camera.close()
     camera = UsbCamera.open(CAMERA, RATE, bench.backend)
     with pytest.raises(DeviceError, match=r"cam12 .*memory for USB transfers full .* write 256 to \S*usbfs_memory_mb$"):
@@ -280,7 +301,7 @@ def test_a_full_kernel_is_one_line_and_no_hang(bench, camera):
 def test_what_a_slow_reader_loses_is_counted_to_the_plane(bench):
     planes = np.random.default_rng(2).integers(0, 256, (2000, LAYOUT.plane_bytes), dtype=np.uint8)
     now_s = [0.0]
-    bench.plug(DeviceModel("P1", Stored(planes), RATE, pace=Pace(160, lambda: now_s[0])))
+    bench.plug(bench.camera("P1", Stored(planes), pace=Pace(160, lambda: now_s[0])))
     camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="P1"), RATE, bench.backend)
     camera.arm()
     bench.fire()
@@ -313,7 +334,7 @@ def test_a_repeated_block_is_left_out(bench, camera, monkeypatch):
 
 def test_every_block_tells_a_pulse_and_its_time(bench):
     clock = DeviceClock(offset_s=0.002, drift_ppm=50, missed=frozenset({4}))
-    bench.plug(DeviceModel("T1", Stored(np.zeros((4000, 6), np.uint8)), RATE, clock))
+    bench.plug(bench.camera("T1", Stored(np.zeros((4000, 6), np.uint8)), clock=clock))
     camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="T1"), RATE, bench.backend)
     camera.arm()
     bench.fire()  # and a pulse each millisecond, which is 20 planes
@@ -329,7 +350,7 @@ def test_every_block_tells_a_pulse_and_its_time(bench):
 def test_how_fast_it_is(bench, capsys):
     layout = PlaneLayout(400, 250)
     planes = np.broadcast_to(np.arange(layout.plane_bytes).astype(np.uint8), (16_000, layout.plane_bytes))
-    bench.plug(DeviceModel("F1", Stored(planes, layout), RATE))
+    bench.plug(bench.camera("F1", Stored(planes, layout)))
     fast = dataclasses.replace(CAMERA, serial="F1", width=400, height=250)
     camera = UsbCamera.open(fast, RATE, bench.backend)
     camera.arm()
@@ -373,3 +394,182 @@ def test_a_device_that_may_not_be_opened_does_not_hide_the_others(bench, monkeyp
     monkeypatch.setattr(bench.backend, "open_device", refuse)
     with pytest.raises(CameraSetupError, match="connected: unreadable"):
         UsbCamera.open(CAMERA, RATE, bench.backend)
+
+
+def test_threshold_and_exposure_are_set_while_idle_only(bench, camera):
+    assert camera.sensitivity() == Sensitivity(1000, 1000)
+    camera.set_sensitivity(Sensitivity(2000, 500))
+    assert bench.model.sensitivity.gain == 0.25
+    with pytest.raises(CameraSetupError, match="cam12: found the threshold 4001, expected 250 to 4000"):
+        camera.set_sensitivity(Sensitivity(4001))
+    camera.arm()
+    with pytest.raises(DeviceError, match="cam12"):
+        camera.set_sensitivity(Sensitivity())
+    assert camera.sensitivity() == Sensitivity(2000, 500)
+
+
+def test_the_clock_is_latched_against_the_host_s(bench, camera):
+    first = camera.latch()
+    assert first.run_s is None
+    camera.arm()
+    bench.fire()
+    time.sleep(0.05)
+    second = camera.latch()
+    apart = first.uncertainty_s + second.uncertainty_s + 1e-6
+    assert second.oscillator_s - first.oscillator_s == pytest.approx(second.host_s - first.host_s, abs=apart)
+    assert 0.05 <= second.run_s < second.oscillator_s
+
+
+def test_what_the_link_counts_is_read(bench, camera):
+    assert camera.link_counters() == LinkCounters()
+    bench.model.link = LinkCounters(3, 1, 0)
+    assert camera.link_counters() == LinkCounters(3, 1, 0)
+
+
+def test_a_camera_that_was_reset_by_the_host_is_opened_again(bench, camera):
+    camera.arm()
+    bench.fire()
+    assert camera.read_block(1).first_plane == 0
+    camera.reset()
+    wait_until(lambda: reopens(camera))
+    bench.model._source.left = PLANES
+    camera.arm()
+    bench.fire()
+    np.testing.assert_array_equal(read_all(camera), PLANES)
+
+
+def reopens(camera: UsbCamera) -> bool:
+    try:
+        camera.reopen()
+    except DeviceError:
+        return False
+    return True
+
+
+def test_a_camera_that_was_plugged_in_anew_is_opened_again_and_keeps_time(bench):
+    """By the pulses of the shared line: it starts at the first one after it was armed."""
+    bench.plug(bench.camera("R1", Counted(), pace=Pace(1 << 30)))
+    model = bench.models[-1]
+    camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="R1"), RATE, bench.backend)
+    camera.arm()
+    bench.fire()
+    while not (block := camera.read_block(1)):
+        pass
+    began_s = model._started_s
+    assert block.first_plane == 0
+    bench.replug("R1")
+    assert model.state is State.IDLE
+    wait_until(lambda: reopens(camera))
+    camera.arm(joins=True)
+    while not (block := camera.read_block(1)):
+        pass
+    assert (block.first_plane, block.device_time_ns) == (0, 0)
+    pulses = (model._started_s - began_s) / 1e-3
+    assert pulses == pytest.approx(round(pulses), abs=1e-6)
+    camera.close()
+
+
+class Counted:
+    """Planes that say which one they are, from 1, for ever."""
+
+    layout = LAYOUT
+
+    def __init__(self):
+        self.given = 0
+
+    def next_planes(self, count: int) -> np.ndarray:
+        numbers = np.arange(self.given + 1, self.given + count + 1, dtype="<u8")
+        self.given += count
+        return numbers.view(np.uint8).reshape(count, 8)[:, : LAYOUT.plane_bytes]
+
+
+def numbers_in(packed: np.ndarray) -> np.ndarray:
+    wide = np.zeros((len(packed), 8), np.uint8)
+    wide[:, : LAYOUT.plane_bytes] = packed
+    return wide.view("<u8")[:, 0]
+
+
+PULSES_S = 0.1  # half of it is more than a clock is latched to: 23 ms where the whole processor is emulated
+
+
+@pytest.fixture
+def run(bench, tmp_path):
+    """Records cameras K1 and K2, which live in real time, until K2 was lost, came back and sent a while."""
+    bench.plug(*(bench.camera(serial, Counted(), pace=Pace(1 << 30)) for serial in ("K1", "K2")))
+    models = bench.models[-2:]
+    rig = Rig("two", RATE, tuple(dataclasses.replace(CAMERA, id=f"cam0{n}", serial=f"K{n + 1}") for n in range(2)))
+
+    def start(trigger, lose, rejoin_s: float, *, returns: bool = True):
+        control, began = Control(), []
+
+        def play() -> None:
+            wait_until(lambda: models[1]._emitted_planes > 2 * PULSES_S * RATE)
+            began.append(models[1]._started_s)
+            lose()
+            if returns:
+                wait_until(lambda: models[1].state is State.RUNNING and models[1]._started_s != began[0])
+                wait_until(lambda: models[1]._emitted_planes > 2 * PULSES_S * RATE)
+                began.append(models[1]._started_s)
+            else:
+                time.sleep(0.1 + 2 * rejoin_s)
+            control.stop.set()
+
+        cameras = [UsbCamera.open(camera, RATE, bench.backend) for camera in rig.cameras]
+        line = SoftwareTrigger(cameras) if trigger == "software" else MockTriggerLine(models, period_s=PULSES_S)
+        try:
+            with RecordingWriter(tmp_path / "rec", rig, 0) as recording, ThreadPoolExecutor(1) as pool:
+                task = pool.submit(play)
+                record_session(cameras, line, Extent(None), recording, control=control, rejoin_s=rejoin_s)
+                task.result()
+                recording.commit(recording.entries(), line.kind)
+        finally:
+            for camera in cameras:
+                camera.close()
+        assert verify(tmp_path / "rec") == []
+        return Recording.open(tmp_path / "rec"), began
+
+    start.models = models
+    return start
+
+
+def test_a_camera_that_came_back_rejoins_its_run(run, bench):
+    recording, began = run("line", lambda: bench.replug("K2"), 20.0)
+    first, lost = (recording.manifest.camera(camera_id) for camera_id in ("cam00", "cam01"))
+    assert recording.manifest.status == "incomplete"
+    assert "placed by a pulse" in recording.manifest.reason
+    assert first.gaps == ()
+    assert first.planes == lost.planes
+    np.testing.assert_array_equal(numbers_in(recording.stream("cam00").packed), np.arange(1, first.planes + 1))
+    place = round((began[1] - began[0]) * RATE)
+    numbers = numbers_in(recording.stream("cam01").packed)
+    [gap] = lost.gaps
+    assert (gap.first_plane + gap.planes, gap.layer) == (place, "link")
+    np.testing.assert_array_equal(numbers[: gap.first_plane], np.arange(1, gap.first_plane + 1))
+    assert not numbers[gap.first_plane : place].any()
+    assert (np.diff(numbers[place:].astype(int)) == 1).all()
+    assert numbers[place] > gap.first_plane
+    assert lost.device["returns"] == [{"run_s": pytest.approx(place / RATE), "uncertainty_s": 0.0}]
+    assert lost.device["serial"] == "K2"
+
+
+def test_a_camera_that_hangs_is_reset_and_rejoins(run, bench, monkeypatch):
+    """Without a line its place is known to the time a request takes."""
+    if not isinstance(bench.backend, MockBackend):
+        pytest.skip("USB/IP does not tell a device of a reset of its port, which would end what it hangs in")
+    monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.02)
+    recording, began = run("software", lambda: run.models[1].hold(0), 20.0)
+    lost = recording.manifest.camera("cam01")
+    place = (began[1] - began[0]) * RATE
+    [back] = lost.device["returns"]
+    assert 0 < back["uncertainty_s"] < 0.1
+    assert back["run_s"] * RATE == pytest.approx(place, abs=back["uncertainty_s"] * RATE + 1)
+    assert lost.gaps[-1].first_plane + lost.gaps[-1].planes == round(back["run_s"] * RATE)
+    assert "placed to" in recording.manifest.reason
+
+
+@pytest.mark.parametrize("rejoin_s", [0.0, 0.2])
+def test_a_camera_that_stays_away_is_given_up(run, bench, rejoin_s):
+    recording, _ = run("line", lambda: bench.unplug("K2"), rejoin_s, returns=False)
+    assert "it is not connected any more" in recording.manifest.reason
+    assert recording.manifest.camera("cam01").device["returns"] == []
+    assert recording.manifest.camera("cam00").gaps == ()

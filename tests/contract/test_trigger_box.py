@@ -9,8 +9,9 @@ import pytest
 from acquisition.devices import usbip
 from acquisition.devices.box_model import BoxModel, MockHid
 from acquisition.devices.device_model import DeviceModel
+from acquisition.devices.profile import VENDOR_ID
 from acquisition.devices.protocol import BlockParser
-from acquisition.devices.registers import VENDOR_ID, Request, State
+from acquisition.devices.registers import Request, State
 from acquisition.devices.trigger_box import (
     BOX_PRODUCT_ID,
     BoxCommand,

@@ -117,6 +117,20 @@ def test_a_run_until_stopped_ends_cleanly(spike4dgs, recording, tmp_path, how):
     assert spike4dgs("verify", tmp_path / "rec")[0] == 0
 
 
+def test_a_run_of_fixed_length_that_is_stopped_keeps_what_it_has(spike4dgs, recording, tmp_path):
+    process = recording("--ticks", 100_000)
+    wait_for_bytes(process, tmp_path / "rec.partial")
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert (process.returncode, b"Traceback" in err) == (1, False), err
+    manifest = Recording.open(tmp_path / "rec").manifest
+    [planes] = {camera.planes for camera in manifest.cameras}
+    assert 0 < planes < 100_000
+    assert (manifest.status, manifest.reason) == ("incomplete", f"it was stopped after {planes} of 100000 planes")
+    code, out, _ = spike4dgs("verify", tmp_path / "rec")
+    assert (code, "sound, incomplete: it was stopped" in out) == (0, True)
+
+
 def test_a_line_saves_from_before_it(recording, tmp_path):
     process = recording("--ticks", 300, "--pre-trigger", 5)
     while not (line := process.stderr.readline()).startswith(b"record   0% waiting to be told to save, 9 of 9"):

@@ -55,6 +55,17 @@ def test_a_recording_takes_the_calibration_with_it(spike4dgs, lab, tmp_path, cap
     recording = Recording.open(tmp_path / "moved")
     assert recording.rig.cameras[0].pixels == tmp_path / "moved/lab-cam00-pixels.npz"
     assert verify(tmp_path / "moved") == []
+    spoilt = tmp_path / "moved/lab-cam21-pixels.npz"
+    data = spoilt.read_bytes()
+    spoilt.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    assert [(found.file, found.reason) for found in verify(tmp_path / "moved")] == [
+        ("lab-cam21-pixels.npz", "its SHA-256 is not the recorded one")
+    ]
+    spoilt.unlink()
+    assert [str(found) for found in verify(tmp_path / "moved")] == [
+        "lab-cam21-pixels.npz: cannot be read (No such file or directory)"
+    ]
+    spoilt.write_bytes(data)
     images = ("--method", "tfp", "--ticks", "300:301")
     assert spike4dgs("images", tmp_path / "moved", *images, "--out", tmp_path / "even") == 0
     for camera in recording.rig.cameras:
@@ -74,7 +85,7 @@ def test_what_was_found_is_printed(spike4dgs, lab, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)["cameras"]["cam22"]
     assert found.keys() == {"gain_spread", "mean_offset", "hot", "dead"}
     assert spike4dgs(*args, "--out", tmp_path / "b.toml") == 0
-    assert "cam22: gain spread 0.98%" in capsys.readouterr().out
+    assert "cam22: gain spread 1.00%" in capsys.readouterr().out
 
 
 def test_recordings_that_do_not_serve_are_refused(spike4dgs, lab, tmp_path, capsys):

@@ -11,7 +11,7 @@ from acquisition.devices.device_clock import DeviceClock
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
 from acquisition.devices.open import Replay, Simulation, open_cameras, parse_devices
-from acquisition.devices.registers import Request
+from acquisition.devices.registers import LinkCounters, Request, Sensitivity
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import BadRecordingError, DeviceError, DiskError
 from acquisition.progress import silent
@@ -20,10 +20,11 @@ from acquisition.recording.manifest import Gap
 from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
+from acquisition.scenes.catalog import build_scene
 from acquisition.session import capture as capture_module
 from acquisition.session.capture import gaps_of
 from acquisition.session.record import Take, record, simulate
-from acquisition.session.session import record_session
+from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
@@ -137,6 +138,83 @@ def test_each_clock_is_told_from_the_sync_pulses(tmp_path):
     assert manifest.camera("cam12").clock["drift_ppm"] == pytest.approx(50, abs=5)
 
 
+class CutModel(DeviceModel):
+    """Sees nine pulses, and then no more: its sync cable was pulled."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments, clock=DeviceClock(missed=frozenset(range(10, 1000))))
+
+
+def test_pulses_missed_behind_the_last_stamp_stand_in_the_manifest(tmp_path):
+    bench = Bench(CutModel)
+    bench.trigger = MockTriggerLine(bench.models, period_s=0.5e-3)
+    bench.record(tmp_path / "rec")
+    manifest = Recording.open(tmp_path / "rec").manifest
+    found = manifest.camera("cam12").clock
+    assert found["last_pulse"] == 8
+    assert found["missed_pulses"] == list(range(9, 24))  # up to the start of the last block, at 12 ms
+    assert {tuple(c.clock["missed_pulses"]) for c in manifest.cameras if c.id != "cam12"} == {()}
+
+
+class NoisyModel(DeviceModel):
+    """Its link has two errors in each block."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.link_per_block = LinkCounters(errors=2)
+
+
+def test_what_a_camera_says_of_itself_stands_in_the_manifest(tmp_path):
+    bench, said = Bench(NoisyModel), []
+    bench.record(tmp_path / "rec", progress=lambda fraction, message: said.append(message))
+    manifest = Recording.open(tmp_path / "rec").manifest
+    for camera in manifest.cameras:
+        device = camera.device
+        assert (device["serial"], device["firmware"]) == (f"S-{camera.id}", 1)
+        assert device["sensitivity"] == {"threshold": 1000, "exposure": 1000}
+        assert (device["link"]["errors"] > 0) == (camera.id == "cam12")
+        assert device["first_latch"]["host_s"] <= device["last_latch"]["host_s"]
+        assert device["returns"] == []
+    assert any("8 of 9 cameras good, cam12 2 link errors" in message for message in said)
+
+
+def test_threshold_and_exposure_change_the_spikes_and_leave_out_the_truth(tmp_path, small):
+    uri = "mock:flat?sensor=ideal&samples=1&truth_every=200"
+    rates = {}
+    for name, sensitivity in (("nominal", None), ("dim", Sensitivity(2000, 500))):
+        manifest = record(small, uri, Take(200, sensitivity=sensitivity), tmp_path / name)
+        recording = Recording.open(tmp_path / name)
+        rates[name] = recording.stream("cam11").counts(0, 200).mean()
+        assert manifest.camera("cam11").device["sensitivity"] == (sensitivity or Sensitivity())._asdict()
+        assert (recording.truth is not None) == (name == "nominal")
+    assert rates["dim"] == pytest.approx(rates["nominal"] / 4, rel=0.02)
+    with pytest.raises(CameraSetupError, match="cam00: found the threshold 9, expected 250 to 4000"):
+        record(small, uri, Take(200, sensitivity=Sensitivity(9)), tmp_path / "wild")
+    assert not (tmp_path / "wild").exists()
+
+
+def test_a_pre_triggered_simulation_has_the_truth_of_what_was_recorded(tmp_path, small):
+    one, control, calls = small.only(["cam00"]), Control(), []
+
+    def save_later(fraction, message):
+        calls.append(message)
+        if len(calls) > 10:
+            control.save.set()
+
+    uri = "mock:fan_and_ball?seed=3&samples=1&truth_every=30"
+    record(one, uri, Take(60, 1.0, control=control), tmp_path / "rec", save_later)
+    simulate(Simulation("fan_and_ball", 3, samples=1, truth_every=4000), one, 2000, tmp_path / "all")
+    recording = Recording.open(tmp_path / "rec")
+    everything, found = Recording.open(tmp_path / "all").stream("cam00").packed, recording.stream("cam00").packed
+    [first] = [k for k in range(len(everything) - 60) if (everything[k : k + 60] == found).all()]
+    assert first > 0
+    scene = build_scene("fan_and_ball", 3)
+    for plane in (0, 30):
+        instant_s = one.clock.instant_s(first + plane)
+        truth = scene.render(one.camera("cam00"), np.array([instant_s])).intensity[0]
+        np.testing.assert_array_equal(np.load(recording.truth / f"cam00/{plane:06d}.npy"), truth)
+
+
 def test_a_software_start_claims_no_skew(tmp_path):
     bench = Bench()
     cameras: list[UsbCamera] = []
@@ -198,7 +276,7 @@ def test_a_camera_that_stays_silent_costs_the_others_nothing(tmp_path, monkeypat
     assert recording.manifest.reason.startswith("cam12: found no data for 5 reads after 0 planes")
     assert {c.planes for c in recording.manifest.cameras if c.id != "cam12"} == {PLANES}
     assert verify(tmp_path / "rec") == []
-    with pytest.raises(BadRecordingError, match=r"cam12\.dat: found 0 bytes"):
+    with pytest.raises(BadRecordingError, match="found no plane of cam12, expected at least one; mend or leave it out"):
         recording.stream("cam12")
     assert bench.states() == {"IDLE"}
 
@@ -287,7 +365,7 @@ def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
     ("uri", "message"),
     [
         ("pci:", "expected usb: or mock:SCENE"),
-        ("mock:fan_and_ball?gain=3", "found gain, expected seed, sensor, samples, truth_every"),
+        ("mock:fan_and_ball?gain=3", "found gain, expected seed, sensor, samples, truth_every, fault"),
         ("mock:fan_and_ball?seed=-3", "expected a whole number"),
         ("mock:fan_and_ball?sensor=perfect", "found the sensor 'perfect'"),
         ("mock:fan_and_ball?samples=0", "at least 1"),

@@ -287,3 +287,30 @@ def test_the_command_without_cameras_fails_and_without_a_folder_is_refused(spike
     code, out, err = spike4dgs("preflight", "--rig", "lab3x3", "--out", tmp_path / "gone")
     assert (code, out) == (2, "")
     assert "found no folder" in err[-1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "line"),
+    [
+        ("missing", "FAIL camera cam12: no camera with serial S4D-12"),
+        ("firmware", "FAIL firmware: 1 in cam00"),
+        ("deaf", "FAIL clock latch: no plane of cam12 after the trigger"),
+        ("late", "FAIL clock latch: at most 1000.0 us, of cam12"),
+        ("frozen", "FAIL clock rate: cam12 went 0.000000 s in "),
+        ("noisy", "FAIL link errors: cam12: 3 errors, 1 recoveries"),
+    ],
+)
+def test_each_bad_state_can_be_shown_on_the_mock_rig(spike4dgs, fast_disk, tmp_path, monkeypatch, fault, line):
+    monkeypatch.setattr(preflight_module, "_LATCH_TIMEOUT_S", 0.3)
+    uri = f"mock:flat?samples=1&fault={fault}:cam12"
+    (tmp_path / "small.toml").write_text(dump_rig(RIG.scaled(40, 25)))
+    code, out, _ = spike4dgs("preflight", "--rig", tmp_path / "small.toml", "--devices", uri, "--out", tmp_path)
+    assert code == 1
+    assert line in out
+    assert out.count("FAIL") == 1
+
+
+def test_a_fault_that_is_none_is_refused(spike4dgs, tmp_path):
+    code, _, err = spike4dgs("preflight", "--rig", "lab3x3", "--devices", "mock:flat?fault=broken:cam12")
+    assert code == 2
+    assert "found the fault 'broken:cam12', expected one of missing, firmware, deaf, late, frozen, noisy" in err[-1]

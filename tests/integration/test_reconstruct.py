@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,6 +96,23 @@ def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tm
         load_cloud(run.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
     ):
         assert torch.equal(a, b), name
+
+
+@pytest.mark.parametrize("model", ["bases", "4dgs"])
+def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tmp_path):
+    config = replace(CONFIG, model=model, steps=12)
+    calls = iter(range(10**6))
+    for stage in STAGES[:3]:
+        run = reconstruct(recording, tmp_path / "run", config, quiet, stage=stage)
+    with pytest.raises(StoppedError, match="stopped at step 6"):
+        reconstruct(recording, tmp_path / "run", config, quiet, stage="train", should_stop=lambda: next(calls) == 5)
+    run = reconstruct(recording, tmp_path / "run", config, quiet, stage="train")
+    cloud = load_cloud(run.checkpoint)
+    assert cloud.motion.kind == model
+    assert len(cloud.moving) > 20
+    if model == "bases":
+        found = run.document["bodies"]
+        assert found["attached"] + sum(found["free"].values()) == len(cloud.moving)
 
 
 def test_a_stage_before_its_predecessor_is_refused(recording, tmp_path):

@@ -32,7 +32,7 @@ def dat(tmp_path):
     return file
 
 
-@pytest.mark.parametrize("method", ["tfi", "tfp"])
+@pytest.mark.parametrize("method", ["tfi", "tfstp", "adaptive"])
 def test_images_of_a_bare_file(dat, tmp_path, method):
     out = tmp_path / "out"
     result = spike4dgs(

@@ -3,7 +3,8 @@ import threading
 import numpy as np
 import pytest
 
-from acquisition.devices.device_model import DeviceModel, StallError
+from acquisition.devices.control_channel import StallError
+from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.protocol import BlockParser
 from acquisition.devices.registers import Geometry, Request, State, Status, decode_tick_rate
 from acquisition.spikes.layout import PlaneLayout
@@ -88,4 +89,4 @@ def test_what_the_device_does_not_know_stalls():
     with pytest.raises(StallError):
         model.command(Request.START)  # not armed
     with pytest.raises(StallError):
-        model.string_descriptor(9)
+        model.control(0x80, 0x06, 0x0309, 0)  # string 9

@@ -7,7 +7,8 @@ import usb.util
 
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.registers import PRODUCT_ID, STREAM_ENDPOINT, VENDOR_ID, Request
+from acquisition.devices.profile import DIRECT
+from acquisition.devices.registers import Request
 from acquisition.spikes.layout import PlaneLayout
 
 READ = 0xC0
@@ -33,14 +34,14 @@ def backend(models) -> MockBackend:
 
 @pytest.fixture
 def device(backend):
-    found = usb.core.find(backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
+    found = usb.core.find(backend=backend, idVendor=DIRECT.vendor_id, idProduct=DIRECT.product_id)
     found.set_configuration()
     yield found
     usb.util.dispose_resources(found)
 
 
 def test_pyusb_finds_the_cameras_and_their_strings(backend):
-    found = list(usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID))
+    found = list(usb.core.find(find_all=True, backend=backend, idVendor=DIRECT.vendor_id))
     assert [d.serial_number for d in found] == ["A1", "B2"]
     assert found[0].product == "simulated spike camera"
     assert found[0].speed == usb.util.SPEED_SUPER
@@ -49,7 +50,7 @@ def test_pyusb_finds_the_cameras_and_their_strings(backend):
 def test_pyusb_walks_the_descriptors(device):
     [interface] = device.get_active_configuration()
     [endpoint] = interface
-    assert (endpoint.bEndpointAddress, endpoint.wMaxPacketSize) == (STREAM_ENDPOINT, 1024)
+    assert (endpoint.bEndpointAddress, endpoint.wMaxPacketSize) == (DIRECT.stream_endpoint, 1024)
     assert "CONFIGURATION 1" in str(device)
 
 
@@ -60,14 +61,14 @@ def test_an_unconfigured_device_says_so(backend):
 
 def test_a_read_without_data_times_out(device):
     with pytest.raises(usb.core.USBTimeoutError) as caught:
-        device.read(STREAM_ENDPOINT, 1024, timeout=1)
+        device.read(DIRECT.stream_endpoint, 1024, timeout=1)
     assert (caught.value.errno, caught.value.backend_error_code) == (errno.ETIMEDOUT, -7)
 
 
 def test_a_short_read_is_no_error(device, models):
     device.ctrl_transfer(COMMAND, Request.ARM)
     MockTriggerLine(models).fire()
-    assert len(device.read(STREAM_ENDPOINT, 1 << 20)) == 64 + 80 * 4 + 32
+    assert len(device.read(DIRECT.stream_endpoint, 1 << 20)) == 64 + 80 * 4 + 32
 
 
 def test_a_halted_pipe_stalls_until_it_is_cleared(device, models, backend):
@@ -76,10 +77,10 @@ def test_a_halted_pipe_stalls_until_it_is_cleared(device, models, backend):
     backend.halt("A1")
     for _ in range(2):
         with pytest.raises(usb.core.USBError) as caught:
-            device.read(STREAM_ENDPOINT, 1024)
+            device.read(DIRECT.stream_endpoint, 1024)
         assert (caught.value.errno, caught.value.backend_error_code) == (errno.EPIPE, -9)
-    device.clear_halt(STREAM_ENDPOINT)
-    assert len(device.read(STREAM_ENDPOINT, 64)) == 64
+    device.clear_halt(DIRECT.stream_endpoint)
+    assert len(device.read(DIRECT.stream_endpoint, 64)) == 64
 
 
 @pytest.mark.parametrize(("kind", "request_code"), [(READ, 0x7F), (COMMAND, 0x7F), (0x80, 0x0C)])
@@ -93,9 +94,9 @@ def test_an_unknown_control_request_stalls_once(device, kind, request_code):
 def test_an_unplugged_device_is_gone_for_ever(device, backend):
     backend.unplug("A1")
     for call in (
-        lambda: device.read(STREAM_ENDPOINT, 1024),
+        lambda: device.read(DIRECT.stream_endpoint, 1024),
         lambda: device.ctrl_transfer(READ, Request.STATUS, 0, 0, 32),
-        lambda: device.clear_halt(STREAM_ENDPOINT),
+        lambda: device.clear_halt(DIRECT.stream_endpoint),
         lambda: device.reset(),
     ):
         with pytest.raises(usb.core.USBError) as caught:

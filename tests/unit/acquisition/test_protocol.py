@@ -14,7 +14,15 @@ from acquisition.devices.protocol import (
     RepeatFilter,
     encode_block,
 )
-from acquisition.devices.registers import Geometry, Identity, State, Status, decode_tick_rate, encode_tick_rate
+from acquisition.devices.registers import (
+    Geometry,
+    Identity,
+    State,
+    Status,
+    decode_tick_rate,
+    encode_tick_rate,
+    pixel_format,
+)
 from acquisition.errors import DeviceError
 from acquisition.spikes.layout import PlaneLayout
 
@@ -265,3 +273,8 @@ def test_the_other_registers_round_trip():
 def test_a_register_that_is_not_ours_is_refused(register, data):
     with pytest.raises(DeviceError, match="expected"):
         register.decode(data)
+
+
+def test_a_layout_with_columns_behind_its_pixels_has_no_pixel_format():
+    with pytest.raises(DeviceError, match="found 16 columns behind the pixels, expected none"):
+        pixel_format(PlaneLayout(400, 250, trailing_columns=16))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from acquisition.errors import AcquisitionError
 from acquisition.scenes.bodies import Body, Finish, Shape, still
+from acquisition.scenes.light import EVEN, Uneven
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.raycast import Geometry, Raycaster
 from acquisition.scenes.raycast_reference import trace_reference
@@ -49,7 +50,18 @@ def random_geometry(rng, count: int) -> tuple[Geometry, np.ndarray, np.ndarray]:
     sun = rng.standard_normal(3)
     textures = rng.random((2, 16, 16), dtype=np.float32)
     ids = np.arange(1, count + 1, dtype=np.int8)
-    geometry = Geometry(rows, rng.random(count) < 0.5, ids, textures, sun / np.linalg.norm(sun), 0.6, 0.3, 0.1)
+    geometry = Geometry(
+        rows,
+        rng.random(count) < 0.5,
+        ids,
+        textures,
+        sun / np.linalg.norm(sun),
+        0.6,
+        0.3,
+        0.1,
+        uneven=Uneven(tuple(rng.uniform(-0.3, 0.3, 3)), 0.8, 0.1) if rng.random() < 0.5 else EVEN,
+        mipmapped=rng.random() < 0.5,
+    )
     return geometry, np.stack([random_rotation(rng) for _ in range(count)]), rng.uniform(-1.5, 2.5, (count, 3))
 
 
@@ -72,8 +84,10 @@ def test_native_agrees_with_the_twin(seed, count, focal):
     rng = np.random.default_rng(seed)
     geometry, rotations, positions = random_geometry(rng, count)
     view = camera(17, 11, focal, Transform(random_rotation(rng), rng.uniform(-0.5, 0.5, 3)))
-    ours = trace(geometry, view, rotations, positions)
-    twin = trace_reference(geometry, view, rotations, positions, samples=2)
+    gain = rng.choice([0.0, 0.3, 1.0])
+    caster = Raycaster(geometry, view, (rotations, positions), samples=2, threads=1)
+    ours = caster.frames(rotations[None], positions[None], np.array([gain]))
+    twin = trace_reference(geometry, view, rotations, positions, samples=2, gain=gain)
     # Rays that graze an edge may fall on either side of it: rounding differs by matrix products.
     off = np.abs(ours.intensity - twin.intensity) > 1e-5
     assert off.mean() <= 2 / off.size
@@ -139,6 +153,34 @@ def test_a_sphere_has_the_depth_and_the_outline_of_its_formula():
     np.testing.assert_array_equal(frames.ids[0] == 1, seen)
     np.testing.assert_allclose(frames.depth[0][seen], ((z - np.sqrt(disc)) / (1 + squared))[seen], rtol=1e-6)
     assert np.isnan(frames.depth[0][~seen]).all()
+
+
+def test_depth_of_a_plane_and_a_sphere_is_exact_in_double_precision():
+    view, radius, z = camera(200, 150, 180.0), 0.5, 3.0
+    x, y = np.meshgrid((np.arange(200) + 0.5 - 100) / 180, (np.arange(150) + 0.5 - 75) / 180)
+    turned = Transform.from_quat_wxyz((0.9, 0.2, -0.3, 0.1), (0.1, -0.2, 2.5))
+    plane = scene(Body("plane", (Shape("rectangle", (9, 9), PLAIN),), Motion(turned)))
+    normal = turned.rotation[:, 2]
+    expected = normal @ turned.translation / (normal[0] * x + normal[1] * y + normal[2])
+    np.testing.assert_allclose(plane.raycaster(view, 1).still_depth, expected, rtol=1e-12)
+    found = one(Shape("sphere", (radius,), PLAIN), z).raycaster(view, 1).still_depth
+    squared = x**2 + y**2
+    disc = z**2 - (1 + squared) * (z**2 - radius**2)
+    np.testing.assert_array_equal(np.isfinite(found), disc >= 0)
+    seen = disc > 0
+    np.testing.assert_allclose(found[seen], ((z - np.sqrt(disc[seen])) / (1 + squared[seen])), rtol=1e-9)
+
+
+def test_textures_finer_than_the_rays_are_averaged_and_do_not_alias():
+    checks = (np.indices((64, 64)).sum(axis=0) % 2).astype(np.float32)[None]  # black and white texel by texel
+    for texel_m in (0.001, 0.0033):
+        wall = Shape("rectangle", (9, 9), Finish(0, texel_m, (0.0, 1.0), (0.3, 0.2)))
+        for mipmapped, spread in ((True, 0.0), (False, 0.02)):
+            far = one(wall, textures=checks, ambient=1.0, mipmapped=mipmapped).render(camera(), np.zeros(1), 2)
+            assert far.intensity.mean() == pytest.approx(0.3, abs=0.05)
+            assert (far.intensity.std() > spread) == (not mipmapped)
+        near = one(wall, 0.01, textures=checks, ambient=1.0, mipmapped=True).render(camera(), np.zeros(1), 2)
+        assert near.intensity.std() > 0.05
 
 
 def test_boxes_and_cylinders_meet_the_axis_at_their_front():
@@ -222,6 +264,8 @@ def test_a_lens_is_refused_and_so_are_poses_of_another_scene():
         thing.render(replace(camera(), distortion=(0.1, 0, 0, 0)), np.zeros(1))
     with pytest.raises(AcquisitionError, match="poses"):
         thing.raycaster(camera(), 2).intensity(np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)))
+    with pytest.raises(AcquisitionError, match="gains"):
+        thing.raycaster(camera(), 2).intensity(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3)), np.ones(2))
 
 
 @pytest.mark.parametrize(

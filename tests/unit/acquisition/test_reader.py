@@ -66,3 +66,17 @@ def test_a_rig_with_a_camera_that_has_no_stream_is_refused(folder):
     (folder / "rig.toml").write_text(rig.replace('"cam01"', '"cam10"'))
     with pytest.raises(BadRecordingError, match="no stream of cam10"):
         Recording.open(folder)
+
+
+def test_a_camera_that_never_sent_a_plane_is_one_clear_line(tmp_path):
+    cameras = tuple(Camera(i, 8, 3, 8.0, 8.0, 4.0, 1.5, Transform.identity()) for i in ("cam00", "cam01"))
+    with RecordingWriter(tmp_path / "rec", Rig("pair", 40_000.0, cameras), 0) as recording:
+        streams = [recording.stream(camera.id, LAYOUT) for camera in cameras]
+        streams[0].append(np.ones((5, 3), dtype=np.uint8))
+        for stream in streams:
+            stream.close()
+        recording.problems.append("cam01: found no data")
+        recording.commit(recording.entries(), "line")
+    expected = "rec: found no plane of cam01, expected at least one; mend or leave it out, and record again$"
+    with pytest.raises(BadRecordingError, match=expected):
+        Recording.open(tmp_path / "rec").stream("cam01")

@@ -74,6 +74,25 @@ def test_the_description_says_what_moves(truth):
     assert {mover["id"] for mover in scene["movers"]} <= set(ids.ravel().tolist()) <= set(scene["object_ids"].values())
 
 
+def test_flicker_is_in_the_truth_and_the_description(tmp_path):
+    scene, rig = build_scene("flicker", 1), RIG.only(["cam11"])
+    write_truth(scene, rig, 101, 100, tmp_path / "truth", samples=2)
+    bright, half = (np.load(tmp_path / f"truth/cam11/{plane:06d}.npy") for plane in (0, 100))
+    assert half.mean() == pytest.approx(0.2 * bright.mean(), rel=0.05)  # 5 ms later, at the least light
+    blur = np.load(tmp_path / "truth/cam11/blur_000100.npy")
+    assert blur.mean() > 1.02 * half.mean()  # its exposure reaches into brighter light
+    light = json.loads((tmp_path / "truth/scene.json").read_text())["light"]
+    assert light["flicker"] == {"rate_hz": 100.0, "depth": 0.8, "phase_rad": 0.0}
+    assert light["uneven"] is None
+
+
+def test_the_description_says_when_what_is_not_always_there_appears(tmp_path):
+    write_truth(build_scene("burst", 1), RIG.only(["cam11"]), 1, 1, tmp_path / "truth", samples=1)
+    movers = json.loads((tmp_path / "truth/scene.json").read_text())["movers"]
+    assert len(movers) == 8
+    assert all(mover["from_s"] == 0.008 and mover["to_s"] is None for mover in movers)
+
+
 def test_one_camera_still_gets_viewpoints_of_its_own():
     places = [camera.center for camera in novel_cameras(SCENE, RIG.only(["cam11"]))]
     assert all(np.linalg.norm(place - RIG.camera("cam11").center) > 0.05 for place in places)

@@ -9,7 +9,8 @@ import pytest
 from acquisition.errors import AcquisitionError, BadRecordingError
 from acquisition.scenes import textures
 from acquisition.scenes.bodies import still
-from acquisition.scenes.catalog import FLAT_LEVEL, SCENES, build_scene
+from acquisition.scenes.calibration import FLAT_LEVEL
+from acquisition.scenes.catalog import SCENES, build_scene
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import SceneSource
@@ -74,7 +75,7 @@ def test_seeds_give_other_scenes_and_the_same_seed_the_same():
 def test_movers_move_fast_and_slowly():
     scene = build_scene("fan_and_ball", 0)
     assert set(scene.movers) == {"fan", "ball"}
-    _, places = scene.placements(np.array([0.0, 1e-4]))
+    places = scene.placements(np.array([0.0, 1e-4])).positions
     speeds = dict(zip(scene.geometry.ids, np.linalg.norm(places[1] - places[0], axis=-1) / 1e-4, strict=True))
     assert speeds[scene.movers["ball"]] == pytest.approx(1.2, rel=0.01)
     fastest = max(np.linalg.norm(places[1] - places[0], axis=-1) / 1e-4)

@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.errors import BadRecordingError
-from acquisition.spikes.sensor import SENSOR_KINDS, Sensor
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.sensor import SENSOR_KINDS, THERMAL_NOISE, THRESHOLD_SPREAD, Sensor
+from acquisition.spikes.stream import SpikeStream
 
 
 def constant(value: float, ticks: int, width: int = 20, height: int = 15) -> np.ndarray:
@@ -128,3 +130,51 @@ def test_gain_dark_current_and_defects_are_what_they_say():
     dead = lit == 0
     assert 1 <= dead.sum() <= 30
     assert lit[~hot & ~dead].std() / 0.5 == pytest.approx(0.01, rel=0.05)
+
+
+def test_every_reset_has_thermal_noise_and_every_pixel_its_threshold(monkeypatch):
+    monkeypatch.setattr("acquisition.spikes.sensor.ELECTRONS_PER_SPIKE", 1e30)  # no shot noise
+    sensor = Sensor(200, 100, "real", 1, 0)
+    planes = sensor.expose(constant(0.2, 4000, 200, 100)).reshape(4000, -1)
+    rate = planes.mean(axis=0, dtype=np.float64)
+    responses = rate / 0.2 * sensor._full / 2**40  # of what a nominal threshold would have made of it
+    well = (rate > 0.1) & (sensor._dark < 0.1)
+    np.testing.assert_allclose(responses[well], (sensor._gain + sensor._dark / 0.2)[well], atol=2e-3)
+    assert (sensor._full / 2**40).std() == pytest.approx(THRESHOLD_SPREAD, rel=0.05)
+    limits = (sensor._limit.astype(np.float64) - sensor._full)[well] / 2**40
+    assert limits.std() == pytest.approx(THERMAL_NOISE, rel=0.05)
+    assert abs(limits.mean()) < 5 * THERMAL_NOISE / np.sqrt(well.sum())
+
+
+def test_ideal_interval_images_have_the_mean_of_window_images_at_the_cars_light():
+    light = np.tile(np.linspace(0.05, 0.682, 250 * 400, dtype=np.float32).reshape(1, 250, 400), (200, 1, 1))
+    for kind in SENSOR_KINDS:
+        planes = Sensor(400, 250, kind, 3, 0).expose(light)
+        assert planes.mean() == pytest.approx(0.366, rel=0.01)  # spikes per tick of the real recording of a car
+        assert _interval_rate(planes, 100) == pytest.approx(planes.mean(), rel=0.01)
+        assert 0.05 < (planes[1:] & planes[:-1]).mean() / planes.mean() < 0.5  # intervals of one tick occur
+
+
+def _still_parts(planes: np.ndarray) -> np.ndarray:
+    """Pixels that, with all about them, keep their light to 0.03 spikes a tick over four quarters of the planes."""
+    quarters = planes.reshape(4, -1, *planes.shape[1:]).mean(axis=1)
+    still = (np.ptp(quarters, axis=0) <= 0.03) & (planes.mean(axis=0) > 0.05)
+    return np.logical_and.reduce([np.roll(still, (dy, dx), (0, 1)) for dy in (-2, 0, 2) for dx in (-2, 0, 2)])
+
+
+def _fano(planes: np.ndarray, still: np.ndarray, window: int) -> float:
+    """Variance over mean of counts in `window` planes, from neighbouring windows: slow change does not count."""
+    counts = planes.reshape(-1, window, *planes.shape[1:]).sum(axis=1, dtype=np.float64)[:, still]
+    return float((np.diff(counts, axis=0) ** 2).mean() / 2 / counts.mean())
+
+
+def test_counts_are_as_regular_as_those_of_a_real_camera_in_the_same_light(spikedata):
+    car = SpikeStream.open(spikedata / "histsflow_car.dat", PlaneLayout(400, 250), 20_000.0)
+    car_planes = car.planes(0, 200)
+    still = _still_parts(car_planes)
+    assert still.mean() > 0.2
+    light = np.tile(car_planes.mean(axis=0, dtype=np.float32)[None], (200, 1, 1))
+    simulated = Sensor(400, 250, "real", 0, 4).expose(light)
+    for window in (10, 20, 40):
+        assert _fano(simulated, still, window) == pytest.approx(_fano(car_planes, still, window), rel=0.1)
+    assert _fano(simulated, still, 20) < 0.2

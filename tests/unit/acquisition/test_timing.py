@@ -127,3 +127,21 @@ def test_few_pulses_claim_no_uncertainty():
 def test_what_cannot_be_told_is_refused_by_name(counted, stamps, period_s, message):
     with pytest.raises(TimingError, match=message):
         estimate_clocks({"cam12": (np.array(counted, dtype=int), np.array(stamps))}, period_s, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("until_s", "behind"), [(0.0995, ()), (0.10005, ()), (0.1005, (100,)), (0.10112, (100, 101)), (0.05, ())]
+)
+def test_pulses_missed_behind_the_last_stamp_are_named(until_s, behind):
+    """Pulse 99 is the last one stamped; one due less than a tenth of a period before the end may be on its way."""
+    estimate = estimate_clock(np.arange(100), np.arange(100) * PERIOD_S, PERIOD_S, 0.1)
+    found = estimate.with_missed_until(until_s, 0.099, PERIOD_S)
+    assert found.missed_pulses == behind
+
+
+def test_a_line_that_was_cut_is_a_range_and_a_drifting_clock_counts_right():
+    stamps = stamped(np.arange(1000), 0.0, 50, 0.0)
+    estimate = estimate_clock(np.arange(1000), stamps, PERIOD_S, 60.0)
+    found = estimate.with_missed_until(60 * (1 + 50e-6) + 5e-4, stamps[-1], PERIOD_S)
+    assert found.missed_between == ((1000, 60_000, 59_001),)
+    assert found.missed_pulses == ()

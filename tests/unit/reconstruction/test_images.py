@@ -3,13 +3,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.errors import BadRecordingError
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
+from reconstruction.images.light import Light
 from reconstruction.images.methods import method
 from reconstruction.images.motion import moving_pixels
 from reconstruction.images.tfi import tfi
@@ -52,36 +52,19 @@ def test_a_saturated_pixel_is_one_spike_per_tick():
     assert (tfp(stream, 20).intensity == 1).all()
 
 
-@pytest.mark.parametrize("name", ["tfi", "tfp"])
-@pytest.mark.parametrize("plane", [0, 1, 8, 9])
-def test_instants_at_the_ends_of_a_stream_are_finite(name, plane):
-    rng = np.random.default_rng(1)
-    image = method(name)(stream_of(rng.integers(0, 2, (10, 5, 9))), plane).intensity
-    assert image.dtype == np.float32
-    assert np.isfinite(image).all()
-
-
-@pytest.mark.parametrize("plane", [-1, 10])
-def test_an_instant_outside_the_stream_is_refused(plane):
-    with pytest.raises(BadRecordingError, match=f"plane {plane}, expected one inside 0:10"):
-        tfp(stream_of(periodic(2, planes=10)), plane)
-
-
-def test_one_plane_is_enough_for_an_image():
-    stream = stream_of(np.ones((1, 2, 2), np.uint8))
-    assert (tfp(stream, 0).intensity == 1).all()
-    assert not tfi(stream, 0).valid.any()
-
-
 def test_unknown_methods_are_refused_with_the_known_ones():
     with pytest.raises(BadRunError, match="tfi, tfp"):
         method("crystal")
 
 
+def steady(planes):
+    return Light.steady(len(planes))
+
+
 def test_constant_light_is_still_and_a_passing_block_moves():
     spikes = periodic(3, planes=240, height=40, width=40)
     spikes[60:90, 10:20, 10:20] = 1  # bright for 30 planes
-    moving = moving_pixels(stream_of(spikes))
+    moving = moving_pixels(stream_of(spikes), steady(spikes))
     assert moving[10:20, 10:20].all()
     assert not moving[25:].any()
     assert not moving[:, 25:].any()
@@ -92,16 +75,16 @@ def test_slow_change_moves_though_no_short_window_shows_it():
     rate = np.linspace(0.30, 0.36, 400)[:, None, None]
     charge = np.cumsum(np.broadcast_to(rate, (400, 20, 20)), axis=0) + rng.random((20, 20))
     spikes = np.diff(np.floor(charge), axis=0, prepend=np.floor(charge[:1]))
-    assert moving_pixels(stream_of(spikes)).mean() > 0.9
+    assert moving_pixels(stream_of(spikes), steady(spikes)).mean() > 0.9
 
 
 @pytest.mark.parametrize("light", [0, 1])
 def test_no_light_and_full_light_are_still(light):
-    assert not moving_pixels(stream_of(np.full((64, 9, 9), light, np.uint8))).any()
+    assert not moving_pixels(stream_of(np.full((64, 9, 9), light, np.uint8)), Light.steady(64)).any()
 
 
 def test_a_clip_too_short_to_tell_is_still():
-    assert not moving_pixels(stream_of(periodic(2, planes=3))).any()
+    assert not moving_pixels(stream_of(periodic(2, planes=3)), Light.steady(3)).any()
 
 
 def blinking(planes=400):
@@ -112,8 +95,9 @@ def blinking(planes=400):
 
 
 def source_of(stream):
-    moving = moving_pixels(stream)
-    return CompositeSource(stream, background(stream, moving), moving, tfp)
+    light = steady(stream)
+    moving = moving_pixels(stream, light)
+    return CompositeSource(stream, background(stream, moving, light), moving, tfp, light)
 
 
 def test_composite_takes_the_clip_where_still_and_the_instant_where_moving():
@@ -142,7 +126,7 @@ def test_a_stuck_pixel_takes_its_neighbours_light(value):
     spikes = periodic(3, planes=240, height=9, width=9)
     spikes[:, 4, 4] = value
     stream = stream_of(spikes)
-    found = background(stream, np.zeros((9, 9), bool))
+    found = background(stream, np.zeros((9, 9), bool), steady(stream))
     assert found.stuck[4, 4]
     assert found.stuck.sum() == 1
     assert found.image[4, 4] == pytest.approx(1 / 3)
@@ -150,4 +134,5 @@ def test_a_stuck_pixel_takes_its_neighbours_light(value):
 
 @pytest.mark.parametrize("value", [0, 1])
 def test_darkness_and_saturation_over_an_area_are_not_stuck(value):
-    assert not background(stream_of(np.full((40, 6, 6), value, np.uint8)), np.zeros((6, 6), bool)).stuck.any()
+    stream = stream_of(np.full((40, 6, 6), value, np.uint8))
+    assert not background(stream, np.zeros((6, 6), bool), steady(stream)).stuck.any()

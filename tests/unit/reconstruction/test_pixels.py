@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from acquisition.errors import BadRecordingError
-from acquisition.scenes.catalog import FLAT_LEVEL, build_scene
+from acquisition.scenes.calibration import FLAT_LEVEL
+from acquisition.scenes.catalog import build_scene
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
@@ -34,7 +35,8 @@ def calibration() -> PixelCalibration:
 
 def test_the_injected_pattern_is_recovered(calibration):
     sensor = Sensor(WIDTH, HEIGHT, "real", SEED, CAMERA)
-    gain, dark = (array.reshape(HEIGHT, WIDTH) for array in (sensor._gain, sensor._dark))
+    threshold = sensor._full / 2**40
+    gain, dark = ((array / threshold).reshape(HEIGHT, WIDTH) for array in (sensor._gain, sensor._dark))
     np.testing.assert_array_equal(calibration.dead, gain == 0)
     np.testing.assert_array_equal(calibration.hot, dark > 0.1)
     assert calibration.dead.sum() > 0

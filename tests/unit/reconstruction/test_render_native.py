@@ -1,5 +1,6 @@
 """The native renderer against the torch reference in float64: values, gradients, order, threads."""
 
+import ctypes
 import gc
 
 import pytest
@@ -7,7 +8,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from acquisition.native import _builds, load_library
 from reconstruction.errors import ReconstructionError
+from reconstruction.rendering.native import work_of
+from reconstruction.rendering.pinhole import pinhole_of
+from reconstruction.rendering.reference import TRANSMITTANCE_MIN, alphas_of, project, transmittance_before
 from reconstruction.rendering.render import NAMES, Rendering, render
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -87,6 +92,43 @@ def test_opaque_layers_end_where_no_light_is_left():
     assert_alike(gaussians, camera_of(33, 21))
     # Pixels stop below 1e-4; the last splat before may take another 99%.
     assert float(1 - render(gaussians, camera_of(33, 21)).alpha.max()) >= 9e-7
+
+
+@pytest.mark.parametrize("level", ["v2", "v3", "v4", "plain"])
+def test_every_build_this_processor_runs_agrees(level, monkeypatch):
+    builds, best = _builds("reconstruction"), load_library("reconstruction")._name
+    if level not in builds or str(builds[level]) > best:
+        pytest.skip(f"this processor runs no {level} build")
+    kernels = ctypes.CDLL(str(builds[level]))
+    kernels.render_forward.restype = ctypes.c_void_p
+    kernels.render_release.argtypes = (ctypes.c_void_p,)
+    monkeypatch.setattr("reconstruction.rendering.native._kernels", lambda: kernels)
+    assert_alike(cloud_of(300, 4), camera_of(57, 43))
+    assert_alike(cloud_of(90, 5, -0.5), camera_of(33, 21))
+
+
+def test_three_channels_are_three_images_of_one_cloud():
+    *geometry, intensity = cloud_of(150)
+    assert_alike((*geometry, intensity * torch.tensor([1.0, 0.5, 3.0])), camera_of(31, 26))
+
+
+def test_no_channel_is_refused():
+    *geometry, intensity = cloud_of(5)
+    with pytest.raises(ReconstructionError, match="0 channels"):
+        render((*geometry, intensity[:, :0]), camera_of(8, 8))
+
+
+@pytest.mark.parametrize("log_scale", [-3.0, -1.0])
+def test_the_work_is_counted_as_the_reference_would(log_scale):
+    cloud, pinhole = cloud_of(80, 6, log_scale), pinhole_of(camera_of(37, 22), 0.01)
+    work = work_of((*cloud[:4], cloud[4][:, 0].contiguous()), pinhole)
+    splats = project(*(t.double() for t in cloud[:4]), pinhole)
+    y, x = torch.meshgrid(torch.arange(22) + 0.5, torch.arange(37) + 0.5, indexing="ij")
+    alphas = alphas_of(splats, torch.stack([x, y], -1).reshape(-1, 2).double())
+    live = transmittance_before(alphas)[:, :-1] >= TRANSMITTANCE_MIN
+    assert work.splats == len(splats.source)
+    assert work.pixels == int(((alphas > 0) & live).sum())
+    assert work.pixels <= 16 * work.in_blocks <= 256 * work.in_tiles
 
 
 def test_the_background_passes_a_gradient_to_the_gaussians():

@@ -1,0 +1,93 @@
+"""Simulated clips for the image bench: one rendering, several lights, slower planes by dropping or re-integrating.
+
+Letters: T planes, H rows, W columns, k planes to a slow one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.scene import Scene
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
+from rigs.rig import Rig
+
+CHUNK = 32  # planes rendered at a time
+CAMERA = "cam11"
+Slowing = Literal["drop", "reintegrate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """At an instant: linear light [H, W] in spikes per tick, its `white`, and where something `moves` [H, W]."""
+
+    light: NDArray[np.float32]
+    white: float
+    moves: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """The centre camera's stream of a scene at each light level, with the truth at any instant."""
+
+    scene: Scene
+    rig: Rig
+    streams: dict[float, SpikeStream]
+
+    def truths(self, planes: Sequence[float], level: float = 1.0) -> list[Truth]:
+        """The truth in the middle of each of `planes` (a half is between two) with the light times `level`."""
+        instants_s = np.array([self.rig.clock.instant_s(plane) for plane in planes])
+        frames = self.scene.render(self.rig.camera(CAMERA), instants_s)
+        movers = np.isin(frames.ids, list(self.scene.movers.values()))
+        light = frames.intensity * np.float32(level)
+        return [Truth(a, self.scene.white * level, m) for a, m in zip(light, movers, strict=True)]
+
+
+def simulate_clip(name: str, seed: int, rig: Rig, planes: int, levels: Sequence[float]) -> Clip:
+    """Render `planes` of the scene once and fire a real sensor for each light level."""
+    scene, camera = build_scene(name, seed), rig.camera(CAMERA)
+    layout = PlaneLayout(camera.width, camera.height)
+    raycaster = scene.raycaster(camera, 2, 0)
+    index = rig.ids.index(CAMERA)
+    sensors = {level: Sensor(camera.width, camera.height, "real", seed, index, threads=0) for level in levels}
+    packed: dict[float, list] = {level: [] for level in levels}
+    for first in range(0, planes, CHUNK):
+        instants_s = np.array([rig.clock.instant_s(k) for k in range(first, min(first + CHUNK, planes))])
+        light = raycaster.intensity(*scene.placements(instants_s))
+        for level, sensor in sensors.items():
+            packed[level].append(pack(sensor.expose(light * np.float32(level)), layout))
+    streams = {k: SpikeStream(np.concatenate(v), layout, rig.tick_rate_hz) for k, v in packed.items()}
+    return Clip(scene, rig, streams)
+
+
+def slowed(stream: SpikeStream, k: int, how: Slowing) -> SpikeStream:
+    """The stream at a k-th of its plane rate.
+
+    `drop`: every k-th plane, the light between them lost. `reintegrate`: a pixel fires when it has gathered k spikes,
+    as one with a k times higher threshold would; planes behind the last whole k are left out.
+    """
+    rate_hz = stream.tick_rate_hz / k
+    if how == "drop":
+        return SpikeStream(np.ascontiguousarray(stream.packed[::k]), stream.layout, rate_hz)
+    whole = len(stream) // k
+    gathered = np.zeros((stream.layout.height, stream.layout.width), dtype=np.int64)
+    slow = np.empty((whole, *gathered.shape), dtype=np.uint8)
+    for index in range(whole):
+        gathered += stream.counts(index * k, (index + 1) * k)
+        slow[index] = gathered >= k
+        gathered -= k * slow[index]
+    return SpikeStream(pack(slow, stream.layout), stream.layout, rate_hz)
+
+
+def slow_instant(plane: int, k: int, how: Slowing) -> tuple[int, float]:
+    """The slow plane that holds `plane`, and the plane of the fast stream in the middle of its light."""
+    index = plane // k
+    return index, index * k + ((k - 1) / 2 if how == "reintegrate" else 0)

@@ -1,0 +1,49 @@
+"""Contact sheets of the scenes, to be looked at: three instants, depth and objects of the centre camera in one PNG.
+
+`python -m reconstruction.bench.sheets --out DIR [--seed S] [NAME...]` writes DIR/NAME.png for all scenes or those
+named; `make sheets` writes all to runs/sheets.
+"""
+
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, SCENES, build_scene
+from acquisition.scenes.scene import Scene
+from reconstruction.report.pictures import depth_colours, grey, write_png
+from rigs.toml import catalog_rig
+
+INSTANTS_S = (0.000025, 0.012525, 0.019975)  # of a clip of 400 planes; the light of `flicker` differs in them
+NEAR_M, FAR_M = 1.0, 3.6
+
+
+def contact_sheet(scene: Scene) -> NDArray[np.uint8]:
+    """Light at three instants above depth (near is warm), objects and what moves, at the first [2 H, 3 W, 3]."""
+    camera = catalog_rig("lab3x3").camera("cam11")
+    frames = scene.render(camera, np.array(INSTANTS_S))
+    light = np.hstack([grey(image, scene.white) for image in frames.intensity])
+    objects = (frames.ids[0].astype(int) * 53 % 256).astype(np.uint8)
+    moving = np.where(np.isin(frames.ids[0], list(scene.movers.values())), 255, 0).astype(np.uint8)
+    below = [depth_colours(frames.depth[0], NEAR_M, FAR_M), _three(objects), _three(moving)]
+    return np.vstack([_three(light), np.hstack(below)])
+
+
+def _three(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.repeat(pixels[..., None], 3, axis=-1)
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the pictures.")
+@click.option("--seed", default=DEVELOPMENT_SEEDS[0], show_default=True, type=click.IntRange(min=0))
+@click.argument("names", nargs=-1, type=click.Choice(tuple(SCENES)))
+def main(out: Path, seed: int, names: tuple[str, ...]) -> None:
+    """Write one picture a scene."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in names or SCENES:
+        write_png(out / f"{name}.png", contact_sheet(build_scene(name, seed)))
+
+
+if __name__ == "__main__":
+    main()

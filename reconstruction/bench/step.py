@@ -1,0 +1,92 @@
+"""One optimisation step cut at its seams: seconds of motion, renderer, loss, their gradients and Adam."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Instantaneous, Motion
+from reconstruction.losses.ssim import ssim
+from reconstruction.rendering.render import Rendering, render
+from reconstruction.training.adam import Adam
+from rigs.camera import Camera
+
+MOVING = 0.4  # of the Gaussians
+WHITE = 0.6  # spikes per tick
+INSTANT_S = 0.4
+LOSS = "loss and its gradient"  # the part that torch shares with a kernel; each other is a native call in its wrapper
+PARTS = ("motion", "renderer", LOSS, "renderer gradient", "motion gradient", "Adam")
+
+
+def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
+    """`cloud` with its last Gaussians moving a little, alive throughout, in a clip of one second."""
+    still = round((1 - MOVING) * len(cloud.means))
+    stored = cloud._replace(opacities=cloud.opacities.clamp(0.01, 0.99).logit())
+    motion = Motion.at_rest(torch.full((len(cloud.means) - still,), 0.5), duration=1.0)
+    return DynamicCloud(
+        GaussianCloud(*(t[:still].clone() for t in stored)),
+        GaussianCloud(*(t[still:].clone() for t in stored)),
+        motion,
+        Clip(0.0, 1.0),
+    )
+
+
+def loss_of(rendering: Rendering, target: Tensor) -> Tensor:
+    """L1 and SSIM, as training has them."""
+    image = rendering.intensity[..., 0]
+    return 0.8 * (image - target).abs().mean() / WHITE + 0.2 * (1 - ssim(image, target, WHITE))
+
+
+class Step:
+    """A cloud, a view and its target, to be stepped whole or in parts."""
+
+    def __init__(self, cloud: Instantaneous, camera: Camera):
+        self.cloud, self.camera = dynamic_cloud(cloud), camera
+        generator = torch.Generator().manual_seed(0)
+        self.target = WHITE * torch.rand(camera.height, camera.width, generator=generator)
+        self.leaves = [t.requires_grad_(True) for _, t in self.cloud.tensors()]
+        self.adam = Adam([{"params": [leaf], "lr": 1e-6} for leaf in self.leaves])
+
+    def whole(self) -> None:
+        """As training does it."""
+        self.adam.zero_grad(set_to_none=True)
+        loss_of(render(self.cloud.at(INSTANT_S), self.camera), self.target).backward()
+        self.adam.step()
+
+    def parts(self) -> dict[str, float]:
+        """Seconds of each part of one step."""
+        seconds: dict[str, float] = {}
+
+        def timed(name: str, work: Callable[[], Any]) -> Any:
+            started = time.perf_counter()
+            done = work()
+            seconds[name] = time.perf_counter() - started
+            return done
+
+        self.adam.zero_grad(set_to_none=True)
+        now = timed("motion", lambda: self.cloud.at(INSTANT_S))
+        cut = Instantaneous(*(t.detach().requires_grad_(True) for t in now))
+        rendering = timed("renderer", lambda: render(cut, self.camera))
+        image = replace(rendering, intensity=rendering.intensity.detach().requires_grad_(True))
+        (slope,) = timed(LOSS, lambda: torch.autograd.grad(loss_of(image, self.target), image.intensity))
+        slopes = timed("renderer gradient", lambda: torch.autograd.grad(rendering.intensity, cut, slope))
+        timed("motion gradient", lambda: torch.autograd.backward(now, slopes))
+        timed("Adam", self.adam.step)
+        assert tuple(seconds) == PARTS
+        return seconds
+
+    def fastest(self, repeats: int) -> tuple[float, dict[str, float]]:
+        """The least seconds of a whole step, and of each part."""
+        whole, parts = [], []
+        for _ in range(repeats):
+            started = time.perf_counter()
+            self.whole()
+            whole.append(time.perf_counter() - started)
+            parts.append(self.parts())
+        return min(whole), {name: min(p[name] for p in parts) for name in parts[0]}

@@ -1,0 +1,148 @@
+"""Training of a network: resumable to the bit, with its error against time.
+
+The folder holds `state.pt` (modules, optimiser, step), `training.json` (configuration, seeds, curve) and the averaged
+weights as `NAME.npz`. Batches follow from the seed and the step alone, so a killed training goes on as if it had not
+been. The weights that are scored and shipped are a running average: they are good before the rate has come down.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from acquisition.bench_document import BenchDocument
+from acquisition.durable import write_json
+from acquisition.progress import Progress, silent
+from acquisition.revision import code_revision
+from reconstruction.errors import BadRunError
+from reconstruction.images.learned.batches import Batches, Pictures
+from reconstruction.images.learned.models import loss, model
+from reconstruction.images.learned.weights import read_state, write_state, write_weights
+
+WARM_UP = 200  # steps
+LAST_RATE = 0.02  # of the learning rate, at the last step
+LARGEST_GRADIENT = 1.0
+
+Score = Callable[[nn.Module], dict[str, float]]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What is trained and how; `averaged` is the share of the running average that a step keeps."""
+
+    name: str
+    steps: int
+    batch: int = 8
+    crop: int = 64
+    learning_rate: float = 1e-3
+    averaged: float = 0.998
+    seed: int = 0
+    score_every: int = 500
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.score_every < 1 or not self.learning_rate > 0 or not 0 <= self.averaged < 1:
+            raise BadRunError(f"found the training {asdict(self)}, expected 1 step or more and a positive rate")
+
+    def rate(self, step: int) -> float:
+        """The learning rate of `step`: a short rise, then half a cosine."""
+        left = (1 + math.cos(math.pi * min(1.0, step / self.steps))) / 2
+        return self.learning_rate * min(1.0, (step + 1) / WARM_UP) * (LAST_RATE + (1 - LAST_RATE) * left)
+
+
+class Training:
+    """One network on its way; `run` goes on from whatever `folder` holds.
+
+    Raises BadRunError where the folder was begun with another network, batch or seed. More `steps` than before are a
+    longer training, whose learning rate is that of the longer one from here on. `notes` go into the document.
+    """
+
+    def __init__(
+        self, folder: Path, config: TrainingConfig, pictures: Pictures, device: str = "cpu", notes: dict | None = None
+    ) -> None:
+        self.model, self.config, self.folder = model(config.name), config, folder
+        self.device, self.notes = torch.device(device), notes or {}
+        self.batches = Batches(pictures, self.model, config.batch, config.crop, config.seed)
+        torch.manual_seed(config.seed)
+        self.module = self.model.build().to(self.device)
+        self.average = copy.deepcopy(self.module).requires_grad_(False)
+        self.optimiser = torch.optim.Adam(self.module.parameters(), config.learning_rate)
+        self.step, self.seconds, self.recent = 0, 0.0, 0.0
+        self.curve: list[dict[str, float]] = []
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / "state.pt").exists():
+            self._resume(read_state(folder / "state.pt"))
+
+    def run(self, score: Score, progress: Progress = silent, clock: Callable[[], float] = time.monotonic) -> None:
+        """Train up to the last step; take the averaged network's `score` and store all every `score_every` steps."""
+        while self.step < self.config.steps:
+            began = clock()
+            self._take_step()
+            self.seconds += clock() - began
+            if self.step % self.config.score_every == 0 or self.step == self.config.steps:
+                found = score(copy.deepcopy(self.average).cpu().eval())
+                self.curve.append({"step": self.step, "seconds": self.seconds, "loss": self.recent} | found)
+                self._store()
+            progress(self.step / self.config.steps, f"step {self.step}, loss {self.recent:.4f}")
+
+    def _take_step(self) -> None:
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.config.rate(self.step)
+        seen, truth = self.batches.batch(self.step)
+        seen = seen.to(self.device, memory_format=torch.channels_last)
+        found = loss(self.model, self.module, seen, None if truth is None else truth.to(self.device))
+        self.optimiser.zero_grad()
+        found.backward()
+        nn.utils.clip_grad_norm_(self.module.parameters(), LARGEST_GRADIENT)
+        self.optimiser.step()
+        self.step += 1
+        keep = min(self.config.averaged, self.step / (self.step + 10))
+        with torch.no_grad():
+            for mean, now in zip(self.average.parameters(), self.module.parameters(), strict=True):
+                mean.lerp_(now, 1 - keep)
+        self.recent += (found.item() - self.recent) * max(0.01, 1 / self.step)
+
+    def _store(self) -> None:
+        state = {
+            "config": asdict(self.config),
+            "module": self.module.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "progress": {"step": self.step, "seconds": self.seconds, "recent": self.recent},
+            "curve": self.curve,
+        }
+        write_state(self.folder / "state.pt", state)
+        write_weights(self.folder / f"{self.config.name}.npz", self.average.state_dict())
+        write_json(self.folder / "training.json", self._document())
+
+    def _resume(self, state: dict) -> None:
+        found, expected = dict(state["config"]), asdict(self.config)
+        for changeable in ("steps", "score_every"):
+            found.pop(changeable)
+            expected.pop(changeable)
+        if found != expected:
+            raise BadRunError(f"{self.folder}: found a training of {found}, expected {expected}; give a new folder")
+        self.module.load_state_dict(state["module"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step, self.seconds, self.recent = (state["progress"][name] for name in ("step", "seconds", "recent"))
+        self.curve = list(state["curve"])
+
+    def _document(self) -> dict:
+        device = BenchDocument("training").to_json()["device"] | {"threads": torch.get_num_threads()}
+        return {
+            "network": self.config.name,
+            "parameters": sum(p.numel() for p in self.module.parameters()),
+            "config": asdict(self.config),
+            "pictures": self.batches.pictures.description(),
+            "device": device | {"accelerator": None if self.device.type == "cpu" else str(self.device)},
+            "revision": code_revision(),
+            **self.notes,
+            "curve": self.curve,
+        }

@@ -1,0 +1,59 @@
+"""Weights as .npz in half precision, and states of a training: tensors and numbers only, read without running code."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import struct
+import zlib
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from acquisition.durable import write_durably
+from reconstruction.errors import BadRunError
+
+_UNREADABLE = (OSError, RuntimeError, EOFError, pickle.UnpicklingError, ValueError, LookupError, struct.error)
+SHIPPED = Path(__file__).parent / "weights"
+
+
+def write_weights(path: Path, state: dict[str, Tensor]) -> None:
+    """Put the tensors of a module under `path` in half precision; raises BadRunError for one it cannot hold."""
+    arrays = {name: tensor.detach().half().cpu().numpy() for name, tensor in state.items()}
+    spoilt = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+    if spoilt:
+        raise BadRunError(f"found weights that are not finite in half precision: {', '.join(spoilt)}; train again")
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
+    write_durably(path, buffer.getvalue())
+
+
+def read_weights(path: Path, module: nn.Module) -> None:
+    """Fill `module` from what `write_weights` wrote; raises BadRunError for a missing, damaged or other file."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            state = {name: torch.from_numpy(archive[name].astype(np.float32)) for name in archive.files}
+        module.load_state_dict(state)
+    except OSError as error:
+        raise BadRunError(f"{path}: found no weights ({error.strerror}); train this network first") from error
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, BadZipFile, zlib.error) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise BadRunError(f"{path}: found other or damaged weights ({reason}); train this network again") from error
+
+
+def write_state(path: Path, state: dict) -> None:
+    """Write `state` (tensors, numbers, strings, nested) durably under `path`."""
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_durably(path, buffer.getvalue())
+
+
+def read_state(path: Path) -> dict:
+    """Read what `write_state` wrote; raises BadRunError for a damaged file."""
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except _UNREADABLE as error:
+        raise BadRunError(f"{path}: found a damaged checkpoint, expected one of this version; start afresh") from error

@@ -1,0 +1,72 @@
+"""The flicker of the light: one gain a plane for the whole scene, read off what stands still.
+
+Letters: T planes, V views. Blocks of pixels are compared with what they mostly show over the clip; at any instant
+movers change few of them, so the median block tells how bright the light is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.spikes.stream import SpikeStream
+
+WINDOW = 4  # planes counted together
+BLOCK_PX = 8
+LEAST_SPIKES = 4.0  # a block and window, on average; dimmer blocks say little
+FLICKER = 0.01  # standard deviation of the gain from which light is said to flicker; noise alone leaves some 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """Gains [T] float32 of mean 1: the light of a plane over that of the clip."""
+
+    gains: NDArray[np.float32]
+
+    @classmethod
+    def steady(cls, planes: int) -> Light:
+        """Light that does not change."""
+        return cls(np.ones(planes, dtype=np.float32))
+
+    @property
+    def flickers(self) -> bool:
+        """Whether there is anything to correct."""
+        return bool(self.gains.std() > FLICKER)
+
+    def over(self, first: int, last: int) -> float:
+        """The mean gain of planes [first, last)."""
+        return float(self.gains[first:last].mean())
+
+
+def estimate_light(streams: Sequence[SpikeStream]) -> Light:
+    """The light over the planes that V streams share; steady where no change stands out or too little is seen."""
+    planes = min(len(stream) for stream in streams)
+    starts = range(0, planes - WINDOW + 1, WINDOW)
+    if len(starts) < 3:
+        return Light.steady(planes)
+    blocks = np.concatenate([_blocks(stream, starts) for stream in streams], axis=1)  # [windows, blocks]
+    mostly = np.median(blocks, axis=0)
+    seen = mostly >= LEAST_SPIKES
+    if not seen.any():
+        return Light.steady(planes)
+    ratios = np.median(blocks[:, seen] / mostly[seen], axis=1)
+    middles = np.array(starts) + (WINDOW - 1) / 2
+    ends = np.array([-0.5, planes - 0.5])  # straight on from the outer windows
+    slopes = np.array([ratios[1] - ratios[0], ratios[-1] - ratios[-2]]) / WINDOW
+    outer = ratios[[0, -1]] + slopes * (ends - middles[[0, -1]])
+    places, values = np.r_[ends[0], middles, ends[1]], np.r_[outer[0], ratios, outer[1]]
+    gains = np.interp(np.arange(planes), places, values)
+    light = Light((gains / gains.mean()).astype(np.float32))
+    return light if light.flickers else Light.steady(planes)
+
+
+def _blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
+    """Spikes of each block over each window [windows, blocks]."""
+    size = (max(1, stream.layout.width // BLOCK_PX), max(1, stream.layout.height // BLOCK_PX))
+    area = stream.layout.width * stream.layout.height / (size[0] * size[1])
+    counts = (stream.counts(start, start + WINDOW).astype(np.float32) for start in starts)
+    return np.stack([cv2.resize(c, size, interpolation=cv2.INTER_AREA).ravel() * area for c in counts])

@@ -1,0 +1,79 @@
+"""The renderer on a CUDA device, by gsplat (1.5 or later), which is imported when it is first asked for.
+
+gsplat's "antialiased" mode and "RGB+D" are this package's compensation and accumulated depth. Two things differ: its
+alpha ends at 0.999 where ours ends at 0.99, and it leaves out the splat that would take the transmittance below 1e-4.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from reconstruction.errors import ReconstructionError
+from reconstruction.rendering.pinhole import Pinhole
+from reconstruction.rendering.reference import DILATION_PX2, LOG_SCALE_MAX, LOG_SCALE_MIN, unit_quats
+
+DEVICE = "cuda"
+
+
+def why_unavailable() -> str | None:
+    """What gsplat lacks on this machine, or None where it can render."""
+    if importlib.util.find_spec("gsplat") is None:
+        return "gsplat is not installed; pip install 'spike4dgs[gpu]'"
+    if not torch.cuda.is_available():
+        return "torch sees no CUDA device"
+    return None
+
+
+@functools.cache
+def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
+    missing = why_unavailable()
+    if missing:
+        raise ReconstructionError(f"found no gsplat backend: {missing}; or use the native backend")
+    return importlib.import_module("gsplat").rasterization
+
+
+def render_gsplat(
+    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor, camera: Pinhole
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Twin of `render_reference` for float32 on a CUDA device, any number of channels.
+
+    Raises ReconstructionError where gsplat or a CUDA device is missing, or the tensors are elsewhere.
+    """
+    rasterization = _rasterization()
+    if means.dtype != torch.float32 or means.device.type != DEVICE:
+        raise ReconstructionError(f"found {means.dtype} on {means.device}, expected float32 on a CUDA device")
+    if len(means) == 0:
+        nothing = intensities.new_zeros(camera.height, camera.width)
+        dark = nothing[..., None].expand(-1, -1, intensities.shape[1]) + intensities.sum()
+        return dark, nothing, nothing, torch.zeros(0, dtype=torch.int32, device=means.device)
+    cam_from_world = torch.eye(4, device=means.device)
+    cam_from_world[:3, :3] = means.new_tensor(camera.rotation).reshape(3, 3)
+    cam_from_world[:3, 3] = means.new_tensor(camera.translation)
+    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    colours, alphas, meta = rasterization(
+        means=means,
+        quats=unit_quats(quats_wxyz),
+        scales=log_scales.clamp(LOG_SCALE_MIN, LOG_SCALE_MAX).exp(),
+        opacities=opacities,
+        colors=intensities,
+        viewmats=cam_from_world[None],
+        Ks=means.new_tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])[None],
+        width=camera.width,
+        height=camera.height,
+        near_plane=camera.near_m,
+        eps2d=DILATION_PX2,
+        packed=False,
+        render_mode="RGB+D",
+        rasterize_mode="antialiased",
+    )
+    radii = meta["radii"][0]  # [N, 2] since 1.5, [N] before
+    if radii.ndim == 2:
+        radii = radii.amax(-1)
+    return colours[0, ..., :-1], colours[0, ..., -1], alphas[0, ..., 0], radii.int()

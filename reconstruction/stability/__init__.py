@@ -1,0 +1,1 @@
+"""The stress catalogue: extreme input, and what each backend makes of it."""

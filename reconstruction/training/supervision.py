@@ -1,0 +1,195 @@
+"""What a step asks of the render: to look like an image, to change as the images do, or to explain the spikes.
+
+A term draws its own instants from `rng` and returns a scalar loss. Letters: H rows, W columns, Q instants of a window.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.images.composite import CompositeSource
+from reconstruction.images.estimate import shrunk
+from reconstruction.losses.counts import cumulative_loss, robust_loss
+from reconstruction.losses.ssim import ssim
+from reconstruction.losses.variation import variation_loss
+from reconstruction.rendering.render import Rendering, render
+from rigs.camera import Camera
+from rigs.clock import RigClock
+
+SpikeNorm = Literal["l1", "l2", "counts", "cumulative"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingView:
+    """A camera and the images it should see."""
+
+    camera: Camera
+    source: CompositeSource
+
+
+Term = Callable[[DynamicCloud, TrainingView, np.random.Generator, int], Tensor]
+
+
+@dataclass(frozen=True)
+class ImageTerm:
+    """L1 and SSIM against the target image of one instant, at a `shrink`-th of the size.
+
+    `white` is the data range in spikes per tick; `solid` works against light that passes through everything: dark
+    texture is not a hole.
+    """
+
+    clock: RigClock
+    white: float
+    ssim: float = 0.2
+    solid: float = 0.02
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+        """The loss at a random plane."""
+        return self.against(*self.pair(cloud, view, int(rng.integers(len(view.source.stream))), shrink))
+
+    def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int, shrink: int) -> tuple[Rendering, Tensor]:
+        """What is rendered and what should be, at `plane`."""
+        camera, image = view.camera, view.source.at(plane)
+        if shrink > 1:
+            camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
+            image = shrunk(image, camera)
+        return render(cloud.at(self.clock.instant_s(plane)), camera), torch.from_numpy(image)
+
+    def against(self, rendered: Rendering, target: Tensor) -> Tensor:
+        """The loss of one render against its target image [H, W]."""
+        image = rendered.intensity[..., 0]
+        pixels = (image - target).abs().mean() / self.white
+        alike = 1 - ssim(image, target, self.white)
+        return (1 - self.ssim) * pixels + self.ssim * alike + self.solid * (1 - rendered.alpha).mean()
+
+
+@dataclass(frozen=True)
+class VariationTerm:
+    """The image term at several instants `gap` planes apart, and the variation loss of Spike4DGS between them."""
+
+    image: ImageTerm
+    weight: float = 0.5
+    instants: int = 3
+    gap: int = 24
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+        """The loss of instants that begin at a random plane."""
+        planes = len(view.source.stream)
+        gap = min(self.gap, max(1, (planes - 1) // (self.instants - 1)))
+        first = int(rng.integers(max(1, planes - gap * (self.instants - 1))))
+        at = [min(first + i * gap, planes - 1) for i in range(self.instants)]
+        pairs = [self.image.pair(cloud, view, plane, shrink) for plane in at]
+        pixels = torch.stack([self.image.against(r, t) for r, t in pairs]).mean()
+        rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])
+        target = torch.stack([t for _, t in pairs])
+        return pixels + self.weight * variation_loss(rendered, target) / self.image.white
+
+
+@dataclass(frozen=True)
+class SpikeTerm:
+    """Counts over a random window against the render integrated over it, in a part of the view that sees a mover.
+
+    Windows are log-uniform between `shortest` and `longest` planes. The integral is a Gauss-Legendre quadrature of an
+    instant for every `planes_a_node`, at most `most_nodes`; `cumulative` compares as many equal parts of the window.
+    """
+
+    image: ImageTerm
+    norm: SpikeNorm
+    shortest: int = 8
+    longest: int = 33
+    planes_a_node: int = 8
+    most_nodes: int = 4
+    size_px: tuple[int, int] = (160, 128)
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+        """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
+        part = _part(view, self.size_px, rng)
+        planes = len(view.source.stream)
+        low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
+        window = round(math.exp(rng.uniform(low, high)))
+        first = int(rng.integers(planes - window + 1))
+        nodes = min(self.most_nodes, math.ceil(window / self.planes_a_node))
+        if self.norm == "cumulative":
+            return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
+        light, alpha = self._integral(cloud, part, (first, window, nodes))
+        rate = torch.from_numpy(part.counts(view, first, first + window) / np.float32(window))
+        good = torch.from_numpy(part.good)
+        spikes = _norm(self.norm, light[good], rate[good], window)
+        return spikes / self.image.white + self.image.solid * (1 - alpha).mean()
+
+    def _integral(self, cloud: DynamicCloud, part: Part, span: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+        """Mean light and alpha [H, W] over the planes of the span (first, length, nodes)."""
+        first, length, nodes = span
+        light = alpha = torch.zeros(())
+        for node, weight in zip(*_quadrature(nodes), strict=True):
+            rendered = render(cloud.at(self.image.clock.instant_s(first + length * node - 0.5)), part.camera)
+            light = light + weight * rendered.intensity[..., 0]
+            alpha = alpha + weight * rendered.alpha
+        return light, alpha
+
+    def _running_totals(
+        self, cloud: DynamicCloud, view: TrainingView, part: Part, span: tuple[int, int, int]
+    ) -> Tensor:
+        first, length, parts = span
+        starts = [first + i * length for i in range(parts)]
+        pairs = [self._integral(cloud, part, (start, length, 1)) for start in starts]
+        counts = np.stack([part.counts(view, start, start + length) for start in starts])
+        light, good = torch.stack([light for light, _ in pairs]), torch.from_numpy(part.good)
+        loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)
+        alpha = torch.stack([alpha for _, alpha in pairs])
+        return loss / self.image.white + self.image.solid * (1 - alpha).mean()
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A rectangle of a view: its camera, where it begins, and its pixels [H, W] that are not stuck."""
+
+    camera: Camera
+    top: int
+    left: int
+    good: NDArray[np.bool_]
+
+    def of(self, image: NDArray) -> NDArray:
+        """The part of an image [H, W] of the whole view."""
+        return image[self.top : self.top + self.camera.height, self.left : self.left + self.camera.width]
+
+    def counts(self, view: TrainingView, first: int, last: int) -> NDArray[np.float32]:
+        """Spikes [H, W] over planes [first, last)."""
+        return self.of(view.source.stream.counts(first, last)).astype(np.float32)
+
+
+def _part(view: TrainingView, size_px: tuple[int, int], rng: np.random.Generator) -> Part:
+    """A rectangle around a random pixel that moves (any pixel where none does)."""
+    camera, moving = view.camera, view.source.moving
+    width, height = min(size_px[0], camera.width), min(size_px[1], camera.height)
+    seen = np.flatnonzero(moving)
+    pixel = int(seen[rng.integers(len(seen))]) if len(seen) else int(rng.integers(moving.size))
+    row, column = divmod(pixel, camera.width)
+    top = int(np.clip(row - height // 2, 0, camera.height - height))
+    left = int(np.clip(column - width // 2, 0, camera.width - width))
+    lens = {"cx": camera.cx - left, "cy": camera.cy - top}
+    cut = replace(camera, width=width, height=height, pixels=None, **lens)
+    return Part(cut, top, left, ~view.source.background.stuck[top : top + height, left : left + width])
+
+
+def _norm(name: SpikeNorm, light: Tensor, rate: Tensor, window: int) -> Tensor:
+    if name == "l1":
+        return (light - rate).abs().mean()
+    if name == "l2":
+        return (light - rate).square().mean()
+    return robust_loss(light, rate, window)
+
+
+def _quadrature(nodes: int) -> tuple[list[float], list[float]]:
+    """Gauss-Legendre places in (0, 1) and weights that sum to 1."""
+    places, weights = np.polynomial.legendre.leggauss(nodes)
+    return [float(p + 1) / 2 for p in places], [float(w) / 2 for w in weights]

@@ -1,0 +1,151 @@
+"""Registration and rigid bodies from points at a few instants, against motions that are known."""
+
+import numpy as np
+import pytest
+import torch
+
+from reconstruction.initialization.bodies import LONE, STILL, UNLIKE, Bodies, find_bodies
+from reconstruction.initialization.points import Points, spacing
+from reconstruction.initialization.registration import Placed, register, rigid_fit
+from rigs.transform import Transform
+
+INSTANTS = 5
+TIMES_S = [i / 100 for i in range(INSTANTS)]
+
+
+def turn(angle_rad: float, axis: str = "z") -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array({"z": [[c, -s, 0], [s, c, 0], [0, 0, 1]], "x": [[1, 0, 0], [0, c, -s], [0, s, c]]}[axis])
+
+
+def board(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a bent board 0.4 m x 0.3 m and their texture of waves a few centimetres long."""
+    x, y = rng.uniform(-0.2, 0.2, n), rng.uniform(-0.15, 0.15, n)
+    light = 0.3 + 0.1 * np.sin(90 * x) * np.cos(70 * y) + 0.1 * np.sin(40 * (x + y))
+    return np.stack([x, y, 0.8 * x**2], axis=1), light.astype(np.float32)
+
+
+def seen(parts: list[tuple[np.ndarray, np.ndarray]], instant: int) -> Points:
+    positions = np.concatenate([p for p, _ in parts])
+    light = np.concatenate([x for _, x in parts]).astype(np.float32)
+    return Points(positions, light, spacing(positions), np.full(len(positions), instant / 100))
+
+
+def pose(instant: int, bounce: bool = False) -> Transform:
+    """Half a radian in all about z, 6 cm along x; a bounce turns back at the third instant."""
+    way = min(instant, 4 - instant) if bounce else instant
+    return Transform(turn(0.12 * way), np.array([0.015 * way, 0.02 * way * bounce, 1.5]))
+
+
+def clip(n: int = 250, bounce: bool = False, noise_m: float = 0.002) -> Points:
+    """Other points of the same board at every instant."""
+    rng = np.random.default_rng(3)
+    parts = []
+    for i in range(INSTANTS):
+        positions, light = board(rng, n)
+        positions = pose(i, bounce).apply(positions) + rng.normal(0, noise_m, positions.shape)
+        parts.append(seen([(positions, light + rng.normal(0, 0.01, n).astype(np.float32))], i))
+    return Points.joined(parts)
+
+
+def errors(bodies: Bodies, bounce: bool = False) -> tuple[float, float]:
+    """Worst angle (degrees) and worst shift (mm) of body 0 since its first instant."""
+    poses = [Transform.from_quat_wxyz(q, c) for q, c in zip(bodies.quats_wxyz[0], bodies.centers[0], strict=True)]
+    angles, shifts = [], []
+    for i in range(INSTANTS):
+        found = poses[i] @ poses[0].inverse()
+        true = pose(i, bounce) @ pose(0, bounce).inverse()
+        cosine = (np.trace(found.rotation @ true.rotation.T) - 1) / 2
+        angles.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+        shifts.append(1000 * np.linalg.norm(found.apply(poses[0].translation) - true.apply(poses[0].translation)))
+    return max(angles), max(shifts)
+
+
+def test_the_rigid_fit_finds_the_pose_of_known_pairs():
+    rng = np.random.default_rng(0)
+    model = rng.normal(size=(20, 3))
+    true = Transform(turn(2.5) @ turn(-1.1, "x"), np.array([1.0, -2.0, 3.0]))
+    found = rigid_fit(torch.tensor(model), torch.tensor(true.apply(model)), torch.eye(20, dtype=torch.float64))
+    np.testing.assert_allclose(found.rotation, true.rotation, atol=1e-7)
+    np.testing.assert_allclose(found.translation, true.translation, atol=1e-7)
+
+
+def test_points_in_a_plane_are_fitted_by_a_rotation_not_a_mirror():
+    rng = np.random.default_rng(0)
+    flat = rng.normal(size=(20, 3)) * [1, 1, 0]
+    found = rigid_fit(torch.tensor(flat), torch.tensor(flat @ turn(3.0).T), torch.eye(20, dtype=torch.float64))
+    assert np.linalg.det(found.rotation) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 2e3])
+def test_registration_is_the_same_at_every_scale_of_the_scene(scale):
+    """Matches are normalised, so weights that underflow at one scale do not matter."""
+    rng = np.random.default_rng(1)
+    (a, light_a), (b, light_b) = board(rng, 300), board(rng, 300)
+    true = Transform(turn(0.1), np.array([0.01, 0.0, 0.005]))
+    model = Placed(torch.tensor(a * scale, dtype=torch.float32), torch.tensor(light_a))
+    target = Placed(torch.tensor(true.apply(b) * scale, dtype=torch.float32), torch.tensor(light_b))
+    found = register(model, target, Transform.identity(), 0.05 * scale, 0.012 * scale)
+    assert np.abs(found.rotation - true.rotation).max() < 0.02
+    assert np.abs(found.translation / scale - true.translation).max() < 0.003
+
+
+@pytest.mark.parametrize("bounce", [False, True])
+def test_a_rigid_motion_is_recovered(bounce):
+    bodies = find_bodies(clip(bounce=bounce), TIMES_S)
+    assert len(bodies) == 1
+    assert bodies.attached > 0.95 * INSTANTS * 250
+    assert bodies.seen.tolist() == [[0, INSTANTS - 1]]
+    angle_deg, shift_mm = errors(bodies, bounce)
+    assert angle_deg < 1.5
+    assert shift_mm < 5
+
+
+def test_two_bodies_with_motions_of_their_own_are_told_apart():
+    moving, rng = clip(), np.random.default_rng(5)
+    parts = []
+    for i in range(INSTANTS):
+        at = moving.instants_s == i / 100
+        positions, light = board(rng, 120)
+        other = positions @ turn(-0.1 * i).T + [0.6, 0.02 * i, 1.4]
+        parts.append(seen([(moving.positions[at], moving.intensities[at]), (other, light)], i))
+    bodies = find_bodies(Points.joined(parts), TIMES_S)
+    assert len(bodies) == 2
+    owners = bodies.owners.reshape(INSTANTS, -1)
+    assert (owners[:, :250] != 1).all()
+    assert (owners[:, 250:] != 0).all()
+    assert errors(bodies)[0] < 1.5
+
+
+@pytest.mark.parametrize("strays", [0, 12])
+def test_a_body_that_leaves_keeps_the_poses_it_had_and_goes_on(strays):
+    """Seen at three of five instants; then nothing is, or only strays are."""
+    early = clip().select(clip().instants_s < 0.025)
+    late = clip().select(clip().instants_s >= 0.025).select(np.arange(strays))
+    away = Points(late.positions + 50.0, late.intensities, late.spacing, late.instants_s)
+    bodies = find_bodies(Points.joined([early, away]), TIMES_S)
+    assert len(bodies) == 1
+    assert bodies.centers.shape == (1, INSTANTS, 3)
+    assert bodies.seen.tolist() == [[0, 2]]
+    assert (bodies.owners[len(early) :] == -1).all()
+    assert errors(bodies)[1] < 12  # two instants beyond the last one seen
+
+
+def test_what_changes_its_texture_or_only_its_light_is_no_body():
+    rng = np.random.default_rng(2)
+    noise, still = [], []
+    for i in range(INSTANTS):
+        positions, light = board(rng, 250)
+        noise.append(seen([(pose(i).apply(positions), rng.random(250))], i))
+        still.append(seen([(positions, light + 0.02 * i)], i))
+    for parts, reason in ((noise, UNLIKE), (still, STILL)):
+        bodies = find_bodies(Points.joined(parts), TIMES_S)
+        assert len(bodies) == 0
+        assert reason in bodies.free
+
+
+@pytest.mark.parametrize("n", [0, 1, 30])
+def test_too_few_points_make_no_body_and_say_so(n):
+    bodies = find_bodies(clip(n) if n else Points.none(), TIMES_S)
+    assert len(bodies) == bodies.attached == 0
+    assert bodies.free == ({LONE: n * INSTANTS} if n else {})

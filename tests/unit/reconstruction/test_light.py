@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.background import background
+from reconstruction.images.light import FLICKER, Light, estimate_light
+from reconstruction.images.motion import moving_pixels
+
+WIDTH, HEIGHT, PLANES = 96, 64, 400
+
+
+def recorded(gains, camera=0, mover=False):
+    """What a real sensor sees of an uneven wall under light of these gains, and of a block that crosses it."""
+    rng = np.random.default_rng(camera)
+    wall = rng.uniform(0.1, 0.4, (HEIGHT, WIDTH)).astype(np.float32)
+    light = wall[None] * np.asarray(gains, dtype=np.float32)[:, None, None]
+    if mover:
+        for plane in range(len(gains)):
+            left = plane * (WIDTH - 30) // len(gains)
+            light[plane, 10:50, left : left + 30] = 0.6 * gains[plane]
+    layout = PlaneLayout(WIDTH, HEIGHT)
+    return SpikeStream(pack(Sensor(WIDTH, HEIGHT, "real", 1, camera).expose(light), layout), layout, 20000.0)
+
+
+def mains(depth=0.4):
+    phase = 2 * np.pi * 100 * np.arange(PLANES) / 20000.0
+    gains = 1 + depth * np.cos(phase + 0.7)
+    return gains / gains.mean()
+
+
+@pytest.mark.parametrize("mover", [False, True])
+def test_mains_flicker_is_measured_to_a_percent_movers_or_not(mover):
+    light = estimate_light([recorded(mains(), camera, mover) for camera in range(3)])
+    assert light.flickers
+    gaps = np.abs(light.gains - mains())
+    assert gaps.mean() < 0.01  # 0.003 without a mover, 0.0084 with one
+    assert gaps.max() < (0.05 if mover else 0.02)  # 0.043 in the last planes, behind the last whole window
+    assert float(light.gains.mean()) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("mover", [False, True])
+def test_steady_light_is_called_steady(mover):
+    light = estimate_light([recorded(np.ones(PLANES), camera, mover) for camera in range(3)])
+    assert not light.flickers
+    assert (light.gains == 1).all()
+
+
+def test_a_still_wall_under_flicker_does_not_move_and_keeps_its_mean_light():
+    stream = recorded(mains())
+    light = estimate_light([stream])
+    moving = moving_pixels(stream, light)
+    assert moving.mean() < 0.02
+    assert moving_pixels(stream, Light.steady(PLANES)).mean() > 0.9
+    steady = recorded(np.ones(PLANES))
+    gap = background(stream, moving, light).image - background(steady, moving, Light.steady(PLANES)).image
+    assert np.abs(gap).mean() < 0.005
+
+
+@pytest.mark.parametrize("planes", [1, 7])
+def test_a_clip_too_short_to_tell_is_steady(planes):
+    assert not estimate_light([recorded(np.ones(planes))]).flickers
+
+
+def test_darkness_is_steady():
+    layout = PlaneLayout(16, 16)
+    dark = SpikeStream(pack(np.zeros((64, 16, 16), np.uint8), layout), layout, 20000.0)
+    assert not estimate_light([dark]).flickers
+
+
+def test_what_flickers_less_than_the_threshold_is_left_out():
+    assert not Light(np.array([1 - FLICKER / 2, 1 + FLICKER / 2], dtype=np.float32)).flickers

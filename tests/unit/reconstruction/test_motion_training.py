@@ -1,0 +1,125 @@
+"""Training with every motion model: exact resume, what is learnt and what is not, and a mover brought back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.motion import Motion, MotionModel
+from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.images.background import background
+from reconstruction.images.composite import CompositeSource
+from reconstruction.images.light import Light
+from reconstruction.images.tfp import tfp
+from reconstruction.rendering.render import render
+from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.supervision import TrainingView
+from reconstruction.training.trainer import Trainer, TrainerSettings
+from rigs.camera import Camera
+from rigs.clock import RigClock
+from rigs.transform import Transform
+
+WIDTH, HEIGHT, PLANES, RATE_HZ = 48, 40, 48, 20_000.0
+CLIP, CLOCK = Clip(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
+CAMERA = Camera("cam00", WIDTH, HEIGHT, 40.0, 40.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
+KINDS = ("polynomial", "bases", "4dgs")
+
+
+def motion_of(kind: str, means: torch.Tensor, speed: float) -> MotionModel:
+    """Both Gaussians along x at `speed` metres a clip (the field is at rest: it knows no speed)."""
+    instants = torch.full((2,), 0.5)
+    if kind == "polynomial":
+        motion = Motion.at_rest(instants, 100.0)
+        motion.velocities[:, 0] = speed
+        return motion
+    if kind == "4dgs":
+        return HexPlaneMotion.around(means, 0.3, torch.Generator().manual_seed(0))
+    quats = torch.tensor([1.0, 0, 0, 0]).expand(1, 5, 4).clone()
+    centers = torch.stack([speed * torch.linspace(-0.5, 0.5, 5), *torch.zeros(2, 5)], dim=-1)[None]
+    return RigidMotion(torch.zeros(2, dtype=torch.int64), quats, centers, torch.zeros(0, 3), instants, instants * 8)
+
+
+def cloud(kind: str, speed: float = 0.0) -> DynamicCloud:
+    """A bright wall, and two dark blobs before it."""
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([rng.uniform(-1.6, 1.6, 400), rng.uniform(-1.2, 1.2, 400), np.full(400, 2.0)])
+    still = GaussianCloud.from_points(
+        torch.tensor(wall, dtype=torch.float32), torch.full((400, 1), 0.5), torch.full((400,), 0.12), 0.9
+    )
+    at = torch.tensor([[0.0, -0.1, 1.5], [0.1, 0.2, 1.5]])
+    moving = GaussianCloud.from_points(at, torch.full((2, 1), 0.1), torch.full((2,), 0.12), 0.95)
+    return DynamicCloud(still, moving, motion_of(kind, at, speed), CLIP)
+
+
+@pytest.fixture(scope="module")
+def view() -> TrainingView:
+    """What an ideal sensor records of blobs that cross 60 cm."""
+    truth = cloud("polynomial", 0.6)
+    with torch.no_grad():
+        light = [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0].numpy() for k in range(PLANES)]
+    layout = PlaneLayout(WIDTH, HEIGHT)
+    stream = SpikeStream(pack(Sensor(WIDTH, HEIGHT, "ideal", 1, 0).expose(np.stack(light)), layout), layout, RATE_HZ)
+    moving = np.abs(light[0] - light[-1]) > 0.02
+    return TrainingView(
+        CAMERA,
+        CompositeSource(stream, background(stream, moving, Light.steady(PLANES)), moving, tfp, Light.steady(PLANES)),
+    )
+
+
+def trainer_of(kind: str, view: TrainingView, speed: float = 0.0) -> Trainer:
+    return Trainer(cloud(kind, speed), [view], TrainerSettings("pixels", canonical_until=0.3), CLOCK, seed=1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_training_stopped_and_resumed_ends_in_the_same_state(kind, view, tmp_path):
+    whole, first = trainer_of(kind, view), trainer_of(kind, view)
+    for step in range(8):
+        whole.step(step / 8)
+        if step < 5:
+            first.step(step / 8)
+    save_checkpoint(tmp_path / "state.pt", {"trainer": first.state()})
+    second = trainer_of(kind, view)
+    second.restore(load_checkpoint(tmp_path / "state.pt")["trainer"])
+    for step in range(5, 8):
+        second.step(step / 8)
+    for (name, a), (_, b) in zip(whole.cloud.tensors(), second.cloud.tensors(), strict=True):
+        assert torch.equal(a, b), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_everything_is_learnt_but_what_is_fixed(kind, view):
+    trainer = trainer_of(kind, view, speed=0.1)
+    before = {name: t.detach().clone() for name, t in trainer.cloud.tensors()}
+    for step in range(6):
+        assert np.isfinite(trainer.step(0.4 + step / 20))
+    for name, tensor in trainer.cloud.tensors():
+        fixed = name.split(".")[1] in trainer.cloud.motion.fixed
+        assert tensor.numel() == 0 or torch.equal(before[name], tensor) == fixed, name
+
+
+def test_the_canonical_stage_leaves_the_field_alone(view):
+    trainer = trainer_of("4dgs", view)
+    before = {name: t.detach().clone() for name, t in trainer.cloud.tensors()}
+    for _ in range(3):
+        trainer.step(0.2)
+    for name, tensor in trainer.cloud.tensors():
+        assert torch.equal(before[name], tensor) == name.startswith("motion."), name
+
+
+@pytest.mark.parametrize("kind", ["bases", "4dgs"])
+def test_a_motion_is_learnt_from_standing_still(kind, view):
+    rates = replace(TrainerSettings("pixels").rates, knot_centers=6e-3)
+    trainer = trainer_of(kind, view)
+    trainer = Trainer(trainer.cloud, [view], TrainerSettings("pixels", rates=rates, canonical_until=0.0), CLOCK, seed=1)
+    for _ in range(60):
+        trainer.step(0.2)
+    now, then = (trainer.cloud.at(u * CLIP.last_s).means[-2:, 0].detach() for u in (0.9, 0.1))
+    assert float((now - then).max()) > 0.15  # of 0.48

@@ -1,0 +1,127 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
+from reconstruction.images.background import background
+from reconstruction.images.composite import CompositeSource
+from reconstruction.images.light import Light
+from reconstruction.images.tfp import tfp
+from reconstruction.rendering.render import render
+from reconstruction.training import supervision
+from reconstruction.training.supervision import ImageTerm, SpikeTerm, TrainingView, VariationTerm
+from reconstruction.training.trainer import Trainer, TrainerSettings
+from rigs.camera import Camera
+from rigs.clock import RigClock
+from rigs.transform import Transform
+
+WIDTH, HEIGHT, PLANES, RATE_HZ = 72, 56, 64, 20_000.0
+CLIP = Clip(0.0, PLANES / RATE_HZ)
+CLOCK = RigClock(RATE_HZ)
+STEADY = Light.steady(PLANES)
+CAMERA = Camera("cam00", WIDTH, HEIGHT, 60.0, 60.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
+
+
+def cloud(speed: float = 0.0) -> DynamicCloud:
+    """A bright wall, and a darker blob before it that crosses `speed` metres a clip."""
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([rng.uniform(-1.6, 1.6, 900), rng.uniform(-1.2, 1.2, 900), np.full(900, 2.0)])
+    still = GaussianCloud.from_points(
+        torch.tensor(wall, dtype=torch.float32), torch.full((900, 1), 0.5), torch.full((900,), 0.08), 0.9
+    )
+    moving = GaussianCloud.from_points(
+        torch.tensor([[0.0, 0.0, 1.5]]), torch.full((1, 1), 0.1), torch.full((1,), 0.12), 0.95
+    )
+    motion = Motion.at_rest(torch.tensor([0.5]), 100.0)
+    motion.velocities[:] = torch.tensor([speed, 0.0, 0.0])
+    return DynamicCloud(still, moving, motion, CLIP)
+
+
+def seen(truth: DynamicCloud) -> TrainingView:
+    """What an ideal sensor records of it."""
+    with torch.no_grad():
+        light = [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0].numpy() for k in range(PLANES)]
+    layout = PlaneLayout(WIDTH, HEIGHT)
+    planes = Sensor(WIDTH, HEIGHT, "ideal", 1, 0).expose(np.stack(light))
+    stream = SpikeStream(pack(planes, layout), layout, RATE_HZ)
+    moving = np.abs(light[0] - light[-1]) > 0.02
+    return TrainingView(CAMERA, CompositeSource(stream, background(stream, moving, STEADY), moving, tfp, STEADY))
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 4])
+def test_the_quadrature_is_exact_for_polynomials_of_its_order(nodes):
+    places, weights = supervision._quadrature(nodes)
+    for power in range(2 * nodes):
+        assert sum(w * p**power for p, w in zip(places, weights, strict=True)) == pytest.approx(
+            1 / (power + 1), abs=1e-12
+        )
+
+
+def test_a_part_is_that_part_of_the_whole_view():
+    truth = cloud(0.4)
+    view = seen(truth)
+    part = supervision._part(view, (32, 24), np.random.default_rng(3))
+    whole, cut = render(truth.at(0.001), CAMERA), render(truth.at(0.001), part.camera)
+    assert cut.intensity.shape == (24, 32, 1)
+    assert np.allclose(part.of(whole.intensity[..., 0].numpy()), cut.intensity[..., 0].numpy(), atol=2e-3)
+
+
+@pytest.mark.parametrize("norm", ["l1", "l2", "counts", "cumulative"])
+def test_the_moving_truth_explains_its_spikes_better_than_one_that_stands(norm):
+    truth, wrong = cloud(0.8), cloud(0.0)
+    view = seen(truth)
+    term = SpikeTerm(ImageTerm(CLOCK, 0.6), norm, size_px=(WIDTH, HEIGHT))
+    losses = {}
+    with torch.no_grad():
+        for name, model in (("true", truth), ("wrong", wrong)):
+            rng = np.random.default_rng(0)
+            losses[name] = float(torch.stack([term(model, view, rng, 1) for _ in range(12)]).mean())
+    assert losses["true"] < 0.8 * losses["wrong"]
+
+
+def test_the_integral_over_a_window_is_that_of_many_instants():
+    truth = cloud(1.6)
+    view = seen(truth)
+    part = supervision._part(view, (WIDTH, HEIGHT), np.random.default_rng(0))
+    term = SpikeTerm(ImageTerm(CLOCK, 0.6), "counts")
+    with torch.no_grad():
+        light, _ = term._integral(truth, part, (8, 32, 4))
+        dense = torch.stack(
+            [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0] for k in range(8, 40)]
+        ).mean(dim=0)
+        middle = render(truth.at(CLOCK.instant_s(23.5)), CAMERA).intensity[..., 0]
+    assert float((light - dense).abs().max()) < 0.1 * float((middle - dense).abs().max())
+
+
+@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative"])
+def test_every_supervision_moves_a_displaced_mover_back(supervised):
+    view = seen(cloud(0.0))
+    model = cloud(0.0)
+    model.moving.means[:] += torch.tensor([0.05, 0.0, 0.0])
+    settings = TrainerSettings(supervised, rates=replace(TrainerSettings("pixels").rates, means=4e-3))
+    trainer = Trainer(model, [view], settings, CLOCK, seed=0)
+    for step in range(30):
+        assert np.isfinite(trainer.step(0.2 + step / 100))
+    assert abs(float(model.moving.means.detach()[0, 0])) < 0.04
+
+
+def test_a_clip_shorter_than_any_window_is_used_whole():
+    view = seen(cloud(0.0))
+    short = SpikeStream(view.source.stream.packed[:5], view.source.stream.layout, RATE_HZ)
+    view = TrainingView(CAMERA, replace(view.source, stream=short))
+    for term in (SpikeTerm(ImageTerm(CLOCK, 0.6), "counts"), VariationTerm(ImageTerm(CLOCK, 0.6))):
+        assert torch.isfinite(term(cloud(0.0), view, np.random.default_rng(0), 1))
+
+
+def test_a_view_that_sees_no_mover_is_supervised_anywhere():
+    view = seen(cloud(0.0))
+    view = TrainingView(CAMERA, replace(view.source, moving=np.zeros((HEIGHT, WIDTH), dtype=bool)))
+    part = supervision._part(view, (1000, 1000), np.random.default_rng(0))
+    assert (part.top, part.left, part.camera.width, part.camera.height) == (0, 0, WIDTH, HEIGHT)
