@@ -4,7 +4,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
-.PHONY: install demo test test-slow usbvm check bench sheets serve clean
+.PHONY: install demo test test-slow fuzz usbvm check bench sheets serve clean
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
@@ -20,6 +20,9 @@ test: install
 
 test-slow: install
 	$(PY) -m pytest -m slow
+
+fuzz: install
+	$(PY) -m pytest --hypothesis-profile fresh -k "fuzz or ten_thousand" -m "not usbvm"
 
 usbvm: install
 	SPIKE4DGS_USBVM=tests/contract/qemu.sh $(PY) -m pytest -m usbvm

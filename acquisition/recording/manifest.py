@@ -222,7 +222,7 @@ def _check_kinds(camera: CameraFile) -> None:
     """Raise TypeError for what JSON can hold and a camera's entry cannot."""
     texts = (camera.id, camera.file, *camera.block_digests, *([] if camera.sha256 is None else [camera.sha256]))
     layout = camera.layout
-    numbers = (camera.first_tick, camera.partial_bytes, layout.width, layout.height)
+    numbers = (camera.first_tick, camera.partial_bytes, layout.width, layout.height, layout.trailing_columns)
     if not all(isinstance(text, str) for text in texts) or not all(type(number) is int for number in numbers):
         raise TypeError("found values of another kind")
     if not all(table is None or isinstance(table, dict) for table in (camera.clock, camera.device)):
@@ -233,5 +233,5 @@ def _check_kinds(camera: CameraFile) -> None:
     if not all(number is None or isinstance(number, float | int) for number in numbers_or_none):
         raise TypeError("found values of another kind")
     too_many = camera.block_planes > 1 and camera.block_planes * layout.plane_bytes > MAX_BLOCK_BYTES
-    if too_many or max(layout.width, layout.height) > _MAX_SIDE:
+    if too_many or max(layout.stored_width, layout.height) > _MAX_SIDE:
         raise ValueError(f"found {camera.block_planes} planes of {layout.width}x{layout.height} in a block")

@@ -115,6 +115,15 @@ def read_changed(folder, changes) -> None:
 changes = st.lists(st.tuples(st.integers(0, 10**6), values, st.booleans()), min_size=1, max_size=3)
 
 
+KINDS = [None, True, 0, -1, 1, 2**70, 0.0, 1.5, float("nan"), float("inf"), "", "x", "\n", [], [0.0], {}, {"x": None}]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=repr)
+def test_every_value_of_a_manifest_may_be_of_another_kind(recorded, kind):
+    for pick in range(len(places(json.loads((recorded / "recording.json").read_text())))):
+        read_changed(recorded, [(pick, kind, False)])
+
+
 @quick
 @given(changes)
 def test_a_changed_manifest_is_read_or_refused(recorded, changes):
