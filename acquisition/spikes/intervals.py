@@ -23,28 +23,43 @@ FARTHEST = 32766  # planes of reach whose intervals still fit in 16 bits
 class Intervals(NamedTuple):
     """The interval that holds an instant: `ticks` [N, H, W] from the spike before it to the spike after it.
 
-    `before` and `after` [N, H, W]: there is such a spike. A side without one counts with all the planes searched, so
-    that 1 / ticks is the most light that the silence allows.
+    `since` [N, H, W]: silent planes up to and with the instant's since the spike before it. `before` and `after`
+    [N, H, W]: there is such a spike. A side without one counts with all the planes searched, so that 1 / ticks is the
+    most light that the silence allows.
     """
 
     ticks: NDArray[np.uint16]
+    since: NDArray[np.uint16]
     before: NDArray[np.bool_]
     after: NDArray[np.bool_]
 
 
-def intervals(packed: Bytes, layout: PlaneLayout, planes: Sequence[int], reach: int, *, threads: int = 1) -> Intervals:
+def intervals(
+    packed: Bytes,
+    layout: PlaneLayout,
+    planes: Sequence[int],
+    reach: int,
+    *,
+    wanted: Bytes | None = None,
+    threads: int = 1,
+) -> Intervals:
     """The last spike at or before each of `planes` [N] to the first after it, at most `reach` planes away.
 
-    Native twin of `intervals_reference`. Raises BadRecordingError for a plane outside the planes [T, B].
+    Native twin of `intervals_reference`. `wanted` is a packed plane [B] of the only pixels to look at; elsewhere the
+    result is 1 tick or what a neighbour needed. Raises BadRecordingError for a plane outside the planes [T, B].
     """
     instants = _checked(packed, planes, reach)
     shape = (len(instants), layout.height, layout.stored_width)
-    ticks, sides = np.empty(shape, dtype=np.uint16), np.empty(shape, dtype=np.uint8)
-    work = (ctypes.c_int64(len(instants)), ctypes.c_int64(reach), ctypes.c_int32(threads))
-    arguments = native_arguments(packed, layout)
-    load_library("acquisition").spike_intervals(*arguments, pointer(instants), *work, pointer(ticks), pointer(sides))
-    ticks, sides = ticks[:, :, : layout.width], sides[:, :, : layout.width]
-    return Intervals(np.ascontiguousarray(ticks), (sides & 1).view(bool), (sides >> 1).view(bool))
+    ticks, since, sides = np.ones(shape, np.uint16), np.zeros(shape, np.uint16), np.zeros(shape, np.uint8)
+    work = (pointer(instants), *(ctypes.c_int64(n) for n in (len(instants), reach)), ctypes.c_int32(threads))
+    load_library("acquisition").spike_intervals(
+        *native_arguments(packed, layout),
+        None if wanted is None else pointer(wanted),
+        *work,
+        *(pointer(out) for out in (ticks, since, sides)),
+    )
+    ticks, since, sides = (np.ascontiguousarray(out[:, :, : layout.width]) for out in (ticks, since, sides))
+    return Intervals(ticks, since, (sides & 1).view(bool), (sides >> 1).view(bool))
 
 
 def intervals_reference(packed: Bytes, layout: PlaneLayout, planes: Sequence[int], reach: int) -> Intervals:
@@ -55,7 +70,7 @@ def intervals_reference(packed: Bytes, layout: PlaneLayout, planes: Sequence[int
         spikes = unpack_reference(packed[first : plane + reach + 1], layout)
         back, before = _first_spike(spikes[: plane - first + 1][::-1])
         ahead, after = _first_spike(spikes[plane - first + 1 :])
-        found.append(((back + ahead + 1).astype(np.uint16), before, after))
+        found.append(((back + ahead + 1).astype(np.uint16), back.astype(np.uint16), before, after))
     return Intervals(*(np.stack(part) for part in zip(*found, strict=True)))
 
 

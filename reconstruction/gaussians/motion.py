@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION, Course, evaluated
+from reconstruction.gaussians.course import Course, evaluated
 
 
 class Instantaneous(NamedTuple):
@@ -48,12 +48,6 @@ class MotionModel(ABC):
     def penalty(self) -> Tensor | None:
         """What the model's own regulariser adds to the loss, where it has one."""
         return None
-
-
-def gate(u: float, instants: Tensor, log_durations: Tensor) -> Tensor:
-    """Share [M] of its opacity that each Gaussian shows at u, given its window [M]."""
-    durations = log_durations.clamp(math.log(LEAST_DURATION), math.log(MOST_DURATION)).exp()
-    return torch.exp(-0.5 * ((u - instants) / durations).square())
 
 
 @dataclass

@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion import Instantaneous, MotionModel, gate
+from reconstruction.gaussians.course import Course, evaluated
+from reconstruction.gaussians.motion import Instantaneous, MotionModel
+from reconstruction.gaussians.riding import carried
 
 
 @dataclass
@@ -40,17 +42,21 @@ class RigidMotion(MotionModel):
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
         """Attached ones carried and turned by their body, free ones moved along."""
-        attached = len(self.bodies)
-        quats, centers = (poses[self.bodies] for poses in self.poses(u))
-        free = slice(attached, None)
-        carried = rotated(quats, moving.means[:attached]) + centers
-        moved = moving.means[free] + self.velocities * (u - self.instants[free])[:, None]
-        turned = product(quats, moving.quats_wxyz[:attached])
+        counts = [len(self.bodies), len(self.velocities)]
+        (local, start), (turns, turned), (dense, free_dense), (instants, free_instants), (lives, free_lives) = (
+            t.split(counts)
+            for t in (moving.means, moving.quats_wxyz, moving.opacity_logits, self.instants, self.log_durations)
+        )
+        places, quats = carried(local, turns, self.bodies, *self.poses(u))
+        riding = Course(places, dense, instants, lives, ())
+        straight = Course(start, free_dense, free_instants, free_lives, (self.velocities,))
+        none = moving.means[:0], moving.opacity_logits[:0]
+        (places, seen), (moved, also_seen) = (evaluated(*none, course, u) for course in (riding, straight))
         return Instantaneous(
-            torch.cat([carried, moved]),
-            torch.cat([turned, moving.quats_wxyz[free]]),
+            torch.cat([places, moved]),
+            torch.cat([quats, turned]),
             moving.log_scales,
-            moving.opacity_logits.sigmoid() * gate(u, self.instants, self.log_durations),
+            torch.cat([seen, also_seen]),
             moving.intensities,
         )
 
@@ -83,18 +89,3 @@ def unit(quats_wxyz: Tensor) -> Tensor:
     # Scaled first, so that 1e20 and 1e-20 survive the squares.
     scaled = torch.where(some, quats_wxyz / torch.where(some, largest, 1), quats_wxyz.new_tensor([1.0, 0, 0, 0]))
     return scaled / scaled.norm(dim=-1, keepdim=True)
-
-
-def rotated(quats_wxyz: Tensor, vectors: Tensor) -> Tensor:
-    """`vectors` [M, 3] turned by unit quaternions [M, 4]."""
-    real, axis = quats_wxyz[:, :1], quats_wxyz[:, 1:]
-    across = 2 * torch.linalg.cross(axis, vectors)
-    return vectors + real * across + torch.linalg.cross(axis, across)
-
-
-def product(left: Tensor, right: Tensor) -> Tensor:
-    """Hamilton's product [M, 4] of quaternions wxyz: `right` first, then `left`."""
-    a, u = left[:, :1], left[:, 1:]
-    b, v = right[:, :1], right[:, 1:]
-    real = a * b - (u * v).sum(-1, keepdim=True)
-    return torch.cat([real, a * v + b * u + torch.linalg.cross(u, v)], dim=-1)

@@ -1,6 +1,6 @@
 """The best statistic for each pixel: everything recorded where nothing moves, a short image where something does."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -13,25 +13,38 @@ from reconstruction.images.methods import Method
 
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
+KEPT_BYTES = 64_000_000  # of a view's short images, which training asks for again and again
 
 
 @dataclass(frozen=True, eq=False)
 class CompositeSource:
-    """One camera's target images under `light`: its background, but a short image by `method` where `moving` [H, W]."""
+    """One camera's target images under `light`: its background, but a short image by `method` where `moving` [H, W].
+
+    Short images are kept, their moving pixels alone, until they fill KEPT_BYTES; then the first goes first.
+    """
 
     stream: SpikeStream
     background: Background
     moving: NDArray[np.bool_]
     method: Method
     light: Light
+    kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
     def at(self, plane: int) -> NDArray[np.float32]:
         """The image [H, W] at `plane`, spikes per tick."""
         image = self.background.image * self.light.gains[plane]
-        if not self.moving.any():
-            return image
-        np.copyto(image, self.method(self.stream, plane).intensity, where=self.moving)
-        return mended(image, self.background.stuck)
+        if self.moving.any():
+            image[self.moving] = self._short(plane)
+        return image
+
+    def _short(self, plane: int) -> NDArray[np.float32]:
+        """The moving pixels' values at `plane`."""
+        if plane not in self.kept:
+            values = mended(self.method(self.stream, plane).intensity, self.background.stuck)[self.moving]
+            while self.kept and (len(self.kept) + 1) * values.nbytes > KEPT_BYTES:
+                self.kept.pop(next(iter(self.kept)))
+            self.kept[plane] = values
+        return self.kept[plane]
 
     def movers(self, plane: int) -> NDArray[np.bool_]:
         """Pixels [H, W] that see a mover at `plane`: unlike the background, or without one to compare with."""

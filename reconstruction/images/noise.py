@@ -2,8 +2,8 @@
 
 Letters: r light in spikes per tick, n planes of a window, T ticks of an interval, E electrons to a spike.
 An error that is uniform over one unit has variance 1/12; the difference of two such, which both a count and an interval
-have at their ends, 1/6. Shot noise adds r / (E n) to the variance. `tests/unit/reconstruction/test_noise.py` holds the
-formulas against the simulated sensor.
+have at their ends, 1/6. Shot noise adds r / (E n) to the variance. `tests/unit/reconstruction/test_methods.py` holds
+the formulas against the simulated sensor.
 """
 
 import numpy as np
@@ -26,6 +26,18 @@ def window_sigma(rate: Image, planes: NDArray | int) -> Image:
     """Of a mean over n planes: a spike more or less at the ends."""
     n = np.maximum(planes, 1).astype(np.float32)
     return np.sqrt(np.float32(_ENDS) / np.square(n) + _shot(rate) / n)
+
+
+def interpolated_sigma(rate: Image, ticks: NDArray[np.integer], planes: int) -> Image:
+    """Of an interpolated count over n planes whose ends lie in intervals of at most T ticks.
+
+    Each end lies evenly between two spikes whose places are uniform in their ticks: r^2 / 18. An interval that holds
+    both ends is the whole error, as in `interval_sigma`.
+    """
+    span = np.maximum(ticks, planes).astype(np.float32)
+    ends = np.minimum(np.square(rate) / (9 * planes**2), np.square(np.square(rate)) * np.float32(_ENDS))
+    bound = np.float32(_ENDS) / np.square(span)  # of a window without a spike: at most one
+    return np.sqrt(np.where(rate * span < 1, bound, ends) + _shot(rate) / span)
 
 
 def slope_sigma(rate: Image, planes: NDArray | int) -> Image:

@@ -26,7 +26,7 @@ def tfi(stream: SpikeStream, plane: int, reach: int = REACH) -> Estimate:
 
 def tfi_images(stream: SpikeStream, planes: Sequence[int], reach: int = REACH, *, threads: int = 1) -> list[Estimate]:
     """The images at many planes of one stream, in one call to the kernel on `threads` cores."""
-    ticks, before, after = intervals(stream.packed, stream.layout, planes, reach, threads=threads)
+    ticks, _, before, after = intervals(stream.packed, stream.layout, planes, reach, threads=threads)
     valid = before & after
     intensity = np.reciprocal(ticks, dtype=np.float32)
     return [Estimate(intensity[i], valid[i], interval_sigma(ticks[i])) for i in range(len(ticks))]

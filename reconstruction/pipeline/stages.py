@@ -19,7 +19,7 @@ from reconstruction.images.background import Background, background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
-from reconstruction.images.methods import method
+from reconstruction.images.methods import method_for
 from reconstruction.initialization.bodies import Bodies, find_bodies
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
@@ -67,16 +67,12 @@ def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
 def composite_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
     """The target images of every training view, from the artefacts of the plan and images stages."""
     plan, light = run.plan, Light(run.read_array("plan/light"))
-    return {
-        view: CompositeSource(
-            recording.stream(view),
-            Background(*(run.read_array(f"images/{f.name}_{view}") for f in fields(Background))),
-            run.read_array(f"plan/moving_{view}"),
-            method(plan.images),
-            light,
-        )
-        for view in plan.views
-    }
+    sources = {}
+    for view in plan.views:
+        stream, moving = recording.stream(view), run.read_array(f"plan/moving_{view}")
+        still = Background(*(run.read_array(f"images/{f.name}_{view}") for f in fields(Background)))
+        sources[view] = CompositeSource(stream, still, moving, method_for(plan.images, stream.layout, moving), light)
+    return sources
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:

@@ -128,7 +128,7 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     sources = composite_sources(run, recording)
     views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
-    settings = TrainerSettings(plan.supervision, white=max(white, 1e-6))
+    settings = TrainerSettings(plan.supervision, white=max(white, 1e-6), tick_stride=run.config.tick_stride)
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 from reconstruction.errors import BadRunError
 
 Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
 Init = Literal["auto", "sweep"]
-ImageSource = Literal["auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot"]
+ImageSource = Literal[
+    "auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated", "spk2imgnet", "blindspot"
+]
 Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
 
 DEFAULT_BUDGET_S = 120.0
@@ -19,7 +21,8 @@ DEFAULT_BUDGET_S = 120.0
 class ReconstructionConfig:
     """Closed lists of names as the command line knows them; exactly one of `budget_s` and `steps` rules.
 
-    `views`: training cameras by id (empty: all but the held-out one). Raises BadRunError naming the field.
+    `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
+    images are targets. Raises BadRunError naming the field.
     """
 
     model: Model = "auto"
@@ -31,7 +34,8 @@ class ReconstructionConfig:
     budget_s: float | None = DEFAULT_BUDGET_S
     steps: int | None = None
     seed: int = 0
-    gaussians: int = field(default=24_000)
+    gaussians: int = 24_000
+    tick_stride: int = 4
 
     def __post_init__(self) -> None:
         for name, names in (("model", Model), ("init", Init), ("images", ImageSource), ("supervision", Supervision)):
@@ -47,6 +51,8 @@ class ReconstructionConfig:
             raise BadRunError(f"found {self.steps} steps, expected at least 1")
         if self.gaussians < 1:
             raise BadRunError(f"found a cap of {self.gaussians} Gaussians, expected at least 1")
+        if self.tick_stride < 1:
+            raise BadRunError(f"found a tick stride of {self.tick_stride}, expected at least 1")
         if self.holdout is not None and self.holdout in self.views:
             raise BadRunError(f"found {self.holdout} both held out and among the training views; leave it out of one")
 

@@ -65,15 +65,20 @@ def make_plan(
     model = _choose_model(config, masks, decisions)
     if model == "static":
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
-    images = config.images if config.images != "auto" else "slope"
+    images = config.images if config.images != "auto" else "interpolated"
     if config.images == "auto":
         decisions.append(
-            Decision("images", images, "long mean where nothing moves, 33-plane slope where something does", "--images")
+            Decision(
+                "images",
+                images,
+                "long mean where nothing moves, 9-plane interpolated count where something does",
+                "--images",
+            )
         )
     supervision = config.supervision
     if supervision == "auto":
-        supervision = "pixels" if model == "static" else "variation"
-        reason = "nothing varies" if model == "static" else "movers vary over time"
+        supervision = "pixels"
+        reason = "at equal time no spike term gained on the development scenes"
         decisions.append(Decision("supervision", supervision, reason, "--supervision"))
     decisions.append(Decision("poses", "not estimated", f"the rig's poses are {rig.poses} and used as given", "--init"))
     decisions.append(Decision("colour", "one grey channel, no view dependence", "a spike carries no colour", "none"))

@@ -43,18 +43,24 @@ Term = Callable[[DynamicCloud, TrainingView, np.random.Generator, int], Tensor]
 class ImageTerm:
     """L1 and SSIM against the target image of one instant, at a `shrink`-th of the size.
 
-    `white` is the data range in spikes per tick; `solid` works against light that passes through everything: dark
-    texture is not a hole.
+    `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
+    kept; `solid` works against light that passes through everything: dark texture is not a hole.
     """
 
     clock: RigClock
     white: float
+    stride: int = 1
     ssim: float = 0.2
     solid: float = 0.02
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
-        return self.against(*self.pair(cloud, view, int(rng.integers(len(view.source.stream))), shrink))
+        return self.against(*self.pair(cloud, view, self.drawn(len(view.source.stream), rng), shrink))
+
+    def drawn(self, planes: int, rng: np.random.Generator) -> int:
+        """One of the middles of every `stride` planes."""
+        stride = min(self.stride, planes)
+        return stride // 2 + stride * int(rng.integers(planes // stride))
 
     def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int, shrink: int) -> tuple[Rendering, Tensor]:
         """What is rendered and what should be, at `plane`."""
@@ -85,7 +91,7 @@ class VariationTerm:
         """The loss of instants that begin at a random plane."""
         planes = len(view.source.stream)
         gap = min(self.gap, max(1, (planes - 1) // (self.instants - 1)))
-        first = int(rng.integers(max(1, planes - gap * (self.instants - 1))))
+        first = self.image.drawn(max(1, planes - gap * (self.instants - 1)), rng)
         at = [min(first + i * gap, planes - 1) for i in range(self.instants)]
         pairs = [self.image.pair(cloud, view, plane, shrink) for plane in at]
         pixels = torch.stack([self.image.against(r, t) for r, t in pairs]).mean()

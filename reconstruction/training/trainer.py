@@ -49,6 +49,7 @@ class Rates:
 class TrainerSettings:
     """`white`: data range in spikes per tick. `half_until`: share of the training at half resolution.
 
+    `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
@@ -56,6 +57,7 @@ class TrainerSettings:
     supervision: str
     white: float = 0.6
     rates: Rates = field(default_factory=Rates)
+    tick_stride: int = 1
     half_until: float = 0.1
     spike_every: int = 2
     canonical_until: float = 3 / 17
@@ -121,7 +123,7 @@ class Trainer:
 
 
 def _terms(settings: TrainerSettings, clock: RigClock) -> tuple[ImageTerm, Term | None]:
-    image = ImageTerm(clock, settings.white)
+    image = ImageTerm(clock, settings.white, settings.tick_stride)
     name = settings.supervision
     if name == "pixels":
         return image, None

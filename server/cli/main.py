@@ -63,7 +63,8 @@ def cli() -> None:
 
 def main() -> None:
     """Console entry: expected errors become one line and an exit code, never a traceback."""
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # a spinning barrier costs a scheduler slice on a shared core
+    if os.getloadavg()[0] > (os.cpu_count() or 1) / 2:
+        os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # a spinning barrier costs a time slice on a shared core
     try:
         cli(obj=time.monotonic())  # a budget counts from here, the heavy imports included
     except Spike4dgsError as error:

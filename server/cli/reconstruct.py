@@ -4,6 +4,7 @@ import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import click
 import numpy as np
@@ -17,7 +18,7 @@ from reconstruction.pipeline.run import STAGES, reconstruct
 from reconstruction.rendering.view import look
 from reconstruction.report.pictures import grey, write_png
 from reconstruction.training.checkpoint import load_cloud
-from reconstruction.training.config import DEFAULT_BUDGET_S, ReconstructionConfig
+from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, ReconstructionConfig
 from reconstruction.training.run import RunFolder
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.progress import progress_of
@@ -30,10 +31,11 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--out", type=FOLDER, required=True, help="Run folder; an unfinished one is resumed.")
 @click.option("--model", default="auto", help="auto, static, linear, cubic, bases or 4dgs.")
 @click.option("--init", default="auto", help="auto or sweep.")
-@click.option("--images", default="auto", help="auto, tfi, tfp, tfstp, tvs, slope, adaptive, spk2imgnet or blindspot.")
+@click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
 @click.option("--supervision", default="auto", help="auto, pixels, l1, l2, variation, counts or cumulative.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")
 @click.option("--views", default="", help="Training cameras, comma-separated [default: all but the held-out one].")
+@click.option("--tick-stride", type=int, default=4, show_default=True, help="Planes between instants used as images.")
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint [default: {DEFAULT_BUDGET_S:g}].")
 @click.option("--steps", type=int, help="Training steps instead of a budget; repeatable to the bit.")
 @click.option("--seed", type=int, default=0, show_default=True)

@@ -13,7 +13,7 @@ NAMES = {
         *("tfp_x_numpy", "tfi_x_numpy", "tfp_fraction_of_copy", "tfp.gb_per_s", "tfi.planes_per_s"),
         *(
             f"{m}.{key}"
-            for m in ("tfi", "tfp", "tfstp", "tvs", "slope", "adaptive")
+            for m in ("tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated")
             for key in ("psnr_db", "ms_per_image")
         ),
     },

@@ -18,7 +18,7 @@ from reconstruction.images.tfp import tfp, tfp_images
 from reconstruction.images.tfstp import TAU_D, TAU_F, U0, F, tfstp
 from reconstruction.images.tvs import tvs
 
-NAMES = ("tfi", "tfp", "tfstp", "tvs", "slope", "adaptive")
+NAMES = ("tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated")
 WINDOWS = ("tfp", "slope", "adaptive")
 ORDERS = [("lsb", "bottom"), ("msb", "top")]
 

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.rigid import RigidMotion, knot_weights, product, rotated
+from reconstruction.gaussians.riding import carried, carried_reference, product, rotated
+from reconstruction.gaussians.rigid import RigidMotion, knot_weights
 from reconstruction.rendering.reference import rotations_of
 
 
@@ -101,3 +102,38 @@ def test_gradients_agree_with_numerical_ones(u):
         return tuple(RigidMotion(motion.bodies, *rest).at(moving, u))
 
     assert torch.autograd.gradcheck(outputs, learnt)
+
+
+def riders(count: int, bodies: int, scale: float = 1.0) -> list[torch.Tensor]:
+    generator = torch.Generator().manual_seed(count)
+    draw = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)  # noqa: E731
+    turns = draw(bodies, 4)
+    return [scale * draw(count, 3), draw(count, 4), turns / turns.norm(dim=-1, keepdim=True), scale * draw(bodies, 3)]
+
+
+@pytest.mark.parametrize(("count", "bodies"), [(0, 0), (0, 2), (1, 1), (13, 3), (1000, 7)])
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 2e3])
+def test_riders_and_their_gradients_are_the_references(count, bodies, threads, scale):
+    exact = [t.requires_grad_(True) for t in riders(count, bodies, scale)]
+    single = [t.detach().float().requires_grad_(True) for t in exact]
+    owners = torch.randint(max(bodies, 1), (count,), generator=torch.Generator().manual_seed(1))
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        results = []
+        for function, leaves in ((carried_reference, exact), (carried, single)):
+            means, quats = function(leaves[0], leaves[1], owners, leaves[2], leaves[3])
+            (means.sin().sum() + (quats * quats.roll(1, dims=-1)).sum()).backward()
+            results.append([means, quats, *(leaf.grad for leaf in leaves)])
+    finally:
+        torch.set_num_threads(before)
+    for wanted, found in zip(*results, strict=True):
+        largest = max(1.0, scale, float(wanted.detach().abs().amax())) if wanted.numel() else 1.0
+        torch.testing.assert_close(found.double(), wanted, rtol=1e-4, atol=2e-5 * largest * max(1.0, scale))
+
+
+def test_the_references_gradient_is_that_of_finite_differences():
+    leaves = [t.requires_grad_(True) for t in riders(5, 2)]
+    owners = torch.tensor([0, 1, 1, 0, 1])
+    assert torch.autograd.gradcheck(lambda m, q, t, c: carried_reference(m, q, owners, t, c), leaves)
