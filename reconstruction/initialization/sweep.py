@@ -81,7 +81,7 @@ def sweep_view(
     """Depth of every pixel of the reference view, unchecked; all images linear, one size among the sources."""
     camera, image = reference
     stack = np.ascontiguousarray(np.stack([s for _, s in sources]), dtype=np.float32)
-    homographies, epipoles = zip(*(_plane_induced(camera, source) for source, _ in sources), strict=True)
+    homographies, epipoles = zip(*(plane_induced(camera, source) for source, _ in sources), strict=True)
     arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (homographies, epipoles, options.inverse_depths)]
     height, width = image.shape
     depth, cost = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -129,8 +129,8 @@ def _confirms(reference: DepthMap, other: DepthMap, tolerance: float) -> NDArray
         return (inside & (np.abs(1 / found - 1 / z) <= tolerance)).astype(np.int64)
 
 
-def _plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(K_s R K_r^-1 [9], K_s t [3]) of the homography that planes facing the reference induce."""
+def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """K_s R K_r^-1 [9] and K_s t [3] of the homography that planes facing the reference induce."""
     source_from_reference = source.cam_from_rig @ reference.cam_from_rig.inverse()
     homography = source.K @ source_from_reference.rotation @ np.linalg.inv(reference.K)
     return homography.ravel(), source.K @ source_from_reference.translation

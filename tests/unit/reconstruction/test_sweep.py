@@ -1,3 +1,8 @@
+import os
+import pickle
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -12,10 +17,12 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
+from reconstruction.initialization.sweep_reference import sweep_view_reference
 from rigs.camera import Camera
 from rigs.transform import Transform
 
 W, H = 96, 64
+SWEEPS = (sweep_view, sweep_view_reference)
 
 
 def texture(seed=0, size=512):
@@ -63,6 +70,39 @@ def test_a_slanted_plane_is_found_within_a_hundredth(scene):
         known = np.isfinite(found.depth)
         assert known.mean() > 0.6
         assert np.median(np.abs(found.depth[known] / truth[known] - 1)) < 0.01
+
+
+@pytest.mark.parametrize("radius", [2, 3])
+def test_the_kernel_finds_what_its_twin_finds(scene, radius):
+    cameras, images, _ = scene
+    views = list(zip(cameras, images, strict=True))
+    options = SweepOptions(*depth_range_m(cameras), planes=24, radius_px=radius)
+    found, twin = (sweep(views[4], [views[i] for i in (1, 3, 5, 8)], options) for sweep in SWEEPS)
+    assert np.abs(found.cost - twin.cost).max() < 2e-4  # a step is 1.07e-4
+    assert (np.abs(found.depth / twin.depth - 1) > 1e-3).mean() < 1e-3
+
+
+def test_the_sweep_does_not_depend_on_the_number_of_threads(scene):
+    cameras, images, _ = scene
+    views = list(zip(cameras, images, strict=True))
+    options = SweepOptions(*depth_range_m(cameras), planes=24)
+    run = (
+        "import os, sys, pickle; views, options = pickle.load(sys.stdin.buffer);"
+        "from reconstruction.initialization.sweep import sweep_view;"
+        "sys.stdout.buffer.write(sweep_view(views[4], views[:4], options).depth.tobytes())"
+    )
+    depths = [
+        subprocess.run(
+            [sys.executable, "-c", run],
+            input=pickle.dumps((views, options)),
+            env=os.environ | {"OMP_NUM_THREADS": threads},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "3")
+    ]
+    assert len(depths[0]) == W * H * 4
+    assert depths[0] == depths[1]
 
 
 def test_noise_without_a_surface_finds_no_consistent_depth(scene):
