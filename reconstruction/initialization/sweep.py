@@ -17,8 +17,6 @@ from rigs.camera import Camera
 
 Image = NDArray[np.float32]
 SOURCES = 4  # nearest views matched against each reference
-AGREEING = 2  # other views that must confirm a depth
-AGREEMENT_PX = 1.0  # how far, in inverse-depth steps, a confirming depth may lie
 
 
 @dataclass(frozen=True)
@@ -94,17 +92,6 @@ def sweep_view(
     return DepthMap(camera, depth, cost)
 
 
-def consistent(maps: Sequence[DepthMap], options: SweepOptions, agreeing: int = AGREEING) -> list[DepthMap]:
-    """The same depths with NaN wherever fewer than `agreeing` other views see the same surface."""
-    step = float(np.diff(options.inverse_depths[:2])[0])
-    checked = []
-    for i, reference in enumerate(maps):
-        votes = sum(_confirms(reference, other, AGREEMENT_PX * step) for j, other in enumerate(maps) if j != i)
-        kept = np.where(votes >= min(agreeing, len(maps) - 1), reference.depth, np.float32(np.nan))
-        checked.append(DepthMap(reference.camera, kept.astype(np.float32), reference.cost))
-    return checked
-
-
 def back_project(camera: Camera, depth: Image) -> NDArray[np.float64]:
     """Points [H, W, 3] in the rig frame of depths [H, W]."""
     height, width = depth.shape
@@ -112,21 +99,6 @@ def back_project(camera: Camera, depth: Image) -> NDArray[np.float64]:
     y = (np.arange(height) + 0.5 - camera.cy) / camera.fy
     rays = np.stack([*np.meshgrid(x, y), np.ones((height, width))], axis=-1)
     return camera.cam_from_rig.inverse().apply(rays * depth[..., None])
-
-
-def _confirms(reference: DepthMap, other: DepthMap, tolerance: float) -> NDArray[np.int64]:
-    """1 where `other`'s depth agrees in inverse depth with the reference's point seen from it [H, W]."""
-    camera = other.camera
-    in_other = camera.cam_from_rig.apply(back_project(reference.camera, reference.depth))
-    z = np.where(in_other[..., 2] > 1e-6, in_other[..., 2], np.nan)
-    with np.errstate(invalid="ignore"):
-        u = np.floor(np.nan_to_num(in_other[..., 0] / z * camera.fx + camera.cx, nan=-1)).astype(np.int64)
-        v = np.floor(np.nan_to_num(in_other[..., 1] / z * camera.fy + camera.cy, nan=-1)).astype(np.int64)
-    height, width = other.depth.shape
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    found = other.depth[np.where(inside, v, 0), np.where(inside, u, 0)]
-    with np.errstate(invalid="ignore"):
-        return (inside & (np.abs(1 / found - 1 / z) <= tolerance)).astype(np.int64)
 
 
 def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -20,13 +20,13 @@ def sweep_view_reference(
     reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], options: SweepOptions
 ) -> DepthMap:
     """Readable twin of `sweep_view`."""
-    camera, image = reference
     scale = np.float32(15000 / (1 + options.penalty_jump))
     one = int(scale)
     cost = np.stack([_matched(reference, sources, w, options) for w in options.inverse_depths], axis=-1)  # [H, W, D]
     steps = (cost * one + 0.5).astype(np.int64)
     penalties = [int(p * scale + 0.5) for p in (options.penalty_step, options.penalty_jump)]
-    total = sum(_path(steps, axis, backward, *penalties) for axis in (0, 1) for backward in (False, True))
+    paths = [_path(steps, axis, backward, *penalties) for axis in (0, 1) for backward in (False, True)]
+    total = np.sum(paths, axis=0)
     best = total.argmin(axis=-1)
     inner = np.clip(best, 1, options.planes - 2)
     below, here, above = (np.take_along_axis(total, (inner + k)[..., None], -1)[..., 0] for k in (-1, 0, 1))
@@ -35,11 +35,14 @@ def sweep_view_reference(
     w = options.inverse_depths
     depth = 1 / (w[best] + offset * (w[1] - w[0]))
     found = np.take_along_axis(steps, best[..., None], -1)[..., 0] / one
-    return DepthMap(camera, depth.astype(np.float32), found.astype(np.float32))
+    return DepthMap(reference[0], depth.astype(np.float32), found.astype(np.float32))
 
 
 def _matched(
-    reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], inverse_depth: float, options: SweepOptions
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    inverse_depth: float,
+    options: SweepOptions,
 ) -> NDArray[np.float64]:
     """Mean of the two best costs [H, W] at one hypothesis."""
     camera, image = reference

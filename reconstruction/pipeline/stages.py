@@ -21,11 +21,11 @@ from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
 from reconstruction.images.methods import method
 from reconstruction.initialization.bodies import Bodies, find_bodies
+from reconstruction.initialization.consistency import consistent
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
-    consistent,
     depth_range_m,
     neighbours,
     sweep_view,

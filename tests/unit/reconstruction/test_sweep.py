@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
+from reconstruction.initialization.consistency import confirmations, confirmations_reference, consistent
 from reconstruction.initialization.points import Points, sample_points, spacing
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
     back_project,
-    consistent,
     depth_range_m,
     neighbours,
     sweep_view,
@@ -177,3 +177,23 @@ def test_spacing_of_a_grid_is_its_pitch_and_of_one_point_a_centimetre():
     grid = np.stack(np.meshgrid(np.arange(6), np.arange(6), [0.0]), -1).reshape(-1, 3) * 0.1
     assert np.allclose(spacing(grid)[[7, 8, 14]], 0.1, atol=1e-6)
     assert spacing(grid[:1]).tolist() == [0.01]
+
+
+def test_spacing_is_that_of_all_distances_also_far_from_the_origin():
+    points = np.random.default_rng(1).normal(size=(600, 3)) * 0.3 + [0, 0, 50.0]
+    points[:40] = points[40:80]  # twins have one neighbour at no distance
+    apart = np.sort(np.linalg.norm(points[:, None] - points, axis=-1), axis=1)[:, 1:4].mean(axis=1)
+    assert np.abs(spacing(points) / apart - 1).max() < 2e-5
+
+
+def test_confirmations_are_those_of_the_twin(scene):
+    cameras, _, depths = scene
+    rng = np.random.default_rng(2)
+    blurred = [(d * (1 + 0.02 * rng.normal(size=d.shape))).astype(np.float32) for d in depths]
+    for depth in blurred:
+        depth[rng.random(depth.shape) < 0.1] = np.nan
+    small = DepthMap(cameras[5].scaled(W // 2, H // 2), blurred[5][::2, ::2], blurred[5][::2, ::2])
+    maps = [*(DepthMap(c, d, d) for c, d in zip(cameras[:5], blurred[:5], strict=True)), small]
+    votes = confirmations(maps[4], [*maps[:4], small], 0.01)
+    assert set(np.unique(votes)) == {0, 1, 2, 3, 4, 5}
+    assert (votes == confirmations_reference(maps[4], [*maps[:4], small], 0.01)).all()
