@@ -10,7 +10,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
-from reconstruction.pipeline.budget import StoppedError, process_budget
+from reconstruction.pipeline.budget import Budget, StoppedError, process_budget
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.run import RunFolder
@@ -48,24 +48,14 @@ def reconstruct(
 
         return report
 
-    def train(progress: Progress) -> None:
-        from reconstruction.pipeline.training import train_stage  # torch, which the stages before do without
-
-        train_stage(run, recording, progress, budget, should_stop)
-
-    def report(progress: Progress) -> None:
-        from reconstruction.pipeline.report import report_stage  # plots and video, after the budget is spent
-
-        report_stage(run, recording, stoppable(progress))
-
     with run.locked():
         budget = process_budget(run, began)
         work: dict[str, Callable[[Progress], None]] = {
             "plan": lambda p: plan_stage(run, recording, stoppable(p)),
             "images": lambda p: images_stage(run, recording, stoppable(p)),
             "points": lambda p: points_stage(run, recording, stoppable(p)),
-            "train": train,
-            "report": report,
+            "train": lambda p: _train(run, recording, p, budget, should_stop),
+            "report": lambda p: _report(run, recording, stoppable(p)),
         }
         for name in _due(run, stage):
             work[name](progress_of(name))
@@ -78,6 +68,20 @@ def reconstruct(
             run.document["status"] = "finished"
             run.save()
     return run
+
+
+def _train(
+    run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
+) -> None:
+    from reconstruction.pipeline.training import train_stage  # torch, which the stages before do without
+
+    train_stage(run, recording, progress, budget, should_stop)
+
+
+def _report(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    from reconstruction.pipeline.report import report_stage  # plots and video, when the budget is spent
+
+    report_stage(run, recording, progress)
 
 
 def _due(run: RunFolder, stage: str | None) -> list[str]:
