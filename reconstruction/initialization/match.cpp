@@ -10,6 +10,7 @@
 namespace s4 {
 namespace {
 
+using Pair = float __attribute__((vector_size(8)));  // two neighbours of a row
 constexpr float kUnseen = 1;  // the cost where a source sees nothing
 
 struct Reference {  // [H, W] each; the window is clipped at the border
@@ -30,7 +31,7 @@ struct Scratch {
     std::vector<float> fx, fy, pairs, sum, squares, products, best, second;
     std::vector<int32_t> at;
     Scratch(const Views &v, int radius)
-        : sources(v.count), fx(v.width), fy(v.width), pairs(4 * v.width), sum(v.width),
+        : sources(v.count), fx(v.width), fy(v.width), pairs(2 * v.width), sum(v.width),
           squares(v.width), products(v.width), best(v.width), second(v.width), at(v.width) {
         for (Source &s : sources)
             s.lines.assign(2 * radius + 1, {std::vector<float>(v.width), std::vector<float>(v.width)});
@@ -73,17 +74,19 @@ void warp(const Views &views, int source, Scratch &s, Line &line) {
         return;
     }
     float *pairs = s.pairs.data(), *value = line.value.data();
-    for (int x = 0; x < width; ++x) {
-        const float *p = image + s.at[x];
-        std::memcpy(pairs + 4 * x, p, 8);
-        std::memcpy(pairs + 4 * x + 2, p + down, 8);
-    }
     const float *fx = s.fx.data(), *fy = s.fy.data(), *seen = line.seen.data();
+    const int32_t *at = s.at.data();
+    for (int x = 0; x < width; ++x) {
+        Pair above, below;
+        std::memcpy(&above, image + at[x], sizeof above);
+        std::memcpy(&below, image + at[x] + down, sizeof below);
+        above += fy[x] * (below - above);
+        std::memcpy(pairs + 2 * x, &above, sizeof above);
+    }
 #pragma omp simd
     for (int x = 0; x < width; ++x) {
-        const float *p = pairs + 4 * x;
-        const float above = p[0] + fx[x] * (p[1] - p[0]), below = p[2] + fx[x] * (p[3] - p[2]);
-        value[x] = seen[x] > 0 ? above + fy[x] * (below - above) : 0;
+        const float left = pairs[2 * x], right = pairs[2 * x + 1];
+        value[x] = seen[x] > 0 ? left + fx[x] * (right - left) : 0;
     }
 }
 
