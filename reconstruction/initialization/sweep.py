@@ -1,7 +1,8 @@
 """Plane-sweep stereo with known poses: dense depth in each view, kept where other views agree.
 
-Cost: seconds at 400x250 with eight views. Fails on texture that repeats along the baselines or is flat; the consistency
-check removes most of that, and too few survivors is a StereoError: training does not recover from bad points.
+Cost: a third of a second of one core for 128 hypotheses at 400x250. Fails on texture that repeats along the baselines
+or is flat; `consistency` removes most of that, and too few survivors is a StereoError: training does not recover from
+bad points.
 Source: Collins, CVPR 1996 (plane sweep); Hirschmueller, PAMI 2008 (semi-global matching); ZNCC and best-k by design.
 """
 
