@@ -16,7 +16,7 @@ from reconstruction.evaluation.truth import Truth, TruthFrame, spread
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
 from reconstruction.metrics.depth import abs_rel, delta_1_25
-from reconstruction.metrics.image import psnr_db, ssim
+from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 from reconstruction.rendering.view import View, look
 from rigs.camera import Camera
 
@@ -98,10 +98,11 @@ def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[
 
 def _score(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
     scores: dict[str, float] = {}
+    alike = ssim_map(view.intensity, frame.intensity, white)
     masks: dict[str, NDArray[np.bool_] | None] = {"": None, "dynamic_": frame.moving}
     for prefix, mask in masks.items():
         scores[f"{prefix}psnr_db"] = psnr_db(view.intensity, frame.intensity, white, mask)
-        scores[f"{prefix}ssim"] = ssim(view.intensity, frame.intensity, white, mask)
+        scores[f"{prefix}ssim"] = mean_over(alike, mask)
         scores[f"{prefix}abs_rel"] = abs_rel(view.depth, frame.depth, mask)
         scores[f"{prefix}delta_1_25"] = delta_1_25(view.depth, frame.depth, mask)
     return scores

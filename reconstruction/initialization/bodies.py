@@ -3,8 +3,8 @@
 Letters: I instants, n points. A body begins as a connected cluster and is followed from instant to instant by soft
 registration, in which points match that are near and alike in brightness; it claims the points it explains, so clusters
 that touch later stay apart. What no body explains, or only badly (what bends, or moves too far between two instants),
-stays free. Cost: 3 s of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set registration:
-coherent point drift", PAMI 2010, with an intensity term.
+stays free. Cost: a second of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set
+registration: coherent point drift", PAMI 2010, with an intensity term.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from reconstruction.initialization.matching import ALIKE
 from reconstruction.initialization.points import Points
-from reconstruction.initialization.registration import ALIKE, Placed, distances, register, sampled
+from reconstruction.initialization.registration import Placed, distances, register, sampled
 from rigs.transform import Transform
 
 LEAST_POINTS = 40  # of a cluster that may become a body

@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from reconstruction.initialization.sweep import DepthMap, back_project
 
 NEIGHBOURS = 3
+SINGLE_TREE = 4  # FLANN's k-d tree that searches exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,9 @@ def spacing(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean distance [N] in m to the nearest points; a point alone gets 1 cm."""
     if len(positions) < 2:
         return np.full(len(positions), 0.01)
-    points = torch.from_numpy(np.ascontiguousarray(positions, dtype=np.float32))
-    near = min(NEIGHBOURS, len(points) - 1) + 1
-    gaps = [torch.cdist(chunk, points).topk(near, largest=False).values[:, 1:] for chunk in points.split(1024)]
-    return np.maximum(torch.cat(gaps).mean(dim=1).numpy().astype(np.float64), 1e-5)
+    near = min(NEIGHBOURS, len(positions) - 1) + 1
+    points = np.ascontiguousarray(positions - positions.mean(axis=0), dtype=np.float32)
+    tree = cv2.flann.Index(points, {"algorithm": SINGLE_TREE})
+    _, squared = tree.knnSearch(points, near, params={})
+    gaps = np.sqrt(np.sort(squared, axis=1)[:, 1:]).mean(axis=1)
+    return np.maximum(gaps.astype(np.float64), 1e-5)

@@ -1,9 +1,9 @@
 """Two samples of one rigid surface to the transform between them, without knowing which point is which.
 
-Letters: n points of the target, m of the model. Every target point is matched softly with all model points by distance
-and by brightness, or with none; the rigid fit to the matches is closed form; the width of the matches follows the
+Letters: n points of the target, m of the model. Every target point is matched softly with all model points, by distance
+and by brightness (`matching`); the rigid fit to the matches is closed form; the width of the matches follows the
 residuals down to `floor`. Cost: n x m a round, so both are thinned to MOST_POINTS. Needs a guess within a few widths.
-Source: Myronenko & Song, "Point set registration: coherent point drift", PAMI 2010; Umeyama, PAMI 1991 (the fit).
+Source: Myronenko & Song, "Point set registration: coherent point drift", PAMI 2010.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from reconstruction.initialization.matching import rigid_fit, soft_matches
 from reconstruction.initialization.points import Points
 from rigs.transform import Transform
 
@@ -23,9 +24,7 @@ MOST_POINTS = 400
 ROUNDS = 20
 STRAY = 0.2  # share of the target that is expected to have no partner
 CROWDING = 0.1  # points lie on surfaces: most of the volume around them is empty
-MOST_UNLIKE = 40.0  # exponent beyond which a match is none; denormal numbers are slow
 LEAST_MATCHED = 3.0
-ALIKE = 0.04  # spikes per tick: brightness of one surface point seen at two instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +57,8 @@ class Placed:
 
     def moved(self, pose: Transform) -> Placed:
         """The points carried by `pose`."""
-        turn, shift = (torch.from_numpy(np.asarray(a, np.float32)) for a in (pose.rotation, pose.translation))
-        return Placed(self.positions @ turn.T + shift, self.intensities)
+        turn, shift = (np.asarray(a, np.float32) for a in (pose.rotation, pose.translation))
+        return Placed(torch.from_numpy(self.positions.numpy() @ turn.T + shift), self.intensities)
 
 
 def sampled(points: Placed) -> Placed:
@@ -77,38 +76,23 @@ def distances(points: Tensor, others: Tensor) -> Tensor:
 def register(model: Placed, target: Placed, guess: Transform, width: float, floor: float) -> Transform:
     """Target from model, begun at `guess` with matches `width` metres wide, which narrow to half of `floor`."""
     pose = guess
-    unlike = (target.intensities[:, None] - model.intensities).square() / (2 * ALIKE**2)
     volume = float((target.positions.amax(dim=0) - target.positions.amin(dim=0)).clamp_min(floor).prod())
     lever = float(model.positions.norm(dim=1).amax())
+    model_cloud, target_cloud = ((p.positions.numpy(), p.intensities.numpy()) for p in (model, target))
     for _ in range(ROUNDS):
-        squared = distances(target.positions, model.moved(pose).positions).square()
-        match = torch.exp(-(squared / (2 * width**2) + unlike).clamp_max(MOST_UNLIKE))
         stray = STRAY / (1 - STRAY) * len(model) * CROWDING * (2 * np.pi) ** 1.5 * width**3 / volume
-        match = match / (match.sum(dim=1, keepdim=True) + stray)
-        total = float(match.sum())
-        if total < LEAST_MATCHED:
+        matches = soft_matches(model_cloud, target_cloud, pose, width, stray)
+        if matches.total < LEAST_MATCHED:
             break
-        found = rigid_fit(model.positions, target.positions, match)
+        found = rigid_fit(matches)
         still = _apart(found, pose, lever) < 1e-3 * floor
         pose = found
-        residual = (float((match * squared).sum()) / (3 * total)) ** 0.5
+        residual = (matches.squared / (3 * matches.total)) ** 0.5
         narrowed = max(floor / 2, min(width * 0.8, residual))
         if still and narrowed == width:
             break
         width = narrowed
     return pose
-
-
-def rigid_fit(model: Tensor, target: Tensor, match: Tensor) -> Transform:
-    """The pose that brings `model` [m, 3] nearest to `target` [n, 3] in the squares weighted by `match` [n, m]."""
-    mass = match.sum()
-    middle_model, middle_target = (match.sum(dim=0) @ model) / mass, (match.sum(dim=1) @ target) / mass
-    cross = ((target - middle_target).T @ match @ (model - middle_model)).double()
-    left, _, right = torch.linalg.svd(cross)
-    sign = torch.ones(3, dtype=cross.dtype)
-    sign[2] = torch.linalg.det(left @ right).sign()
-    turn = left @ (sign[:, None] * right)
-    return Transform(turn.numpy(), (middle_target.double() - turn @ middle_model.double()).numpy())
 
 
 def _apart(one: Transform, other: Transform, lever: float) -> float:

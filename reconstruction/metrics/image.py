@@ -2,12 +2,13 @@
 
 import math
 
+import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torchmetrics.functional.image import structural_similarity_index_measure
 
 Image = NDArray[np.float32]
+WINDOW, SIGMA = 11, 1.5  # pixels
+K1, K2 = 0.01, 0.03
 
 
 def psnr_db(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | None = None) -> float:
@@ -18,10 +19,30 @@ def psnr_db(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | 
 
 
 def ssim(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | None = None) -> float:
-    """Structural similarity: Gaussian window of sigma 1.5, population covariance, data range `white`."""
-    x, y = (torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32))[None, None] for a in (image, truth))
-    result = structural_similarity_index_measure(x, y, sigma=1.5, data_range=white, return_full_image=True)
-    full = result[1][0, 0].numpy()
+    """Mean of `ssim_map` over all pixels or a mask; NaN for an empty one."""
+    return mean_over(ssim_map(image, truth, white), mask)
+
+
+def ssim_map(image: Image, truth: Image, white: float) -> NDArray[np.float64]:
+    """Structural similarity [H, W] with data range `white`: Gaussian window of sigma 1.5, population covariance.
+
+    Source: Wang et al., "Image quality assessment: from error visibility to structural similarity", TIP 2004, eq. 13.
+    """
+    x, y = image.astype(np.float64), truth.astype(np.float64)
+    mean_x, mean_y = _blurred(x), _blurred(y)
+    xx, yy = (_blurred(a * a) - mean * mean for a, mean in ((x, mean_x), (y, mean_y)))
+    xy = _blurred(x * y) - mean_x * mean_y
+    c1, c2 = (K1 * white) ** 2, (K2 * white) ** 2
+    likeness = (2 * mean_x * mean_y + c1) * (2 * xy + c2)
+    return likeness / ((mean_x**2 + mean_y**2 + c1) * (np.maximum(xx, 0) + np.maximum(yy, 0) + c2))
+
+
+def mean_over(values: NDArray[np.float64], mask: NDArray[np.bool_] | None) -> float:
+    """Mean over all pixels [H, W] or a mask; NaN for an empty one."""
     if mask is None:
-        return float(full.mean())
-    return float(full[mask].mean()) if mask.any() else math.nan
+        return float(values.mean())
+    return float(values[mask].mean()) if mask.any() else math.nan
+
+
+def _blurred(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(cv2.GaussianBlur(image, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_REFLECT_101), np.float64)

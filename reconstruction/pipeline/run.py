@@ -10,9 +10,8 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
-from reconstruction.pipeline.report import report_stage
+from reconstruction.pipeline.budget import Budget, StoppedError, process_budget
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
-from reconstruction.pipeline.training import StoppedError, process_budget, train_stage
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.run import RunFolder
 
@@ -55,8 +54,8 @@ def reconstruct(
             "plan": lambda p: plan_stage(run, recording, stoppable(p)),
             "images": lambda p: images_stage(run, recording, stoppable(p)),
             "points": lambda p: points_stage(run, recording, stoppable(p)),
-            "train": lambda p: train_stage(run, recording, p, budget, should_stop),
-            "report": lambda p: report_stage(run, recording, stoppable(p)),
+            "train": lambda p: _train(run, recording, p, budget, should_stop),
+            "report": lambda p: _report(run, recording, stoppable(p)),
         }
         for name in _due(run, stage):
             work[name](progress_of(name))
@@ -69,6 +68,20 @@ def reconstruct(
             run.document["status"] = "finished"
             run.save()
     return run
+
+
+def _train(
+    run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
+) -> None:
+    from reconstruction.pipeline.training import train_stage  # torch, which the stages before do without
+
+    train_stage(run, recording, progress, budget, should_stop)
+
+
+def _report(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    from reconstruction.pipeline.report import report_stage  # plots and video, when the budget is spent
+
+    report_stage(run, recording, progress)
 
 
 def _due(run: RunFolder, stage: str | None) -> list[str]:

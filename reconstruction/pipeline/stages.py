@@ -8,6 +8,7 @@ report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/.
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,11 @@ from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
 from reconstruction.images.methods import method_for
-from reconstruction.initialization.bodies import Bodies, find_bodies
+from reconstruction.initialization.consistency import consistent
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
-    consistent,
     depth_range_m,
     neighbours,
     sweep_view,
@@ -39,6 +39,9 @@ CANONICAL = 3  # Gaussians with a time window for one that lives through the cli
 LEAST_POINTS = 200
 LEAST_SHARE = 0.3  # of the pixels that must find a depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
+
+if TYPE_CHECKING:
+    from reconstruction.initialization.bodies import Bodies
 
 Image = NDArray[np.float32]
 
@@ -98,6 +101,8 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     moving = Points.joined(parts)
     _write_points(run, "moving", moving, 1.0)
     if plan.model == "bases":
+        from reconstruction.initialization.bodies import find_bodies  # torch, which no other model needs here
+
         instants_s = [rig.clock.instant_s(plane) for plane in moving_planes(recording.planes, plan.model)]
         _write_bodies(run, find_bodies(moving, instants_s), progress)
 
@@ -116,6 +121,8 @@ def read_points(run: RunFolder, kind: str) -> Points:
 
 def read_bodies(run: RunFolder) -> Bodies:
     """The rigid bodies of a run whose model is `bases`."""
+    from reconstruction.initialization.bodies import Bodies
+
     return Bodies(*(run.read_array(f"points/bodies_{f.name}") for f in fields(Bodies)))
 
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
-from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.light import Light
+from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, read_bodies, read_points
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.run import RunFolder
@@ -23,36 +21,6 @@ from reconstruction.training.trainer import Trainer, TrainerSettings, train
 
 CHECKPOINT_EVERY_S = 5.0
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
-
-
-class StoppedError(ReconstructionError):
-    """Training was asked to stop; its checkpoint is written and the same command resumes it."""
-
-    exit_code = 143
-
-
-@dataclass
-class Budget:
-    """How much of a training is done, by seconds of the run or by steps; `spent_s` lies before this process."""
-
-    clock: Callable[[], float]
-    started: float
-    spent_s: float
-    budget_s: float | None
-    steps: int | None
-    before_training_s: float = field(default=0.0)
-
-    def elapsed_s(self) -> float:
-        """Wall seconds of the run so far, earlier stages and processes included."""
-        return self.spent_s + self.clock() - self.started
-
-    def done(self, steps: int) -> float:
-        """The share of the training that lies behind, 0 to 1."""
-        if self.steps is not None:
-            return min(1.0, steps / self.steps)
-        assert self.budget_s is not None
-        room = self.budget_s - self.before_training_s
-        return 1.0 if room <= 0 else min(1.0, max(0.0, self.elapsed_s() - self.before_training_s) / room)
 
 
 def train_stage(
@@ -139,9 +107,3 @@ def _seeded(run: RunFolder, clip: Clip) -> DynamicCloud:
     if run.plan.model == "4dgs":
         return seed_field(still, moving, clip, run.config.seed)
     return seed_cloud(still, moving, clip, INSTANTS, cubic=run.plan.model == "cubic")
-
-
-def process_budget(run: RunFolder, started: float, clock: Callable[[], float] = time.monotonic) -> Budget:
-    """The budget of this process: stages finished by earlier processes count as spent."""
-    config = run.config
-    return Budget(clock, started, float(sum(run.document["seconds"].values())), config.budget_s, config.steps)

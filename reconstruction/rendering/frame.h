@@ -66,6 +66,7 @@ struct Frame {
 
 struct Image {
     float *intensity, *depth, *alpha;  // [H, W] each
+    float *median;                     // [H, W]: depth of the splat that takes the light to a half; or null, not wanted
 };
 struct ImageGradient {
     const float *intensity, *depth, *alpha;  // [H, W] each, or null

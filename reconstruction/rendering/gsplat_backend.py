@@ -40,19 +40,29 @@ def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
 
 
 def render_gsplat(
-    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor, camera: Pinhole
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    means: Tensor,
+    quats_wxyz: Tensor,
+    log_scales: Tensor,
+    opacities: Tensor,
+    intensities: Tensor,
+    camera: Pinhole,
+    *,
+    median: bool = False,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, None]:
     """Twin of `render_reference` for float32 on a CUDA device, any number of channels.
 
-    Raises ReconstructionError where gsplat or a CUDA device is missing, or the tensors are elsewhere.
+    Raises ReconstructionError where gsplat or a CUDA device is missing, the tensors are elsewhere, or the median depth
+    is asked for, which gsplat does not have.
     """
+    if median:
+        raise ReconstructionError("found a median depth asked of gsplat, expected the native or the reference backend")
     rasterization = _rasterization()
     if means.dtype != torch.float32 or means.device.type != DEVICE:
         raise ReconstructionError(f"found {means.dtype} on {means.device}, expected float32 on a CUDA device")
     if len(means) == 0:
         nothing = intensities.new_zeros(camera.height, camera.width)
         dark = nothing[..., None].expand(-1, -1, intensities.shape[1]) + intensities.sum()
-        return dark, nothing, nothing, torch.zeros(0, dtype=torch.int32, device=means.device)
+        return dark, nothing, nothing, torch.zeros(0, dtype=torch.int32, device=means.device), None
     cam_from_world = torch.eye(4, device=means.device)
     cam_from_world[:3, :3] = means.new_tensor(camera.rotation).reshape(3, 3)
     cam_from_world[:3, 3] = means.new_tensor(camera.translation)
@@ -76,4 +86,4 @@ def render_gsplat(
     radii = meta["radii"][0]  # [N, 2] since 1.5, [N] before
     if radii.ndim == 2:
         radii = radii.amax(-1)
-    return colours[0, ..., :-1], colours[0, ..., -1], alphas[0, ..., 0], radii.int()
+    return colours[0, ..., :-1], colours[0, ..., -1], alphas[0, ..., 0], radii.int(), None

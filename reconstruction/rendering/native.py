@@ -51,19 +51,22 @@ def _cloud(tensors: tuple[Tensor, ...]) -> _Cloud:
     return _Cloud(_pointers(*tensors), len(tensors[0]))
 
 
-def _forward(camera: Pinhole, cloud: tuple[Tensor, ...]) -> tuple[_Frame, tuple[Tensor, ...]]:
-    """The frame, and intensity, depth, alpha and radii."""
+def _forward(
+    camera: Pinhole, cloud: tuple[Tensor, ...], *, median: bool = False
+) -> tuple[_Frame, tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]]:
+    """The frame, and intensity, depth, alpha, radii and, if asked for, the median depth."""
     intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
+    middle = torch.empty(camera.height, camera.width) if median else None
     radii = torch.empty(len(cloud[0]), dtype=torch.int32)
     numbers = (*camera.rotation, *camera.translation, *camera.focal, *camera.principal, camera.near_m)
     pointer = _kernels().render_forward(
         ctypes.byref(_Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)),
         ctypes.byref(_cloud(cloud)),
-        _pointers(intensity, depth, alpha),
+        _pointers(intensity, depth, alpha, middle),
         ctypes.c_void_p(radii.data_ptr()),
         torch.get_num_threads(),
     )
-    return _Frame(pointer), (intensity, depth, alpha, radii)
+    return _Frame(pointer), (intensity, depth, alpha, radii, middle)
 
 
 class Work(NamedTuple):
@@ -85,11 +88,11 @@ def work_of(cloud: tuple[Tensor, ...], camera: Pinhole) -> Work:
 
 class _Render(Function):
     @staticmethod
-    def forward(ctx: Any, camera: Pinhole, *cloud: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, camera: Pinhole, median: bool, *cloud: Tensor) -> tuple[Tensor | None, ...]:
         cloud = tuple(t.contiguous() for t in cloud)
-        ctx.frame, images = _forward(camera, cloud)
+        ctx.frame, images = _forward(camera, cloud, median=median)
         ctx.save_for_backward(*cloud)
-        ctx.mark_non_differentiable(images[3])
+        ctx.mark_non_differentiable(*(image for image in images[3:] if image is not None))
         ctx.set_materialize_grads(False)
         return images
 
@@ -106,12 +109,19 @@ class _Render(Function):
             _pointers(*out),
             torch.get_num_threads(),
         )
-        return (None, *out)
+        return (None, None, *out)
 
 
 def render_native(
-    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor, camera: Pinhole
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    means: Tensor,
+    quats_wxyz: Tensor,
+    log_scales: Tensor,
+    opacities: Tensor,
+    intensities: Tensor,
+    camera: Pinhole,
+    *,
+    median: bool = False,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
     """Native twin of `render_reference` for float32 on the CPU; each channel beyond the first is another pass.
 
     Raises ReconstructionError for tensors of another type or elsewhere.
@@ -121,9 +131,9 @@ def render_native(
             f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}, "
             "expected float32 on the CPU; use the reference backend"
         )
-    geometry = (camera, means, quats_wxyz, log_scales, opacities)
+    geometry = (camera, median, means, quats_wxyz, log_scales, opacities)
     if intensities.shape[1] == 1:
-        intensity, depth, alpha, radii = _Render.apply(*geometry, intensities.squeeze(-1))
-        return intensity[..., None], depth, alpha, radii
+        intensity, *others = _Render.apply(*geometry, intensities.squeeze(-1))
+        return intensity[..., None], *others
     passes = [_Render.apply(*geometry, channel) for channel in intensities.unbind(-1)]
     return torch.stack([intensity for intensity, *_ in passes], -1), *passes[0][1:]

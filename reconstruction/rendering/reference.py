@@ -20,6 +20,7 @@ DILATION_PX2 = 0.3
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 TRANSMITTANCE_MIN = 1e-4
+HALF = 0.5  # of the light: what takes it there is where a pixel's median depth lies
 PAIRS_AT_ONCE = 4_000_000
 
 
@@ -133,19 +134,40 @@ def composite(splats: Splats, intensities: Tensor, pixels: Tensor) -> Tensor:
     return weights @ colours
 
 
+@torch.no_grad()
+def median_depths(splats: Splats, pixels: Tensor) -> Tensor:
+    """Depth [P] of the splat that takes the light at pixel centres [P, 2] to a half or below; NaN where none does."""
+    before = transmittance_before(alphas_of(splats, pixels))
+    falls = (before[:, :-1] > HALF) & (before[:, 1:] <= HALF)
+    return torch.where(falls, splats.depths, 0).sum(-1).where(falls.any(-1), torch.nan)
+
+
 def render_reference(
-    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor, camera: Pinhole
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Intensity [H, W, C], accumulated depth [H, W], alpha [H, W] and radii [N] (int32 px, 0 where culled)."""
+    means: Tensor,
+    quats_wxyz: Tensor,
+    log_scales: Tensor,
+    opacities: Tensor,
+    intensities: Tensor,
+    camera: Pinhole,
+    *,
+    median: bool = False,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
+    """Intensity [H, W, C], accumulated depth [H, W], alpha [H, W] and radii [N] (int32 px, 0 where culled).
+
+    Last the median depth [H, W] if it is asked for, else None.
+    """
     splats = project(means, quats_wxyz, log_scales, opacities, camera)
     rows = max(1, PAIRS_AT_ONCE // max(1, len(splats.source) * camera.width))
     x = torch.arange(camera.width, dtype=means.dtype, device=means.device) + 0.5
-    blocks = []
+    blocks, medians = [], []
     for top in range(0, camera.height, rows):
         y = torch.arange(top, min(top + rows, camera.height), dtype=means.dtype, device=means.device) + 0.5
         pixels = torch.stack([x.expand(len(y), -1), y[:, None].expand(-1, len(x))], -1).reshape(-1, 2)
         blocks.append(composite(splats, intensities[splats.source], pixels))
+        if median:
+            medians.append(median_depths(splats, pixels))
     image = torch.cat(blocks).reshape(camera.height, camera.width, -1)
     radii = torch.zeros(len(means), dtype=torch.int32, device=means.device)
     radii[splats.source] = splats.radii.clamp_max(1e9).int()
-    return image[..., :-2], image[..., -2], image[..., -1], radii
+    middle = torch.cat(medians).reshape(camera.height, camera.width) if median else None
+    return image[..., :-2], image[..., -2], image[..., -1], radii, middle

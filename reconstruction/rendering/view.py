@@ -10,12 +10,13 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.rendering.render import render
 from rigs.camera import Camera
 
-SOLID = 0.5  # opacity along a ray from which on a surface is there
-
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Linear intensity [H, W] in spikes per tick and depth [H, W] in m along z, NaN where nothing solid is."""
+    """Linear intensity [H, W] in spikes per tick and depth [H, W] in m along z.
+
+    A reconstruction's depth is the median one, NaN where less than half the light is taken.
+    """
 
     intensity: NDArray[np.float32]
     depth: NDArray[np.float32]
@@ -24,7 +25,6 @@ class View:
 def look(cloud: DynamicCloud, camera: Camera, instant_s: float) -> View:
     """What `camera` sees at `instant_s` on the rig clock."""
     with torch.no_grad():
-        rendering = render(cloud.at(instant_s), camera)
-        alpha = rendering.alpha
-        depth = torch.where(alpha > SOLID, rendering.depth / alpha.clamp_min(1e-6), torch.nan)
-    return View(rendering.intensity[..., 0].numpy(), depth.numpy())
+        rendering = render(cloud.at(instant_s), camera, median=True)
+    assert rendering.median is not None
+    return View(rendering.intensity[..., 0].numpy(), rendering.median.numpy())

@@ -13,11 +13,7 @@ from acquisition.durable import write_array
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
-from reconstruction.pipeline.report import evaluate_run
 from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.rendering.view import look
-from reconstruction.report.pictures import grey, write_png
-from reconstruction.training.checkpoint import load_cloud
 from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, ReconstructionConfig
 from reconstruction.training.run import RunFolder
 from rigs.exchange.nerfstudio import load_frames
@@ -77,6 +73,10 @@ def reconstruct_command(
 @click.option("--out", type=FOLDER, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
 def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     """Render RUN from any cameras at any time, with depth."""
+    from reconstruction.rendering.view import look
+    from reconstruction.report.pictures import grey, write_png
+    from reconstruction.training.checkpoint import load_cloud
+
     run = RunFolder.open(run_folder)
     cloud = load_cloud(run.checkpoint)
     frames = load_frames(cameras)
@@ -99,6 +99,8 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> None:
     """Score RUN on its held-out camera, beside the floors it must beat."""
+    from reconstruction.pipeline.report import evaluate_run
+
     run = RunFolder.open(run_folder)
     if run.config.holdout is None:
         raise BadRunError(

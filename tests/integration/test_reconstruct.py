@@ -13,8 +13,8 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
+from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.pipeline.training import StoppedError
 from reconstruction.rendering.view import look
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.config import ReconstructionConfig

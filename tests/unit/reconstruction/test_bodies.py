@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from reconstruction.initialization.bodies import LONE, STILL, UNLIKE, Bodies, find_bodies
+from reconstruction.initialization.matching import Matches, rigid_fit, soft_matches, soft_matches_reference
 from reconstruction.initialization.points import Points, spacing
-from reconstruction.initialization.registration import Placed, register, rigid_fit
+from reconstruction.initialization.registration import Placed, register
 from rigs.transform import Transform
 
 INSTANTS = 5
@@ -65,7 +66,7 @@ def test_the_rigid_fit_finds_the_pose_of_known_pairs():
     rng = np.random.default_rng(0)
     model = rng.normal(size=(20, 3))
     true = Transform(turn(2.5) @ turn(-1.1, "x"), np.array([1.0, -2.0, 3.0]))
-    found = rigid_fit(torch.tensor(model), torch.tensor(true.apply(model)), torch.eye(20, dtype=torch.float64))
+    found = rigid_fit(Matches.of(model, true.apply(model), np.eye(20), np.zeros((20, 20))))
     np.testing.assert_allclose(found.rotation, true.rotation, atol=1e-7)
     np.testing.assert_allclose(found.translation, true.translation, atol=1e-7)
 
@@ -73,8 +74,19 @@ def test_the_rigid_fit_finds_the_pose_of_known_pairs():
 def test_points_in_a_plane_are_fitted_by_a_rotation_not_a_mirror():
     rng = np.random.default_rng(0)
     flat = rng.normal(size=(20, 3)) * [1, 1, 0]
-    found = rigid_fit(torch.tensor(flat), torch.tensor(flat @ turn(3.0).T), torch.eye(20, dtype=torch.float64))
+    found = rigid_fit(Matches.of(flat, flat @ turn(3.0).T, np.eye(20), np.zeros((20, 20))))
     assert np.linalg.det(found.rotation) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("width", [1e-3, 0.05, 10.0])
+def test_soft_matches_are_those_of_the_twin(width):
+    rng = np.random.default_rng(4)
+    (a, light_a), (b, light_b) = board(rng, 70), board(rng, 90)
+    model, target = (a.astype(np.float32), light_a), (b.astype(np.float32) + np.float32(2), light_b)
+    guess = Transform(turn(0.2, "x"), np.array([2.01, 1.99, 2.0]))
+    found, twin = (f(model, target, guess, width, 0.3) for f in (soft_matches, soft_matches_reference))
+    for name in ("total", "squared", "model", "target", "cross"):
+        np.testing.assert_allclose(getattr(found, name), getattr(twin, name), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 2e3])

@@ -39,7 +39,7 @@ def as_gsplat(means, quats, scales, opacities, colors, viewmats, Ks, width, heig
         tuple(pose[:3, 3].tolist()),
         near_plane,
     )
-    intensity, depth, alpha, radii = render_reference(means, quats, scales.log(), opacities, colors, camera)
+    intensity, depth, alpha, radii, _ = render_reference(means, quats, scales.log(), opacities, colors, camera)
     colours = torch.cat([intensity, depth[..., None]], -1)[None]
     return colours, alpha[None, ..., None], {"radii": radii[None, :, None].expand(-1, -1, 2)}
 
@@ -98,3 +98,8 @@ def test_gsplat_agrees_with_the_reference():
     for name, found, expected in zip(NAMES, slopes, expected_slopes, strict=True):
         scale = float(expected.abs().max())
         assert float((found - expected).abs().max()) / scale < 2e-3, name
+
+
+def test_a_median_depth_is_refused(stand_in):
+    with pytest.raises(ReconstructionError, match="median depth"):
+        render(cloud_of(), camera_of(), backend="gsplat", median=True)

@@ -2,9 +2,11 @@ import math
 
 import numpy as np
 import pytest
+import torch
+from torchmetrics.functional.image import structural_similarity_index_measure
 
 from reconstruction.metrics.depth import abs_rel, delta_1_25
-from reconstruction.metrics.image import psnr_db, ssim
+from reconstruction.metrics.image import psnr_db, ssim, ssim_map
 
 
 def image(seed=0, shape=(40, 56)):
@@ -49,7 +51,14 @@ def test_ssim_is_the_published_one_away_from_the_border():
     a, b = image(1, (24, 30)), image(2, (24, 30))
     mask = np.zeros((24, 30), bool)
     mask[5:-5, 5:-5] = True
-    assert ssim(a, b, 0.6, mask) == pytest.approx(ssim_by_definition(a, b, 0.6), abs=1e-4)
+    assert ssim(a, b, 0.6, mask) == pytest.approx(ssim_by_definition(a, b, 0.6), abs=1e-9)
+
+
+def test_ssim_is_that_of_torchmetrics_up_to_the_border():
+    a, b = image(1), image(2)
+    x, y = (torch.from_numpy(i.astype(np.float64))[None, None] for i in (a, b))
+    _, full = structural_similarity_index_measure(x, y, sigma=1.5, data_range=0.6, return_full_image=True)
+    assert np.abs(ssim_map(a, b, 0.6) - full[0, 0].numpy()).max() < 1e-9
 
 
 def test_depth_errors_of_a_known_ratio():

@@ -68,6 +68,20 @@ def test_values_and_gradients_agree_for_small_and_large_gaussians(log_scale):
     assert_alike(cloud_of(120, 1, log_scale), camera_of(40, 28))
 
 
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_median_depths_agree_but_where_rounding_decides(width, height):
+    gaussians, camera = cloud_of(250, 7, -1.5), camera_of(width, height)
+    plain, native = render(gaussians, camera), render(gaussians, camera, median=True)
+    reference = render(tuple(t.double() for t in gaussians), camera, backend="reference", median=True)
+    assert (plain.intensity == native.intensity).all()
+    assert native.median is not None
+    assert reference.median is not None
+    known = ~reference.median.isnan()
+    assert known.any()
+    unlike = (known != ~native.median.isnan()) | ((native.median.double() - reference.median).abs() > 1e-5)
+    assert int(unlike.sum()) <= width * height // 1000  # none measured
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 70), st.integers(0, 10**6))
 def test_values_agree_for_any_size_and_number(width, height, n, seed):

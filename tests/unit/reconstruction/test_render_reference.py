@@ -121,10 +121,52 @@ def test_the_order_of_the_gaussians_does_not_matter():
 
 def test_blocks_of_rows_make_no_difference(monkeypatch):
     gaussians, pinhole = cloud_of(30), pinhole_of(camera_of(), 0.01)
-    whole = render_reference(*gaussians, pinhole)
+    whole = render_reference(*gaussians, pinhole, median=True)
     monkeypatch.setattr("reconstruction.rendering.reference.PAIRS_AT_ONCE", 30 * 48 * 7)
-    for first, second in zip(whole, render_reference(*gaussians, pinhole), strict=True):
-        torch.testing.assert_close(first, second)
+    for first, second in zip(whole, render_reference(*gaussians, pinhole, median=True), strict=True):
+        torch.testing.assert_close(first, second, equal_nan=True)
+
+
+def facing(*layers: tuple[float, float]) -> tuple[torch.Tensor, ...]:
+    """Wide Gaussians on the axis of a camera at the origin, by depth and opacity."""
+    n = len(layers)
+    means = torch.tensor([[0.0, 0.0, z] for z, _ in layers], dtype=F64)
+    quats = torch.tensor([[1.0, 0, 0, 0]], dtype=F64).expand(n, 4)
+    opacities = torch.tensor([opacity for _, opacity in layers], dtype=F64)
+    return means, quats, torch.full((n, 3), 3.0, dtype=F64), opacities, torch.ones(n, 1, dtype=F64)
+
+
+@pytest.mark.parametrize("backend", ["reference", "native"])
+@pytest.mark.parametrize(
+    ("layers", "expected"),
+    [
+        ([], math.nan),
+        ([(2.0, 0.4)], math.nan),
+        ([(2.0, 0.6)], 2.0),
+        ([(2.0, 0.4), (3.0, 0.4)], 3.0),
+        ([(3.0, 0.9), (2.0, 0.4)], 3.0),
+        ([(2.0, 1.0), (3.0, 1.0)], 2.0),
+        ([(2.0, 0.2), (3.0, 0.2), (4.0, 0.2)], math.nan),
+        ([(2.0 + 0.01 * i, 0.01) for i in range(200)], 2.68),
+    ],
+)
+def test_the_median_depth_is_that_of_the_layer_that_takes_the_light_to_a_half(backend, layers, expected):
+    gaussians = facing(*layers) if layers else tuple(t[:0] for t in facing((1.0, 0.5)))
+    dtype = F64 if backend == "reference" else torch.float32
+    rendering = render(tuple(t.to(dtype) for t in gaussians), camera_of(), backend=backend, median=True)
+    assert float(rendering.median[20, 24]) == pytest.approx(expected, abs=1e-6, nan_ok=True)
+    assert (rendering.median.isnan() == (rendering.alpha < 0.5)).all()
+
+
+@pytest.mark.parametrize("backend", ["reference", "native"])
+def test_no_median_depth_is_found_unasked_and_none_has_a_gradient(backend):
+    dtype = F64 if backend == "reference" else torch.float32
+    leaves = tuple(t.to(dtype).clone().requires_grad_() for t in cloud_of(9))
+    assert render(leaves, camera_of(), backend=backend).median is None
+    rendering = render(leaves, camera_of(), backend=backend, median=True)
+    assert not rendering.median.requires_grad
+    rendering.intensity.sum().backward()
+    assert leaves[0].grad.abs().sum() > 0
 
 
 def test_gradients_are_those_of_the_values():

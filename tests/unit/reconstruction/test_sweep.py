@@ -1,21 +1,28 @@
+import os
+import pickle
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
 
+from reconstruction.initialization.consistency import confirmations, confirmations_reference, consistent
 from reconstruction.initialization.points import Points, sample_points, spacing
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
     back_project,
-    consistent,
     depth_range_m,
     neighbours,
     sweep_view,
 )
+from reconstruction.initialization.sweep_reference import sweep_view_reference
 from rigs.camera import Camera
 from rigs.transform import Transform
 
 W, H = 96, 64
+SWEEPS = (sweep_view, sweep_view_reference)
 
 
 def texture(seed=0, size=512):
@@ -63,6 +70,39 @@ def test_a_slanted_plane_is_found_within_a_hundredth(scene):
         known = np.isfinite(found.depth)
         assert known.mean() > 0.6
         assert np.median(np.abs(found.depth[known] / truth[known] - 1)) < 0.01
+
+
+@pytest.mark.parametrize("radius", [2, 3])
+def test_the_kernel_finds_what_its_twin_finds(scene, radius):
+    cameras, images, _ = scene
+    views = list(zip(cameras, images, strict=True))
+    options = SweepOptions(*depth_range_m(cameras), planes=24, radius_px=radius)
+    found, twin = (sweep(views[4], [views[i] for i in (1, 3, 5, 8)], options) for sweep in SWEEPS)
+    assert np.abs(found.cost - twin.cost).max() < 2e-4  # a step is 1.07e-4
+    assert (np.abs(found.depth / twin.depth - 1) > 1e-3).mean() < 1e-3
+
+
+def test_the_sweep_does_not_depend_on_the_number_of_threads(scene):
+    cameras, images, _ = scene
+    views = list(zip(cameras, images, strict=True))
+    options = SweepOptions(*depth_range_m(cameras), planes=24)
+    run = (
+        "import os, sys, pickle; views, options = pickle.load(sys.stdin.buffer);"
+        "from reconstruction.initialization.sweep import sweep_view;"
+        "sys.stdout.buffer.write(sweep_view(views[4], views[:4], options).depth.tobytes())"
+    )
+    depths = [
+        subprocess.run(
+            [sys.executable, "-c", run],
+            input=pickle.dumps((views, options)),
+            env=os.environ | {"OMP_NUM_THREADS": threads},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "3")
+    ]
+    assert len(depths[0]) == W * H * 4
+    assert depths[0] == depths[1]
 
 
 def test_noise_without_a_surface_finds_no_consistent_depth(scene):
@@ -137,3 +177,23 @@ def test_spacing_of_a_grid_is_its_pitch_and_of_one_point_a_centimetre():
     grid = np.stack(np.meshgrid(np.arange(6), np.arange(6), [0.0]), -1).reshape(-1, 3) * 0.1
     assert np.allclose(spacing(grid)[[7, 8, 14]], 0.1, atol=1e-6)
     assert spacing(grid[:1]).tolist() == [0.01]
+
+
+def test_spacing_is_that_of_all_distances_also_far_from_the_origin():
+    points = np.random.default_rng(1).normal(size=(600, 3)) * 0.3 + [0, 0, 50.0]
+    points[:40] = points[40:80]  # twins have one neighbour at no distance
+    apart = np.sort(np.linalg.norm(points[:, None] - points, axis=-1), axis=1)[:, 1:4].mean(axis=1)
+    assert np.abs(spacing(points) / apart - 1).max() < 2e-5
+
+
+def test_confirmations_are_those_of_the_twin(scene):
+    cameras, _, depths = scene
+    rng = np.random.default_rng(2)
+    blurred = [(d * (1 + 0.02 * rng.normal(size=d.shape))).astype(np.float32) for d in depths]
+    for depth in blurred:
+        depth[rng.random(depth.shape) < 0.1] = np.nan
+    small = DepthMap(cameras[5].scaled(W // 2, H // 2), blurred[5][::2, ::2], blurred[5][::2, ::2])
+    maps = [*(DepthMap(c, d, d) for c, d in zip(cameras[:5], blurred[:5], strict=True)), small]
+    votes = confirmations(maps[4], [*maps[:4], small], 0.01)
+    assert set(np.unique(votes)) == {0, 1, 2, 3, 4, 5}
+    assert (votes == confirmations_reference(maps[4], [*maps[:4], small], 0.01)).all()

@@ -1,0 +1,46 @@
+"""How much of a training is done, and the error of one asked to stop; light enough for stages without torch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from reconstruction.errors import ReconstructionError
+from reconstruction.training.run import RunFolder
+
+
+class StoppedError(ReconstructionError):
+    """Training was asked to stop; its checkpoint is written and the same command resumes it."""
+
+    exit_code = 143
+
+
+@dataclass
+class Budget:
+    """How much of a training is done, by seconds of the run or by steps; `spent_s` lies before this process."""
+
+    clock: Callable[[], float]
+    started: float
+    spent_s: float
+    budget_s: float | None
+    steps: int | None
+    before_training_s: float = field(default=0.0)
+
+    def elapsed_s(self) -> float:
+        """Wall seconds of the run so far, earlier stages and processes included."""
+        return self.spent_s + self.clock() - self.started
+
+    def done(self, steps: int) -> float:
+        """The share of the training that lies behind, 0 to 1."""
+        if self.steps is not None:
+            return min(1.0, steps / self.steps)
+        assert self.budget_s is not None
+        room = self.budget_s - self.before_training_s
+        return 1.0 if room <= 0 else min(1.0, max(0.0, self.elapsed_s() - self.before_training_s) / room)
+
+
+def process_budget(run: RunFolder, started: float, clock: Callable[[], float] = time.monotonic) -> Budget:
+    """The budget of this process: stages finished by earlier processes count as spent."""
+    config = run.config
+    return Budget(clock, started, float(sum(run.document["seconds"].values())), config.budget_s, config.steps)
