@@ -38,15 +38,14 @@ def interpolated(
         clocks[0], known[0] = 0.5, False
     charge = stream.counts(first, last) + clocks[1] - clocks[0]
     rate = (np.maximum(charge, 0) / np.float32(last - first)).astype(np.float32)
-    silent = ~known.all(axis=0) & (charge < 1)
-    np.copyto(rate, 1 / found.ticks.max(axis=0).astype(np.float32), where=silent & (rate <= 0))
-    longest = found.ticks.max(axis=0)
-    return Estimate(rate, known.all(axis=0), interpolated_sigma(rate, longest, last - first))
+    sure, longest = np.asarray(known.all(axis=0)), found.ticks.max(axis=0)
+    np.copyto(rate, 1 / longest.astype(np.float32), where=~sure & (rate <= 0))
+    return Estimate(rate, sure, interpolated_sigma(rate, longest, last - first))
 
 
 def _clocks(found: Intervals) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Charge since the last spike [2, H, W] in spikes, and where both spikes around the end are known."""
-    clocks = (found.since + np.float32(0.5)) / found.ticks
-    known = found.before & found.after
+    clocks = ((found.since + np.float32(0.5)) / found.ticks).astype(np.float32)
+    known = np.asarray(found.before & found.after)
     np.copyto(clocks, np.float32(0.5), where=~known)
     return clocks, known

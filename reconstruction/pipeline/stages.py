@@ -22,6 +22,7 @@ from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
 from reconstruction.images.methods import method_for
 from reconstruction.initialization.consistency import consistent
+from reconstruction.initialization.holes import filled
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
     DepthMap,
@@ -92,7 +93,8 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
     progress(1 / rounds, f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
     masks = [sources[view].background.trusted for view in plan.views]
-    _write_points(run, "still", sample_points(maps, stills, masks, plan.still_gaussians, 0.0, rng), share)
+    whole = [filled(m) for m in maps]
+    _write_points(run, "still", sample_points(whole, stills, masks, plan.still_gaussians, 0.0, rng), share)
     parts = []
     count = plan.moving_gaussians // (CANONICAL if len(planes) == 1 else INSTANTS)
     for i, plane in enumerate(planes):
@@ -155,7 +157,7 @@ def _moving_points(
 
 def _write_bodies(run: RunFolder, bodies: Bodies, progress: Progress) -> None:
     """Keep the bodies, and say in `run.json` how many points ride on them and why the others do not."""
-    for f in fields(Bodies):
+    for f in fields(bodies):
         run.write_array(f"points/bodies_{f.name}", getattr(bodies, f.name))
     run.document["bodies"] = {"rigid": len(bodies), "attached": bodies.attached, "free": bodies.free}
     progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")

@@ -12,8 +12,10 @@ from acquisition.recording.reader import Recording
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.light import Light
 from reconstruction.pipeline.budget import Budget, StoppedError
-from reconstruction.pipeline.stages import INSTANTS, composite_sources, read_bodies, read_points
+from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.choice import BETTER, WINDOW, between, count_error
+from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
 from reconstruction.training.seed import seed_cloud, seed_field, seed_rigid
 from reconstruction.training.supervision import TrainingView
@@ -89,15 +91,35 @@ class _Saver:
 def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     rig, plan = recording.rig, run.plan
     clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
+    sources = composite_sources(run, recording)
+    views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
+    if run.config.model == "auto" and plan.model == "bases" and not run.checkpoint.exists():
+        plan = _settled(run, clip, views, recording)
     cloud = _seeded(run, clip)
     light = Light(run.read_array("plan/light"))
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
-    sources = composite_sources(run, recording)
-    views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
     settings = TrainerSettings(plan.supervision, white=max(white, 1e-6), tick_stride=run.config.tick_stride)
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
+
+
+def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: Recording) -> Plan:
+    """The plan with the motion that better explains counts of the training cameras at instants nothing was swept at."""
+    planes, clock = between(moving_planes(recording.planes, "bases")), recording.rig.clock
+    errors = {}
+    for model in ("bases", "linear"):
+        run.document["plan"]["model"] = model
+        errors[model] = count_error(_seeded(run, clip), views, planes, clock)
+    model = "bases" if errors["bases"] <= BETTER * errors["linear"] else "linear"
+    reason = (
+        f"between the swept instants {run.document['bodies']['rigid']} rigid bodies miss the counts of {WINDOW} "
+        f"planes by {errors['bases']:.3f} spikes a moving pixel, points at rest by {errors['linear']:.3f}"
+    )
+    plan = run.plan.amended(Decision("motion", model, reason, "--model"), model=model)
+    run.document["plan"] = plan.to_json()
+    run.save()
+    return plan
 
 
 def _seeded(run: RunFolder, clip: Clip) -> DynamicCloud:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,11 @@ class Plan:
     moving_gaussians: int
     still_gaussians: int
     decisions: tuple[Decision, ...]
+
+    def amended(self, decision: Decision, **changes: object) -> Plan:
+        """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
+        kept = tuple(d for d in self.decisions if d.about != decision.about)
+        return replace(self, decisions=(*kept, decision), **changes)
 
     def to_json(self) -> dict:
         """Plain values, as kept in `run.json`."""
@@ -129,8 +134,9 @@ def _choose_model(
     if share < STILL_SHARE:
         decisions.append(Decision("motion", "static", f"{share:.2%} of the pixels change: no motion model", "--model"))
         return "static"
-    decisions.append(Decision("motion", "linear", f"{share:.1%} of the pixels change", "--model"))
-    return "linear"
+    reason = f"{share:.1%} of the pixels change; straight paths instead where bodies explain the counts no better"
+    decisions.append(Decision("motion", "bases", reason, "--model"))
+    return "bases"
 
 
 def _split(cap: int, model: str, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:

@@ -46,8 +46,8 @@ def test_a_still_scene_gets_no_motion_model_and_says_why():
 
 def test_a_moving_scene_gets_one():
     plan, masks, _ = make_plan(ReconstructionConfig(), RIG, streams(moving=True))
-    assert plan.model == "linear"
-    assert plan.supervision == "variation"
+    assert plan.model == "bases"
+    assert plan.supervision == "pixels"
     assert plan.moving_gaussians + plan.still_gaussians == 24_000
     assert masks["cam00"][10, 10]
     assert not masks["cam00"][24, 38]
