@@ -1,4 +1,4 @@
-"""Contact sheets of the image bench: the truth and every method at one instant, a row a scene."""
+"""Contact sheets of the image and training benches: a row a scene, at one instant."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.clips import Truth
+from reconstruction.evaluation.truth import Truth as RunTruth
 from reconstruction.images.methods import METHODS
-from reconstruction.report.pictures import grey, write_png
+from reconstruction.rendering.view import look
+from reconstruction.report.pictures import depth_colours, depth_span_m, difference, grey, write_png
+from reconstruction.training.checkpoint import load_cloud
+from reconstruction.training.run import RunFolder
 from rigs.errors import Spike4dgsError
+from rigs.exchange.nerfstudio import load_transforms
 
 TITLE_PX = 18
 GAP_PX = 4
@@ -29,6 +35,37 @@ def write_strip(path: Path, scene: str, stream: SpikeStream, plane: int, truth: 
         tiles.append(_tile(name, pixels))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, np.concatenate(tiles, axis=1))
+
+
+def write_run_strip(path: Path, run_folder: Path) -> None:
+    """One row: the held-out camera's truth, the render, five times their difference, depth, a view never captured."""
+    run = RunFolder.open(run_folder)
+    recording = Recording.open(run.recording)
+    assert recording.truth is not None
+    assert run.config.holdout is not None
+    truth, cloud = RunTruth.open(recording.truth), load_cloud(run.checkpoint)
+    cameras = {c.id: c for c in load_transforms(recording.truth / "cameras.json")}
+    novel = next(c for c in cameras if c.startswith("novel"))
+    planes = truth.planes(run.config.holdout)
+    plane = planes[len(planes) // 2]
+    instant_s = recording.rig.clock.instant_s(plane)
+    wanted, elsewhere = truth.frame(run.config.holdout, plane), truth.frame(novel, plane)
+    seen, unseen = (look(cloud, cameras[c], instant_s) for c in (run.config.holdout, novel))
+    near, far = depth_span_m(wanted.depth)
+    tiles = [
+        (f"{run_folder.name}: truth", grey(wanted.intensity, truth.white)),
+        ("render", grey(seen.intensity, truth.white)),
+        ("difference x5", difference(seen.intensity, wanted.intensity, truth.white)),
+        (f"depth, {near:.1f} to {far:.1f} m", depth_colours(seen.depth, near, far)),
+        (f"{novel}, never captured", grey(unseen.intensity, truth.white)),
+        ("its difference x5", difference(unseen.intensity, elsewhere.intensity, truth.white)),
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_png(path, np.concatenate([_tile(title, _one(pixels)) for title, pixels in tiles], axis=1))
+
+
+def _one(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def write_sheet(path: Path, strips: Path) -> None:

@@ -4,86 +4,140 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.bench_document import BenchDocument
+from acquisition.durable import write_json
 from acquisition.progress import Progress
-from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.training.config import ReconstructionConfig
+from acquisition.recording.reader import Recording
+from reconstruction.bench.variants import AUTO, BUDGETS_S, CLEAN, HOLDOUT, MIDDLE_S, Variant
+from reconstruction.evaluation.evaluate import HeldOut, score_against_truth, score_floors
+from reconstruction.evaluation.truth import Truth
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import composite_sources
+from reconstruction.training.checkpoint import load_checkpoint
+from reconstruction.training.run import RunFolder
 
-BUDGETS_S = (30.0, 60.0, 120.0)
-TARGETS_DB = (25, 27, 28, 30)
+TARGETS_DB = (28, 30, 31, 33, 34)
+STAGES = ("plan", "images", "points", "train")
 METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25")
-FLOORS = {"nearest_view": METRICS[:3], "depth_blend": METRICS}  # the nearest view knows no depth
+FLOOR = "depth_blend"
+CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A simulated recording and what it is of."""
+
+    scene: str
+    seed: int
+    path: Path
 
 
 def bench_training(
-    recordings: Sequence[tuple[str, int, Path]],
-    budgets_s: Sequence[float],
-    work: Path,
-    progress_of: Callable[[str], Progress],
+    clips: Sequence[Clip], variants: Sequence[Variant], work: Path, progress_of: Callable[[str], Progress]
 ) -> BenchDocument:
-    """Reconstruct each (scene, seed, recording) once a budget with the centre camera held out; runs lie in `work`.
+    """Reconstruct each clip by each variant that names its scene, at its budgets; runs lie in `work`.
 
-    A finished run in `work` is not repeated, so that a stopped bench resumes.
+    The centre camera is held out. A finished run in `work` is not repeated, so that a stopped bench resumes.
     """
     document = BenchDocument("training")
-    for scene, seed, recording in recordings:
-        for budget_s in budgets_s:
-            out = work / f"{scene}-{seed}-{budget_s:g}s"
-            if not _finished(out):
-                reconstruct(recording, out, ReconstructionConfig(holdout="cam11", budget_s=budget_s), progress_of)
-            document.rows.append({"scene": scene, "seed": seed, **_row(out, budget_s)})
-    for budget_s in budgets_s:
-        rows = [r for r in document.rows if r["budget_s"] == budget_s]
-        document.summary |= {f"{rows[0]['method']}.{m}@{budget_s:g}": _median(rows, m) for m in METRICS}
-    floors = [f"{floor}.{metric}" for floor, metrics in FLOORS.items() for metric in metrics]
-    document.summary |= {name: _median(document.rows, name) for name in floors}
-    _times_to(document)
-    longest = [r for r in document.rows if r["budget_s"] == max(budgets_s)]
-    document.summary |= {f"seconds.{s}": _median(longest, f"seconds.{s}") for s in STAGES}
-    document.summary["steps_per_s"] = _median(longest, "steps_per_s")
+    for variant in variants:
+        for clip in (c for c in clips if c.scene in variant.scenes):
+            for budget_s in variant.budgets_s:
+                out = work / f"{clip.scene}-{clip.seed}-{variant.name}-{budget_s:g}s"
+                if not (out / "scores.json").exists():
+                    run = reconstruct(clip.path, out, variant.config(budget_s), progress_of, last="train")
+                    write_json(out / "scores.json", _scored(run, clip, floors=variant is AUTO))
+                scores = json.loads((out / "scores.json").read_text())
+                document.rows.append({"method": variant.name, "budget_s": budget_s, **scores})
+        _summarise(document, variant)
+    _margins(document)
     return document
 
 
-def _finished(out: Path) -> bool:
-    return (out / "run.json").exists() and json.loads((out / "run.json").read_text())["status"] == "finished"
-
-
-def _row(out: Path, budget_s: float) -> dict:
-    run, metrics = (json.loads((out / f"{name}.json").read_text()) for name in ("run", "metrics"))
-    curve = json.loads((out / "error_vs_time.json").read_text())["rows"]
+def _scored(run: RunFolder, clip: Clip, *, floors: bool) -> dict:
+    recording = Recording.open(clip.path)
+    held_out = HeldOut(recording.rig.camera(HOLDOUT), recording)
+    assert recording.truth is not None
+    truth = Truth.open(recording.truth)
+    states = [load_checkpoint(path) for path in run.snapshots()]
+    clouds = [DynamicCloud.from_state(state["cloud"]) for state in states]
+    last = score_against_truth(clouds[-1], held_out, truth)
+    levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)["psnr_db"] for cloud in clouds[:-1]]
+    seconds = run.document["seconds"]
     return {
-        "method": run["plan"]["model"],
-        "revision": run["revision"],
-        "budget_s": budget_s,
-        "seconds": curve[-1]["seconds"],
-        "steps": run["steps"],
-        "steps_per_s": run["steps"] / run["seconds"]["train"],
-        **{m: metrics[m] for m in METRICS},
-        **{f"{f}.{m}": metrics[f"{f}.{m}"] for f, names in FLOORS.items() for m in names},
-        **{f"seconds.{s}": run["seconds"][s] for s in STAGES},
-        "curve": [{"seconds": r["seconds"], "psnr_db": r["psnr_db"]} for r in curve],
+        "scene": clip.scene,
+        "seed": clip.seed,
+        "revision": run.document["revision"],
+        "model": run.plan.model,
+        "steps": run.document["steps"],
+        "steps_per_s": run.document["steps"] / seconds["train"],
+        **{m: last[m] for m in METRICS if m in last},
+        **{f"seconds.{s}": seconds[s] for s in STAGES},
+        **(score_floors(held_out, truth, composite_sources(run, recording)) if floors else {}),
+        "curve": [
+            {"seconds": state["seconds"], "psnr_db": level}
+            for state, level in zip(states, [*levels, last["psnr_db"]], strict=True)
+        ],
     }
 
 
+def _rows(document: BenchDocument, method: str, budget_s: float | None = None) -> list[dict]:
+    return [r for r in document.rows if r["method"] == method and budget_s in (None, r["budget_s"])]
+
+
+def _summarise(document: BenchDocument, variant: Variant) -> None:
+    """Means over the scenes at each budget."""
+    for budget_s in variant.budgets_s:
+        rows = _rows(document, variant.name, budget_s)
+        for metric in METRICS:
+            found = [r[metric] for r in rows if metric in r]
+            if found:
+                document.summary[f"{variant.name}.{metric}@{budget_s:g}"] = float(np.mean(found))
+        if rows:
+            speeds = [r["steps_per_s"] for r in rows]
+            document.summary[f"{variant.name}.steps_per_s@{budget_s:g}"] = float(np.mean(speeds))
+    if variant is AUTO:
+        _times_to(document)
+
+
 def _times_to(document: BenchDocument) -> None:
-    """Median over recordings of the first moment any run of it reached a target; an unreached one is an omission."""
-    recordings = {(r["scene"], r["seed"]) for r in document.rows}
-    model = document.rows[0]["method"]
+    """The mean over recordings of the first second at which any run of it reached a level, where all did."""
+    curves: dict[tuple[str, int], list[dict]] = {}
+    for row in _rows(document, AUTO.name):
+        curves.setdefault((row["scene"], row["seed"]), []).extend(row["curve"])
     for target in TARGETS_DB:
-        firsts = []
-        for key in recordings:
-            points = [p for r in document.rows if (r["scene"], r["seed"]) == key for p in r["curve"]]
-            reached = [p["seconds"] for p in points if p["psnr_db"] >= target]
-            firsts += [min(reached)] if reached else []
-        if len(firsts) == len(recordings):
-            document.summary[f"{model}.seconds_to_{target}"] = float(np.median(firsts))
+        reached = [[p["seconds"] for p in points if p["psnr_db"] >= target] for points in curves.values()]
+        if reached and all(reached):
+            document.summary[f"{AUTO.name}.seconds_to_{target}"] = float(np.mean([min(s) for s in reached]))
         else:
-            document.omissions.append(f"{target} dB: reached on {len(firsts)} of {len(recordings)} recordings")
+            document.omissions.append(f"{target} dB: reached on {sum(map(bool, reached))} of {len(reached)} recordings")
 
 
-def _median(rows: Sequence[dict], key: str) -> float:
-    return float(np.median([row[key] for row in rows]))
+def _margins(document: BenchDocument) -> None:
+    """How far the engine lies above the floor on its worst scene, below clean images and above 4DGS on TFI images."""
+    longest = BUDGETS_S[-1]
+    for budget_s in BUDGETS_S:
+        above = [r["psnr_db"] - r[f"{FLOOR}.psnr_db"] for r in _rows(document, AUTO.name, budget_s)]
+        if above:
+            document.summary[f"margin.floor@{budget_s:g}"] = float(min(above))
+    for name, other, sign, budget_s in (("clean", CLEAN.name, -1, longest), ("4dgs", "4dgs", 1, MIDDLE_S)):
+        pairs = [
+            sign * (a["psnr_db"] - b["psnr_db"])
+            for a in _rows(document, AUTO.name, budget_s)
+            for b in _rows(document, other, budget_s)
+            if (a["scene"], a["seed"]) == (b["scene"], b["seed"])
+        ]
+        if pairs:
+            document.summary[f"margin.{name}@{budget_s:g}"] = float(np.mean(pairs))
+    floors = _rows(document, AUTO.name, longest)
+    for floor in ("nearest_view", FLOOR):
+        for metric in ("psnr_db", "dynamic_psnr_db"):
+            found = [r[f"{floor}.{metric}"] for r in floors if f"{floor}.{metric}" in r]
+            if found:
+                document.summary[f"{floor}.{metric}"] = float(np.mean(found))

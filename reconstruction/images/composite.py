@@ -37,6 +37,12 @@ class CompositeSource:
             image[self.moving] = self._short(plane)
         return image
 
+    def instants(self, stride: int) -> NDArray[np.int64]:
+        """The middles of every `stride` planes (of all, where there are fewer)."""
+        planes = len(self.stream)
+        stride = min(stride, planes)
+        return np.arange(stride // 2, planes, stride)
+
     def _short(self, plane: int) -> NDArray[np.float32]:
         """The moving pixels' values at `plane`."""
         if plane not in self.kept:

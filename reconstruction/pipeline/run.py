@@ -25,11 +25,13 @@ def reconstruct(
     progress_of: Callable[[str], Progress],
     *,
     stage: str | None = None,
+    last: str = STAGES[-1],
     started: float | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> RunFolder:
-    """Run every stage that is still due, or just `stage`; `started` is the process's start on the monotonic clock.
+    """Run every stage up to `last` that is still due, or just `stage`.
 
+    `started` is the process's start on the monotonic clock.
     Raises BadRunError for a finished run, another configuration, or a stage whose predecessors are missing.
     """
     began = time.monotonic() if started is None else started
@@ -57,7 +59,7 @@ def reconstruct(
             "train": lambda p: _train(run, recording, p, budget, should_stop),
             "report": lambda p: _report(run, recording, stoppable(p)),
         }
-        for name in _due(run, stage):
+        for name in _due(run, stage, last):
             work[name](progress_of(name))
             now = time.monotonic()
             run.finish_stage(
@@ -84,9 +86,9 @@ def _report(run: RunFolder, recording: Recording, progress: Progress) -> None:
     report_stage(run, recording, progress)
 
 
-def _due(run: RunFolder, stage: str | None) -> list[str]:
+def _due(run: RunFolder, stage: str | None, last: str) -> list[str]:
     if stage is None:
-        return [name for name in STAGES if not run.has(name)]
+        return [name for name in STAGES[: STAGES.index(last) + 1] if not run.has(name)]
     missing = [name for name in STAGES[: STAGES.index(stage)] if not run.has(name)]
     if missing:
         raise BadRunError(f"{run.path}: found no finished stage {missing[0]}, expected it before {stage}; run it first")

@@ -39,6 +39,7 @@ INSTANTS = 8  # at which movers are swept
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200
 LEAST_SHARE = 0.3  # of the pixels that must find a depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
+SWEPT = "interpolated"  # images that points are found in where the targets are the truth
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ def composite_sources(run: RunFolder, recording: Recording) -> dict[str, Composi
     for view in plan.views:
         stream, moving = recording.stream(view), run.read_array(f"plan/moving_{view}")
         still = Background(*(run.read_array(f"images/{f.name}_{view}") for f in fields(Background)))
-        sources[view] = CompositeSource(stream, still, moving, method_for(plan.images, stream.layout, moving), light)
+        images = method_for(SWEPT if plan.images == "clean" else plan.images, stream.layout, moving)
+        sources[view] = CompositeSource(stream, still, moving, images, light)
     return sources
 
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 
 import numpy as np
 import torch
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError
+from reconstruction.evaluation.truth import Truth
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.images.clean import CleanSource
+from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
@@ -92,6 +97,8 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     rig, plan = recording.rig, run.plan
     clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
     sources = composite_sources(run, recording)
+    if plan.images == "clean":
+        sources = _clean(sources, recording)
     views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
     if run.config.model == "auto" and plan.model == "bases" and not run.checkpoint.exists():
         plan = _settled(run, clip, views, recording)
@@ -102,6 +109,18 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
     settings = TrainerSettings(plan.supervision, white=max(white, 1e-6), tick_stride=run.config.tick_stride)
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
+
+
+def _clean(sources: Mapping[str, CompositeSource], recording: Recording) -> dict[str, CompositeSource]:
+    """The same sources with the truth of a simulated recording as their images."""
+    if recording.truth is None:
+        raise BadRunError(f"{recording.path}: found no truth, expected a simulated recording for the images `clean`")
+    truth = Truth.open(recording.truth)
+    found: dict[str, CompositeSource] = {}
+    for view, source in sources.items():
+        frames = {plane: truth.frame(view, plane).intensity for plane in truth.planes(view)}
+        found[view] = CleanSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)
+    return found
 
 
 def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: Recording) -> Plan:

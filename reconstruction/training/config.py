@@ -10,7 +10,7 @@ from reconstruction.errors import BadRunError
 Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
 Init = Literal["auto", "sweep"]
 ImageSource = Literal[
-    "auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated", "spk2imgnet", "blindspot"
+    "auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated", "spk2imgnet", "blindspot", "clean"
 ]
 Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
 

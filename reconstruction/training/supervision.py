@@ -55,12 +55,9 @@ class ImageTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
-        return self.against(*self.pair(cloud, view, self.drawn(len(view.source.stream), rng), shrink))
-
-    def drawn(self, planes: int, rng: np.random.Generator) -> int:
-        """One of the middles of every `stride` planes."""
-        stride = min(self.stride, planes)
-        return stride // 2 + stride * int(rng.integers(planes // stride))
+        instants = view.source.instants(self.stride)
+        plane = int(instants[rng.integers(len(instants))])
+        return self.against(*self.pair(cloud, view, plane, shrink))
 
     def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int, shrink: int) -> tuple[Rendering, Tensor]:
         """What is rendered and what should be, at `plane`."""
@@ -89,10 +86,10 @@ class VariationTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of instants that begin at a random plane."""
-        planes = len(view.source.stream)
-        gap = min(self.gap, max(1, (planes - 1) // (self.instants - 1)))
-        first = self.image.drawn(max(1, planes - gap * (self.instants - 1)), rng)
-        at = [min(first + i * gap, planes - 1) for i in range(self.instants)]
+        instants = view.source.instants(self.image.stride)
+        gap = max(1, min(self.gap // self.image.stride, (len(instants) - 1) // (self.instants - 1)))
+        first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
+        at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
         pairs = [self.image.pair(cloud, view, plane, shrink) for plane in at]
         pixels = torch.stack([self.image.against(r, t) for r, t in pairs]).mean()
         rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])

@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -11,7 +12,7 @@ from acquisition.devices.bench import parser_rows
 from acquisition.devices.open import Simulation
 from acquisition.durable import write_json
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
-from acquisition.scenes.catalog import EVALUATION, EVALUATION_SEEDS
+from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS
 from acquisition.scenes.digest import committed_digests, scenes_digest
 from acquisition.session.record import simulate
 from rigs.toml import catalog_rig
@@ -23,7 +24,7 @@ _PARSED_BYTES = 10_000_000_000
 
 @click.command("bench")
 @click.argument("name", type=click.Choice(["images", "pixels", "rasterizer", "recorder", "training"]))
-@click.option("--scene", help="NAME,... [default: images: the evaluation scenes; others: fan_and_ball].")
+@click.option("--scene", help="NAME,... [default: images, training: the evaluation scenes; pixels: fan_and_ball].")
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
     "--metric-files",
@@ -52,7 +53,7 @@ def bench_command(
         elif name == "recorder":
             document = _recorder(work / name, quick)
         else:
-            document = _training(scene or "fan_and_ball", quick, work)
+            document = _training(scene, quick, work)
         document.scenes = scenes_digest(committed_digests())
         found = document.to_json()
         if out:
@@ -74,9 +75,14 @@ def _write(out: Path, name: str, found: dict, work: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / f"{name}.json", found)
     if name == "training":
+        from reconstruction.bench.contact_sheet import write_run_strip, write_sheet
         from reconstruction.bench.plot import plot_training
 
         plot_training(out / f"{name}.png", found)
+        longest = max(r["budget_s"] for r in found["rows"] if r["method"] == "auto")
+        for run in sorted(work.glob(f"*-auto-{longest:g}s")):
+            write_run_strip(work / "strips" / f"{run.name}.png", run)
+        write_sheet(out / f"{name}-sheet.png", work / "strips")
     elif name == "images":
         from reconstruction.bench.contact_sheet import write_sheet
         from reconstruction.bench.plot_images import plot_images
@@ -93,18 +99,27 @@ def _images(scenes: str | None, quick: bool, work: Path, metric_files: Path | No
     return ImageBench(extent, work, metric_files).run(progress_of("images"))
 
 
-def _training(scene: str, quick: bool, work: Path) -> BenchDocument:
-    from reconstruction.bench.training import BUDGETS_S, bench_training
+def _training(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
+    from reconstruction.bench.training import Clip, bench_training
+    from reconstruction.bench.variants import AUTO, VARIANTS
 
-    seeds, budgets = (EVALUATION_SEEDS[:1], BUDGETS_S[1:2]) if quick else (EVALUATION_SEEDS, BUDGETS_S)
-    recordings = []
-    for seed in seeds:
+    named = tuple(scenes.split(",")) if scenes else (*EVALUATION, *DEVELOPMENT)
+    variants = list(VARIANTS[:1] if quick else VARIANTS)
+    if scenes:  # a scene that is asked for is run by the whole engine, whichever kind it is
+        variants = [replace(v, scenes=named) if v is AUTO else v for v in variants]
+    if quick:
+        named, variants = named[:1], [replace(v, budgets_s=v.budgets_s[1:2]) for v in variants]
+    clips = []
+    for scene in named:
+        seed = EVALUATION_SEEDS[0] if scene in EVALUATION else DEVELOPMENT_SEEDS[1]
         recording = work / f"{scene}-{seed}"
         if not recording.exists():
             recording.parent.mkdir(parents=True, exist_ok=True)
             simulate(Simulation(scene, seed), catalog_rig("lab3x3"), TICKS, recording, progress_of("simulate"))
-        recordings.append((scene, seed, recording))
-    return bench_training(recordings, budgets, work, progress_of)
+        clips.append(Clip(scene, seed, recording))
+    document = bench_training(clips, variants, work, progress_of)
+    document.omissions.append("one seed a scene")
+    return document
 
 
 def _table(document: dict) -> str:

@@ -1,0 +1,48 @@
+"""What the training bench runs: the whole engine at several budgets, and one choice changed at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
+from reconstruction.training.config import ReconstructionConfig
+
+BUDGETS_S = (30.0, 60.0, 120.0)
+MIDDLE_S = 60.0
+HOLDOUT = "cam11"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """`choices` are the configuration's fields that differ from the default."""
+
+    name: str
+    about: str
+    choices: dict[str, Any] = field(default_factory=dict)
+    budgets_s: tuple[float, ...] = (MIDDLE_S,)
+    scenes: tuple[str, ...] = EVALUATION
+
+    def config(self, budget_s: float) -> ReconstructionConfig:
+        """The configuration of one run."""
+        return ReconstructionConfig(holdout=HOLDOUT, budget_s=budget_s, **self.choices)
+
+
+AUTO = Variant("auto", "what the plan chooses", budgets_s=BUDGETS_S)
+CLEAN = Variant("clean", "the same on the true images", {"images": "clean"}, BUDGETS_S[1:])
+MODELS = (
+    Variant("linear", "every mover on a straight path of its own", {"model": "linear"}),
+    Variant("cubic", "every mover on a cubic path of its own", {"model": "cubic"}, scenes=DEVELOPMENT),
+    Variant("4dgs", "4DGS on TFI images", {"model": "4dgs", "images": "tfi"}),
+)
+ABLATIONS = (
+    *(
+        Variant(f"supervision.{name}", f"the spike term {name}", {"supervision": name}, scenes=DEVELOPMENT)
+        for name in ("pixels", "l1", "l2", "variation", "counts", "cumulative")
+    ),
+    *(
+        Variant(f"images.{name}", f"targets from {name}", {"images": name}, scenes=DEVELOPMENT)
+        for name in ("tfi", "tfp", "slope", "adaptive", "interpolated")
+    ),
+)
+VARIANTS = (AUTO, CLEAN, *MODELS, *ABLATIONS)
