@@ -54,6 +54,10 @@ class CompositeSource:
 
     def movers(self, plane: int) -> NDArray[np.bool_]:
         """Pixels [H, W] that see a mover at `plane`: unlike the background, or without one to compare with."""
-        gap = cv2.blur(self.at(plane) - self.background.image * self.light.gains[plane], (3, 3))
+        return self.movers_in(self.at(plane), plane)
+
+    def movers_in(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
+        """`movers`, where the image [H, W] at `plane` is at hand."""
+        gap = cv2.blur(image - self.background.image * self.light.gains[plane], (3, 3))
         unlike = cv2.dilate((np.abs(gap) > DIFFERENT).astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
         return self.moving & ((unlike > 0) | ~self.background.trusted)

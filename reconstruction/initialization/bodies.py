@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.initialization.matching import ALIKE
+from reconstruction.initialization.nearest import nearest
 from reconstruction.initialization.points import Points
-from reconstruction.initialization.registration import Placed, distances, register, sampled
+from reconstruction.initialization.registration import Placed, nearest_of, register, sampled
 from rigs.transform import Transform
 
 LEAST_POINTS = 40  # of a cluster that may become a body
@@ -151,18 +152,19 @@ def clusters(points: Placed, which: NDArray[np.int64], gap_m: float) -> list[NDA
     """Connected clusters of at least LEAST_POINTS among the points at indices `which`, largest first."""
     if len(which) < LEAST_POINTS:
         return []
-    at = points.select(which).positions
-    linked = distances(at, at) <= LINK * gap_m
-    labels = torch.arange(len(at))
-    while True:
-        lowest = torch.where(linked, labels, len(at)).amin(dim=1)
-        lowest = lowest[lowest]  # a jump ahead
-        if torch.equal(lowest, labels):
-            break
-        labels = lowest
-    names, counts = labels.unique(return_counts=True)
-    order = counts.argsort(descending=True, stable=True)
-    return [which[(labels == names[k]).numpy()] for k in order if counts[k] >= LEAST_POINTS]
+    at = points.select(which).positions.double().numpy()
+    linked = np.square(at[:, None] - at).sum(axis=-1) <= (LINK * gap_m) ** 2
+    left = np.ones(len(at), dtype=bool)
+    found = []
+    while left.any():
+        cluster = edge = np.flatnonzero(left)[:1]
+        left[edge] = False
+        while len(edge):
+            edge = np.flatnonzero(linked[edge].any(axis=0) & left)
+            left[edge] = False
+            cluster = np.concatenate([cluster, edge])
+        found.append(which[np.sort(cluster)])
+    return sorted((c for c in found if len(c) >= LEAST_POINTS), key=lambda c: -len(c))
 
 
 def _begin(points: Placed, instant: int, cluster: NDArray[np.int64]) -> Body:
@@ -180,10 +182,9 @@ def _follow(body: Body, points: Placed, instant: int, unclaimed: NDArray[np.int6
     pose = _found(body, model, target, instant)
     if pose is None:
         return unclaimed
-    moved = model.moved(pose).positions
-    apart = distances(target.positions, moved)
-    mine = (apart.amin(dim=1) <= REACH * body.spacing).numpy()
-    again = float((apart.amin(dim=0) <= REACH * body.spacing).float().mean())
+    moved = model.moved(pose)
+    mine = nearest_of(target, moved)[0] <= REACH * body.spacing
+    again = float((nearest_of(moved, target)[0] <= REACH * body.spacing).mean())
     if int(mine.sum()) < LEAST_POINTS or again < LEAST_SHARE:
         return unclaimed
     body.poses[instant], body.members[instant] = pose, unclaimed[mine]
@@ -211,9 +212,9 @@ def _found(body: Body, model: Placed, target: Placed, instant: int) -> Transform
 
 def _explained(own: Placed, others: Placed, reach: float) -> float:
     """Share of the points within `reach` of another that is as bright."""
-    near, which = distances(own.positions, others.positions).min(dim=1)
+    near, which = nearest_of(own, others)
     alike = (own.intensities - others.intensities[which]).abs() <= 2 * ALIKE
-    return float(((near <= reach) & alike).float().mean())
+    return float(((near <= reach) & alike.numpy()).mean())
 
 
 def _settle(body: Body, points: Placed) -> None:
@@ -231,7 +232,7 @@ def _settle(body: Body, points: Placed) -> None:
 
 def _likeness(own: Placed, others: Placed) -> float:
     """Correlation of the brightness of points and of those nearest to them; 1 where there is no texture."""
-    twins = others.intensities[distances(own.positions, others.positions).argmin(dim=1)]
+    twins = others.intensities[nearest_of(own, others)[1]]
     a, b = own.intensities - own.intensities.mean(), twins - twins.mean()
     spread = float(a.square().mean().sqrt())
     if spread < TEXTURE:
@@ -240,8 +241,8 @@ def _likeness(own: Placed, others: Placed) -> float:
 
 
 def _spacing(positions: Tensor) -> float:
-    near = distances(positions, positions).kthvalue(min(4, len(positions)), dim=1).values
-    return max(float(near.median()), 1e-6)
+    near, _ = nearest(positions.numpy(), positions.numpy(), min(4, len(positions)))
+    return max(float(np.median(near[:, -1])), 1e-6)
 
 
 def _vector(values: NDArray[np.float64]) -> Tensor:

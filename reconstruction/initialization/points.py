@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.initialization.nearest import nearest
 from reconstruction.initialization.sweep import DepthMap, back_project
 
 NEIGHBOURS = 3
-SINGLE_TREE = 4  # FLANN's k-d tree that searches exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +80,5 @@ def spacing(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     if len(positions) < 2:
         return np.full(len(positions), 0.01)
     near = min(NEIGHBOURS, len(positions) - 1) + 1
-    points = np.ascontiguousarray(positions - positions.mean(axis=0), dtype=np.float32)
-    tree = cv2.flann.Index(points, {"algorithm": SINGLE_TREE})
-    _, squared = tree.knnSearch(points, near, params={})
-    gaps = np.sqrt(np.sort(squared, axis=1)[:, 1:]).mean(axis=1)
-    return np.maximum(gaps.astype(np.float64), 1e-5)
+    gaps, _ = nearest(positions, positions, near)
+    return np.maximum(gaps[:, 1:].mean(axis=1), 1e-5)

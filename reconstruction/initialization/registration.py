@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.initialization.matching import rigid_fit, soft_matches
+from reconstruction.initialization.nearest import nearest
 from reconstruction.initialization.points import Points
 from rigs.transform import Transform
 
@@ -68,9 +69,10 @@ def sampled(points: Placed) -> Placed:
     return points.select(np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64))
 
 
-def distances(points: Tensor, others: Tensor) -> Tensor:
-    """Metres [n, m] between `points` [n, 3] and `others` [m, 3], exact also far from the origin."""
-    return torch.cdist(points, others, compute_mode="donot_use_mm_for_euclid_dist")
+def nearest_of(points: Placed, others: Placed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """For each of n points the distance [n] in m to the nearest of the others, and which one that is."""
+    apart, which = nearest(points.positions.numpy(), others.positions.numpy())
+    return apart[:, 0], which[:, 0]
 
 
 def register(model: Placed, target: Placed, guess: Transform, width: float, floor: float) -> Transform:

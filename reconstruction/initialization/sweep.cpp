@@ -54,7 +54,7 @@ void smooth_rows(const Costs &cost, int height, int width, int planes, const Lev
 #pragma omp parallel
     {
         std::vector<uint16_t> turned(row), sums(row), previous(planes + 2), current(planes + 2);
-#pragma omp for schedule(static)
+#pragma omp for schedule(dynamic, 8)
         for (int y = 0; y < height; ++y) {
             turn(cost.get() + y * row, planes, width, turned.data());
             std::fill(sums.begin(), sums.end(), uint16_t(0));

@@ -150,11 +150,12 @@ def _moving_points(
 ) -> Points:
     """Points of what moves at one plane, swept at half resolution."""
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
-    images = [shrunk(s.at(plane), c) for s, c in zip(sources.values(), half, strict=True)]
-    masks = [shrunk(s.movers(plane).astype(np.float32), c) > 0.5 for s, c in zip(sources.values(), half, strict=True)]
+    whole = [s.at(plane) for s in sources.values()]
+    seen = [s.movers_in(image, plane).astype(np.float32) for s, image in zip(sources.values(), whole, strict=True)]
+    images, masks = ([shrunk(a, c) for a, c in zip(some, half, strict=True)] for some in (whole, seen))
     near, far = depth_range_m(cameras)
     maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
-    return sample_points(maps, images, masks, count, recording.rig.clock.instant_s(plane), rng)
+    return sample_points(maps, images, [mask > 0.5 for mask in masks], count, recording.rig.clock.instant_s(plane), rng)
 
 
 def _write_bodies(run: RunFolder, bodies: Bodies, progress: Progress) -> None:
