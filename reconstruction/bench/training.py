@@ -54,7 +54,8 @@ def bench_training(
                     run = reconstruct(clip.path, out, variant.config(budget_s), progress_of, last="train")
                     write_json(out / "scores.json", _scored(run, clip, floors=variant is AUTO))
                 scores = json.loads((out / "scores.json").read_text())
-                document.rows.append({"method": variant.name, "budget_s": budget_s, **scores})
+                spent_s = scores["curve"][-1]["seconds"]
+                document.rows.append({"method": variant.name, "budget_s": budget_s, "seconds": spent_s, **scores})
         _summarise(document, variant)
     _margins(document)
     return document

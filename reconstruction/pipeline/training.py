@@ -19,7 +19,7 @@ from reconstruction.images.light import Light
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
-from reconstruction.training.choice import BETTER, WINDOW, between, count_error
+from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
 from reconstruction.training.seed import seed_cloud, seed_field, seed_rigid
@@ -130,7 +130,7 @@ def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: R
     for model in ("bases", "linear"):
         run.document["plan"]["model"] = model
         errors[model] = count_error(_seeded(run, clip), views, planes, clock)
-    model = "bases" if errors["bases"] <= BETTER * errors["linear"] else "linear"
+    model = min(errors, key=errors.__getitem__)
     reason = (
         f"between the swept instants {run.document['bodies']['rigid']} rigid bodies miss the counts of {WINDOW} "
         f"planes by {errors['bases']:.3f} spikes a moving pixel, points at rest by {errors['linear']:.3f}"

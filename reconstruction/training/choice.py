@@ -14,7 +14,6 @@ from reconstruction.training.supervision import TrainingView
 from rigs.clock import RigClock
 
 WINDOW = 9  # planes
-BETTER = 0.98  # bodies must leave at most this share of the error of straight paths
 
 
 def count_error(cloud: DynamicCloud, views: Sequence[TrainingView], planes: Sequence[int], clock: RigClock) -> float:

@@ -140,7 +140,7 @@ def _choose_model(
 
 
 def _split(cap: int, model: str, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
-    """Still and moving Gaussians of the cap: movers get more than their share, most where each is seen for a while only.
+    """Still and moving Gaussians of the cap: movers get more than their share, the more where each is seen for a while.
 
     What rides on a body is seen all along: with half as many, `fan_and_ball` gained 0.5 dB over the whole view and lost
     as much on movers.
