@@ -9,7 +9,7 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
 from reconstruction.training.config import ReconstructionConfig
 
 BUDGETS_S = (30.0, 60.0, 120.0)
-MIDDLE_S = 60.0
+SHORT_S, MIDDLE_S, _ = BUDGETS_S
 HOLDOUT = "cam11"
 
 
@@ -29,19 +29,25 @@ class Variant:
 
 
 AUTO = Variant("auto", "what the plan chooses", budgets_s=BUDGETS_S)
-CLEAN = Variant("clean", "the same on the true images", {"images": "clean"}, BUDGETS_S[1:])
+CLEAN = Variant("clean", "the same on the true images", {"images": "clean"}, BUDGETS_S[2:])
 MODELS = (
-    Variant("linear", "every mover on a straight path of its own", {"model": "linear"}),
-    Variant("cubic", "every mover on a cubic path of its own", {"model": "cubic"}, scenes=DEVELOPMENT),
     Variant("4dgs", "4DGS on TFI images", {"model": "4dgs", "images": "tfi"}),
+    *(
+        Variant(f"model.{name}", about, {"model": name}, (SHORT_S,), DEVELOPMENT)
+        for name, about in (
+            ("linear", "every mover on a straight path of its own"),
+            ("cubic", "every mover on a cubic path of its own"),
+            ("bases", "movers on rigid bodies"),
+        )
+    ),
 )
 ABLATIONS = (
     *(
-        Variant(f"supervision.{name}", f"the spike term {name}", {"supervision": name}, scenes=DEVELOPMENT)
+        Variant(f"supervision.{name}", f"the spike term {name}", {"supervision": name}, (SHORT_S,), DEVELOPMENT)
         for name in ("pixels", "l1", "l2", "variation", "counts", "cumulative")
     ),
     *(
-        Variant(f"images.{name}", f"targets from {name}", {"images": name}, scenes=DEVELOPMENT)
+        Variant(f"images.{name}", f"targets from {name}", {"images": name}, (SHORT_S,), DEVELOPMENT)
         for name in ("tfi", "tfp", "slope", "adaptive", "interpolated")
     ),
 )
