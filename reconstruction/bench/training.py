@@ -52,7 +52,7 @@ def bench_training(
                 out = work / f"{clip.scene}-{clip.seed}-{variant.name}-{budget_s:g}s"
                 if not (out / "scores.json").exists():
                     run = reconstruct(clip.path, out, variant.config(budget_s), progress_of, last="train")
-                    write_json(out / "scores.json", _scored(run, clip, floors=variant is AUTO))
+                    write_json(out / "scores.json", _scored(run, clip, floors=variant.name == AUTO.name))
                 scores = json.loads((out / "scores.json").read_text())
                 spent_s = scores["curve"][-1]["seconds"]
                 document.rows.append({"method": variant.name, "budget_s": budget_s, "seconds": spent_s, **scores})
@@ -103,7 +103,7 @@ def _summarise(document: BenchDocument, variant: Variant) -> None:
         if rows:
             speeds = [r["steps_per_s"] for r in rows]
             document.summary[f"{variant.name}.steps_per_s@{budget_s:g}"] = float(np.mean(speeds))
-    if variant is AUTO:
+    if variant.name == AUTO.name:
         _times_to(document)
 
 
