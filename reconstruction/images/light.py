@@ -18,6 +18,8 @@ from acquisition.spikes.stream import SpikeStream
 WINDOW = 4  # planes counted together
 BLOCK_PX = 8
 LEAST_SPIKES = 4.0  # a block and window, on average; dimmer blocks say little
+MEDIAN_NOISE = 1.25  # deviation of a median over that of the mean of as many spikes, were they a Poisson process
+SURE = 3.0  # of those deviations that the gains must exceed: a few dim blocks tell nothing
 FLICKER = 0.01  # standard deviation of the gain from which light is said to flicker; noise alone leaves some 0.002
 
 
@@ -54,6 +56,8 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     if not seen.any():
         return Light.steady(planes)
     ratios = np.median(blocks[:, seen] / mostly[seen], axis=1)
+    if ratios.std() < SURE * MEDIAN_NOISE / np.sqrt(mostly[seen].sum()):
+        return Light.steady(planes)
     middles = np.array(starts) + (WINDOW - 1) / 2
     ends = np.array([-0.5, planes - 0.5])  # straight on from the outer windows
     slopes = np.array([ratios[1] - ratios[0], ratios[-1] - ratios[-2]]) / WINDOW

@@ -41,6 +41,20 @@ def test_mains_flicker_is_measured_to_a_percent_movers_or_not(mover):
     assert float(light.gains.mean()) == pytest.approx(1, abs=1e-5)
 
 
+@pytest.mark.parametrize("planes", [120, 200, 400])
+def test_a_few_spikes_do_not_flicker(planes):
+    """A dim wall, of which a few blocks alone have spikes enough, by noise or by a hot pixel."""
+    layout = PlaneLayout(WIDTH, HEIGHT)
+    light = np.full((planes, HEIGHT, WIDTH), 0.004, dtype=np.float32)
+    for seed in range(4):
+        light[:, 8 * seed : 8 * seed + 8, 16:24] = 0.018
+        streams = [
+            SpikeStream(pack(Sensor(WIDTH, HEIGHT, "real", seed, c).expose(light), layout), layout, 20000.0)
+            for c in range(3)
+        ]
+        assert not estimate_light(streams).flickers, seed
+
+
 @pytest.mark.parametrize("mover", [False, True])
 def test_steady_light_is_called_steady(mover):
     light = estimate_light([recorded(np.ones(PLANES), camera, mover) for camera in range(3)])
