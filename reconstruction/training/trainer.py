@@ -11,6 +11,7 @@ import torch
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
+from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
 from rigs.clock import RigClock
 
@@ -58,7 +59,7 @@ class TrainerSettings:
     white: float = 0.6
     rates: Rates = field(default_factory=Rates)
     tick_stride: int = 1
-    half_until: float = 0.1
+    half_until: float = HALF_UNTIL
     spike_every: int = 2
     canonical_until: float = 3 / 17
 
