@@ -10,7 +10,7 @@ moving), kernels of level v4. They say which work is dear, not how long another 
 - HALF_STEP_S: the same step as STEP_S against images of half the width and height.
 - VARIATION_STEP_S: a step with `variation`, which renders three instants.
 - SPLATS_S: what each Gaussian adds to a step, from 12,000 to 24,000 of them.
-Costs grow with the pixels of a view, those of SPLATS_S with the Gaussians.
+Images and sweeps grow with the pixels of a view, steps in part with the pixels and in part with the Gaussians.
 """
 
 from __future__ import annotations
@@ -62,18 +62,25 @@ class Work:
         """Pixels of a view over those the unit costs were measured with."""
         return self.pixels / MEASURED_PX
 
+    def step_s(self) -> float:
+        """Seconds of one step: a part that grows with the Gaussians and one that grows with the pixels."""
+        return SPLATS_S * self.gaussians + (STEP_S - SPLATS_S * MEASURED_GAUSSIANS) * self.scale
+
     def likely_steps(self) -> int:
         """Steps of the run: those asked for, or as many as the budget pays for on one thread."""
         if self.steps is not None:
             return self.steps
         assert self.budget_s is not None
-        step_s = STEP_S * self.scale + SPLATS_S * (self.gaussians - MEASURED_GAUSSIANS)
-        return round(self.budget_s / max(step_s, HALF_STEP_S * self.scale / 2))
+        return round(self.budget_s / self.step_s())
+
+    def _steps_s(self, share: float) -> float:
+        """Seconds of all steps, times `share`."""
+        return self.likely_steps() * self.step_s() * share
 
     def movers_s(self, instants: int) -> float:
         """Seconds of sweeping movers at `instants`, and of carrying them through all steps."""
         swept = instants * self.views * SWEEP_MOVERS_S + self.views * BACKGROUND_S
-        return self.scale * (swept + self.likely_steps() * (STEP_S - STILL_STEP_S))
+        return self.scale * swept + self._steps_s(1 - STILL_STEP_S / STEP_S)
 
     def view_s(self, instants: int) -> float:
         """Seconds of preparing one more view: its background, its sweep, and those of movers at `instants`."""
@@ -85,11 +92,11 @@ class Work:
 
     def instants_s(self) -> float:
         """Seconds of the extra instants that `variation` renders in every step."""
-        return self.likely_steps() * (VARIATION_STEP_S - STEP_S) * self.scale
+        return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
 
     def half_size_s(self, share: float) -> float:
         """Seconds saved by the first `share` of the steps at half the width and height."""
-        return self.likely_steps() * share * (STEP_S - HALF_STEP_S) * self.scale
+        return self._steps_s(share * (1 - HALF_STEP_S / STEP_S))
 
     def splats_s(self, count: int) -> float:
         """Seconds of `count` more Gaussians through all steps."""
