@@ -47,10 +47,20 @@ def train_stage(
             saver.checkpoint()
             raise StoppedError(f"{run.path}: stopped at step {trainer.steps}; the same command resumes it")
 
-    train(trainer, lambda: budget.done(trainer.steps), on_step)
+    train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
     saver.checkpoint()
+    if budget.done(trainer.steps) < 1:
+        _say_ending(run, trainer, progress)
     run.document["steps"] = trainer.steps
     run.document["gaussians"] = {"still": len(trainer.cloud.still), "moving": len(trainer.cloud.moving)}
+
+
+def _say_ending(run: RunFolder, trainer: Trainer, progress: Progress) -> None:
+    """Keep in `run.json` that the training ended before its budget, and why."""
+    ending = trainer.ending
+    assert ending is not None
+    run.document["stopped_early"] = {"step": trainer.steps, "reason": ending.reason}
+    progress(1.0, f"stopped early at step {trainer.steps}: {ending.reason}")
 
 
 class _Saver:
@@ -59,7 +69,7 @@ class _Saver:
     def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget):
         self.run, self.trainer, self.budget = run, trainer, budget
         self.last = budget.clock()
-        done = budget.done(trainer.steps)
+        done = trainer.done(budget.done(trainer.steps))
         self.due = [s for s in SNAPSHOT_AT if s > done or s == 1.0]  # the last state is always scored
 
     def keep(self, done: float) -> None:
@@ -100,7 +110,12 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
-    settings = TrainerSettings(plan.supervision, white=max(white, 1e-6), tick_stride=run.config.tick_stride)
+    settings = TrainerSettings(
+        plan.supervision,
+        white=max(white, 1e-6),
+        tick_stride=run.config.tick_stride,
+        ends_early=run.config.steps is None,
+    )
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 

@@ -11,6 +11,7 @@ import torch
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
+from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
 from rigs.clock import RigClock
@@ -52,6 +53,7 @@ class TrainerSettings:
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
+    `ends_early`: whether a training that no longer gains ends before its budget.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
 
@@ -62,6 +64,7 @@ class TrainerSettings:
     half_until: float = HALF_UNTIL
     spike_every: int = 2
     canonical_until: float = 3 / 17
+    ends_early: bool = False
 
 
 class Trainer:
@@ -80,6 +83,7 @@ class Trainer:
         self.settings = settings
         self.rng = np.random.default_rng(seed)
         self.steps = 0
+        self.ending = Ending(len(views)) if settings.ends_early else None
         self.image, self.spikes = _terms(settings, clock)
         self.optimizer = _optimizer(cloud, views, settings.rates)
 
@@ -88,16 +92,23 @@ class Trainer:
         self._anneal(done)
         every, coarse = self.settings.spike_every, done < self.settings.half_until
         due = self.spikes if not coarse and self.steps % every == every - 1 else None
-        view = self.views[int(self.rng.integers(len(self.views)))]
+        view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
-        loss = (due or self.image)(self.cloud, view, self.rng, 2 if coarse else 1)
+        loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
         penalty = self.cloud.motion.penalty()
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
         self.optimizer.step()
         self.steps += 1
-        return float(loss.detach())
+        found = float(loss.detach())
+        if self.ending and due is None and done >= max(self.settings.half_until, self.settings.canonical_until):
+            self.ending.see(view, found, self.steps, done)
+        return found
+
+    def done(self, share: float) -> float:
+        """How much of the training lies behind, where the budget says `share`: more once it ends early."""
+        return self.ending.done(share, self.steps) if self.ending else share
 
     def _anneal(self, done: float) -> None:
         for group in self.optimizer.param_groups:
@@ -111,6 +122,7 @@ class Trainer:
             "optimizer": self.optimizer.state_dict(),
             "rng": json.dumps(self.rng.bit_generator.state),
             "steps": self.steps,
+            "ending": self.ending.state() if self.ending else None,
         }
 
     def restore(self, state: dict) -> None:
@@ -121,6 +133,8 @@ class Trainer:
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
         self.steps = state["steps"]
+        if self.ending and state.get("ending"):
+            self.ending = Ending.from_state(state["ending"])
 
 
 def _terms(settings: TrainerSettings, clock: RigClock) -> tuple[ImageTerm, Term | None]:

@@ -94,7 +94,9 @@ def about(plan, what):
 
 def test_what_is_left_out_says_what_it_saves():
     plan, _, _ = make_plan(ReconstructionConfig(budget_s=None, steps=1000), RIG, streams())
-    assert about(plan, "supervision").saves_s == pytest.approx(0.884 * 1000 * (0.01608 + 0.00642 * 40 * 26 / 1e5), rel=1e-3)
+    assert about(plan, "supervision").saves_s == pytest.approx(
+        0.884 * 1000 * (0.01608 + 0.00642 * 40 * 26 / 1e5), rel=1e-3
+    )
     assert about(plan, "colour").saves_bytes == 47 * 3 * 4 * 24_000
     assert about(plan, "motion").saves_s > 0
     assert about(plan, "poses").saves_s is None
