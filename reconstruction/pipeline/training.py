@@ -13,6 +13,7 @@ from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.light import Light
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
+from reconstruction.pipeline.watch import Watch
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import BETTER, WINDOW, between, count_error
 from reconstruction.training.plan import Decision, Plan
@@ -31,18 +32,21 @@ def train_stage(
     """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
     trainer = _trainer(run, recording)
     budget.before_training_s = budget.elapsed_s()
+    watch = Watch(run, trainer)
     if run.checkpoint.exists():
         saved = load_checkpoint(run.checkpoint)
         trainer.restore(saved["trainer"])
+        watch.resume(saved.get("watch"))
         budget.before_training_s = saved["before_training_s"]
         budget.spent_s = saved["elapsed_s"]
         budget.started = budget.clock()
-    saver = _Saver(run, trainer, budget)
+    saver = _Saver(run, trainer, budget, watch)
 
     def on_step(done: float, loss: float) -> None:
+        watch.look(done, saver.checkpoint)
         saver.keep(done)
         if trainer.steps % 10 == 0 or done >= 1:
-            progress(done, f"step {trainer.steps}, loss {loss:.4f}, {len(trainer.cloud)} Gaussians")
+            progress(done, f"step {trainer.steps}, loss {loss:.4f}, {len(trainer.cloud)} Gaussians{watch.note}")
         if should_stop() and done < 1:
             saver.checkpoint()
             raise StoppedError(f"{run.path}: stopped at step {trainer.steps}; the same command resumes it")
@@ -66,8 +70,8 @@ def _say_ending(run: RunFolder, trainer: Trainer, progress: Progress) -> None:
 class _Saver:
     """Writes the checkpoint every few seconds and a snapshot at each share of the training."""
 
-    def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget):
-        self.run, self.trainer, self.budget = run, trainer, budget
+    def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget, watch: Watch):
+        self.run, self.trainer, self.budget, self.watch = run, trainer, budget, watch
         self.last = budget.clock()
         done = trainer.done(budget.done(trainer.steps))
         self.due = [s for s in SNAPSHOT_AT if s > done or s == 1.0]  # the last state is always scored
@@ -91,6 +95,7 @@ class _Saver:
         state = {
             "cloud": self.trainer.cloud.state(),
             "trainer": self.trainer.state(),
+            "watch": self.watch.state,
             "elapsed_s": self.budget.elapsed_s(),
             "before_training_s": self.budget.before_training_s,
         }

@@ -9,6 +9,7 @@ budget is gone through in RUN_DOWN of the steps so far, and only then the traini
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -84,4 +85,5 @@ class Ending:
     @classmethod
     def from_state(cls, state: dict) -> Ending:
         """The inverse of `state`."""
-        return cls(**{key: list(value) if isinstance(value, list) else value for key, value in state.items()})
+        values: dict[str, Any] = {k: list(v) if isinstance(v, list) else v for k, v in state.items()}
+        return cls(**values)

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
+from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
@@ -85,7 +87,8 @@ class Trainer:
         self.steps = 0
         self.ending = Ending(len(views)) if settings.ends_early else None
         self.image, self.spikes = _terms(settings, clock)
-        self.optimizer = _optimizer(cloud, views, settings.rates)
+        self.extent_m = _extent_m(cloud, views)
+        self.optimizer = _optimizer(cloud, self.extent_m, settings.rates)
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
@@ -127,14 +130,38 @@ class Trainer:
 
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
-        with torch.no_grad():
-            for name, tensor in self.cloud.tensors():
-                tensor.copy_(state["cloud"]["tensors"][name])
+        self.cloud = DynamicCloud.from_state(state["cloud"])
+        self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
         self.steps = state["steps"]
         if self.ending and state.get("ending"):
             self.ending = Ending.from_state(state["ending"])
+
+    def unsettle(self, views: Sequence[TrainingView], which: Tensor) -> None:
+        """Go on with other targets, and with the still Gaussians of the mask `which` [N] as moving ones.
+
+        Adam's moments are carried over; those of a motion that a Gaussian did not have before are zero.
+        """
+        names = {id(tensor): name for name, tensor in self.cloud.tensors()}
+        old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
+        moments = {
+            key: set_moving(
+                {n: old[n][key] if old.get(n) else torch.zeros_like(t) for n, t in self.cloud.tensors()},
+                which,
+                dict.fromkeys(FRESH, 0.0),
+            )
+            for key in ("exp_avg", "exp_avg_sq")
+        }
+        begun = torch.tensor(float(self.steps))
+        self.views, self.cloud = views, freed(self.cloud, which)
+        self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
+        for name, tensor in self.cloud.tensors():
+            if tensor.requires_grad:
+                state = {key: moments[key][name].clone() for key in moments}
+                self.optimizer.state[tensor] = {"step": old.get(name, {}).get("step", begun).clone(), **state}
+        if self.ending:
+            self.ending.begin_again()
 
 
 def _terms(settings: TrainerSettings, clock: RigClock) -> tuple[ImageTerm, Term | None]:
@@ -160,8 +187,7 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, views: Sequence[TrainingView], rates: Rates) -> Adam:
-    extent = _extent_m(cloud, views)
+def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
     groups = []
     for name, tensor in cloud.tensors():
         kind = name.split(".")[1]
@@ -169,7 +195,7 @@ def _optimizer(cloud: DynamicCloud, views: Sequence[TrainingView], rates: Rates)
             continue
         tensor.requires_grad_(True)
         length = kind in LENGTHS
-        start = getattr(rates, RATE_OF.get(kind, kind)) * (extent if length else 1.0)
+        start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
         end = rates.final if length else 1 / 3
         groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
     return Adam(groups)
