@@ -31,11 +31,10 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
-from reconstruction.training.plan import make_plan
+from reconstruction.training.plan import INSTANTS, make_plan
 from reconstruction.training.run import RunFolder
 from rigs.camera import Camera
 
-INSTANTS = 8  # at which movers are swept
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200
 LEAST_SHARE = 0.3  # of the pixels that must find a depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
@@ -56,7 +55,7 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
     for view, mask in masks.items():
         run.write_array(f"plan/moving_{view}", mask)
     run.document["plan"] = plan.to_json()
-    progress(1.0, "; ".join(f"{d.about}: {d.choice}" for d in plan.decisions))
+    progress(1.0, "\n".join(map(str, plan.decisions)))
 
 
 def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:

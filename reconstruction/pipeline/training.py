@@ -18,6 +18,7 @@ from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
+from reconstruction.pipeline.watch import Watch
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.plan import Decision, Plan
@@ -36,35 +37,48 @@ def train_stage(
     """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
     trainer = _trainer(run, recording)
     budget.before_training_s = budget.elapsed_s()
+    watch = Watch(run, trainer)
     if run.checkpoint.exists():
         saved = load_checkpoint(run.checkpoint)
         trainer.restore(saved["trainer"])
+        watch.resume(saved.get("watch"))
         budget.before_training_s = saved["before_training_s"]
         budget.spent_s = saved["elapsed_s"]
         budget.started = budget.clock()
-    saver = _Saver(run, trainer, budget)
+    saver = _Saver(run, trainer, budget, watch)
 
     def on_step(done: float, loss: float) -> None:
+        watch.look(done, saver.checkpoint)
         saver.keep(done)
         if trainer.steps % 10 == 0 or done >= 1:
-            progress(done, f"step {trainer.steps}, loss {loss:.4f}, {len(trainer.cloud)} Gaussians")
+            progress(done, f"step {trainer.steps}, loss {loss:.4f}, {len(trainer.cloud)} Gaussians{watch.note}")
         if should_stop() and done < 1:
             saver.checkpoint()
             raise StoppedError(f"{run.path}: stopped at step {trainer.steps}; the same command resumes it")
 
-    train(trainer, lambda: budget.done(trainer.steps), on_step)
+    train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
     saver.checkpoint()
+    if budget.done(trainer.steps) < 1:
+        _say_ending(run, trainer, progress)
     run.document["steps"] = trainer.steps
     run.document["gaussians"] = {"still": len(trainer.cloud.still), "moving": len(trainer.cloud.moving)}
+
+
+def _say_ending(run: RunFolder, trainer: Trainer, progress: Progress) -> None:
+    """Keep in `run.json` that the training ended before its budget, and why."""
+    ending = trainer.ending
+    assert ending is not None
+    run.document["stopped_early"] = {"step": trainer.steps, "reason": ending.reason}
+    progress(1.0, f"stopped early at step {trainer.steps}: {ending.reason}")
 
 
 class _Saver:
     """Writes the checkpoint every few seconds and a snapshot at each share of the training."""
 
-    def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget):
-        self.run, self.trainer, self.budget = run, trainer, budget
+    def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget, watch: Watch):
+        self.run, self.trainer, self.budget, self.watch = run, trainer, budget, watch
         self.last = budget.clock()
-        done = budget.done(trainer.steps)
+        done = trainer.done(budget.done(trainer.steps))
         self.due = [s for s in SNAPSHOT_AT if s > done or s == 1.0]  # the last state is always scored
 
     def keep(self, done: float) -> None:
@@ -86,6 +100,7 @@ class _Saver:
         state = {
             "cloud": self.trainer.cloud.state(),
             "trainer": self.trainer.state(),
+            "watch": self.watch.state,
             "elapsed_s": self.budget.elapsed_s(),
             "before_training_s": self.budget.before_training_s,
         }
@@ -107,7 +122,12 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
-    settings = TrainerSettings(plan.supervision, white=max(white, 1e-6), tick_stride=run.config.tick_stride)
+    settings = TrainerSettings(
+        plan.supervision,
+        white=max(white, 1e-6),
+        tick_stride=run.config.tick_stride,
+        ends_early=run.config.steps is None,
+    )
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 

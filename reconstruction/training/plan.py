@@ -13,22 +13,39 @@ from reconstruction.errors import BadRunError
 from reconstruction.images.light import Light, estimate_light
 from reconstruction.images.motion import moving_pixels
 from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken
 from rigs.rig import Rig
 
 DARK_RATE = 1e-4  # spikes per pixel and tick; below it a view carries no picture
 STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
 LEAST_VIEWS = 2
 LIGHT_VIEWS = 4  # enough to see the light of the whole scene
+INSTANTS = 8  # at which movers are swept
+HALF_UNTIL = 0.1  # share of the training at half resolution
+GAUSSIAN_FLOATS = 12  # of a still one
+BEST_METHOD = "adaptive"  # of those without a network, on single images
 
 
 @dataclass(frozen=True)
 class Decision:
-    """One choice: what it is about, what was chosen, why, and which option overrides it."""
+    """One choice: what it is about, what was chosen, why, which option overrides it, and what it saves.
+
+    `saves_s` (seconds of one thread) and `saves_bytes` are against what `reason` names; None: nothing, or not known.
+    """
 
     about: str
     choice: str
     reason: str
     override: str
+    saves_s: float | None = None
+    saves_bytes: int | None = None
+
+    def __str__(self) -> str:
+        """One line for a person: `about: choice (saves 12 s, 40 MB): reason; override --x`."""
+        saved = spoken(self.saves_s, self.saves_bytes)
+        price = f" ({saved})" if saved else ""
+        override = "" if self.override == "none" else f"; override {self.override}"
+        return f"{self.about}: {self.choice}{price}: {self.reason}{override}"
 
 
 @dataclass(frozen=True)
@@ -67,28 +84,80 @@ def make_plan(
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
     masks = {view: moving_pixels(streams[view], light) for view in views}
-    model = _choose_model(config, masks, decisions)
+    work = _work(config, rig, streams, views)
+    model = _choose_model(config, masks, work, decisions)
     if model == "static":
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
-    images = config.images if config.images != "auto" else "interpolated"
-    if config.images == "auto":
-        decisions.append(
-            Decision(
-                "images",
-                images,
-                "long mean where nothing moves, 9-plane interpolated count where something does",
-                "--images",
-            )
-        )
-    supervision = config.supervision
+    images, supervision = _choose_targets(config, work, _share(masks), decisions)
+    still, moving = _split(config.gaussians, model, masks)
+    decisions += _economies(config, work, _share(masks), (still, moving))
+    decisions += _left_out(rig, views, work)
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions)), masks, light
+
+
+def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], views: Sequence[str]) -> Work:
+    camera, planes = rig.camera(views[0]), min(len(streams[view]) for view in views)
+    size = camera.width * camera.height
+    return Work(size, planes, len(views), config.gaussians, config.budget_s, config.steps)
+
+
+def _share(masks: Mapping[str, NDArray[np.bool_]]) -> float:
+    """The share of all pixels that move."""
+    return float(np.mean([mask.mean() for mask in masks.values()]))
+
+
+def _choose_targets(
+    config: ReconstructionConfig, work: Work, share: float, decisions: list[Decision]
+) -> tuple[str, str]:
+    """The image method and the supervision."""
+    images, supervision = config.images, config.supervision
+    if images == "auto":
+        images, count = "interpolated", work.images(config.tick_stride)
+        gap_s = work.image_s(BEST_METHOD) - work.image_s(images)
+        reason = f"long mean where nothing moves, 9-plane interpolated count where something does, not {BEST_METHOD}"
+        kept = round(count * work.pixels * (1 - share)) * FLOAT_BYTES
+        decisions.append(Decision("images", images, reason, "--images", count * gap_s if share else None, kept))
     if supervision == "auto":
         supervision = "pixels"
-        reason = "at equal time no spike term gained on the development scenes"
-        decisions.append(Decision("supervision", supervision, reason, "--supervision"))
-    decisions.append(Decision("poses", "not estimated", f"the rig's poses are {rig.poses} and used as given", "--init"))
-    decisions.append(Decision("colour", "one grey channel, no view dependence", "a spike carries no colour", "none"))
-    still, moving = _split(config.gaussians, model, masks)
-    return Plan(views, model, images, supervision, moving, still, tuple(decisions)), masks, light
+        reason = "at equal time no spike term gained on the development scenes; variation renders three instants a step"
+        decisions.append(Decision("supervision", supervision, reason, "--supervision", work.instants_s()))
+    return images, supervision
+
+
+def _economies(config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int]) -> list[Decision]:
+    """Instants, Gaussians and resolution: what is kept small from the start."""
+    stride, (still, moving) = config.tick_stride, counts
+    fewer = work.images(1) - work.images(stride)
+    kept = round(fewer * work.pixels * share) * FLOAT_BYTES
+    image_s = work.image_s(config.images if config.images != "auto" else "interpolated")
+    spared = (fewer * image_s, kept) if fewer and share else (None, None)
+    reason = f"{work.images(stride)} target images are drawn again and again, not {work.images(1)} for every plane"
+    every = f"an image every {stride} planes"
+    splats = f"{still:,} still and {moving:,} moving"
+    cost = (work.splats_s(config.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * config.gaussians)
+    sizes = f"half size for the first {HALF_UNTIL:.0%}"
+    why = "positions and brightness settle on coarse images first, at less than full size"
+    return [
+        Decision("instants", every, reason, "--tick-stride", *spared),
+        Decision("Gaussians", splats, "the cap as given, against twice as many", "none", *cost),
+        Decision("resolution", sizes, why, "none", work.half_size_s(HALF_UNTIL)),
+    ]
+
+
+def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
+    """What no reconstruction does."""
+    calibrated = sum(rig.camera(view).pixels is not None for view in views)
+    if calibrated:
+        maps = f"maps of {calibrated} views are there, but training does not read them"
+    else:
+        maps = "the recording has no maps; `spike4dgs calibrate --pixels` makes them"
+    poses = f"the rig's poses are {rig.poses} and used as given"
+    grey = "a spike carries no colour; against three channels of third-degree harmonics"
+    return [
+        Decision("pixels", "taken as even", maps, "none"),
+        Decision("poses", "not estimated", poses, "--init"),
+        Decision("colour", "one grey channel, no view dependence", grey, "none", None, work.colour_bytes()),
+    ]
 
 
 def _training_views(
@@ -104,7 +173,11 @@ def _training_views(
         stream = streams[view]
         rate = stream.counts(0, len(stream)).mean() / len(stream)
         if rate < DARK_RATE:
-            decisions.append(Decision("views", f"{view} skipped", f"{rate:.1e} spikes per tick: no light", "--views"))
+            reason, spared_s = (
+                f"{rate:.1e} spikes per tick: no light",
+                _work(config, rig, streams, [view]).view_s(INSTANTS),
+            )
+            decisions.append(Decision("views", f"{view} skipped", reason, "--views", spared_s))
         else:
             lit.append(view)
     if len(lit) < LEAST_VIEWS:
@@ -126,13 +199,14 @@ def _light(streams: Sequence[SpikeStream], decisions: list[Decision]) -> Light:
 
 
 def _choose_model(
-    config: ReconstructionConfig, masks: Mapping[str, NDArray[np.bool_]], decisions: list[Decision]
+    config: ReconstructionConfig, masks: Mapping[str, NDArray[np.bool_]], work: Work, decisions: list[Decision]
 ) -> str:
     if config.model != "auto":
         return config.model
-    share = float(np.mean([mask.mean() for mask in masks.values()]))
+    share = _share(masks)
     if share < STILL_SHARE:
-        decisions.append(Decision("motion", "static", f"{share:.2%} of the pixels change: no motion model", "--model"))
+        reason = f"{share:.2%} of the pixels change: no motion model"
+        decisions.append(Decision("motion", "static", reason, "--model", work.movers_s(INSTANTS)))
         return "static"
     reason = f"{share:.1%} of the pixels change; straight paths instead where bodies explain the counts no better"
     decisions.append(Decision("motion", "bases", reason, "--model"))
@@ -147,6 +221,5 @@ def _split(cap: int, model: str, masks: Mapping[str, NDArray[np.bool_]]) -> tupl
     """
     if model == "static":
         return cap, 0
-    share = float(np.mean([mask.mean() for mask in masks.values()]))
-    moving = round(cap * min(0.6, max(0.1, (1.25 if model == "bases" else 2.5) * share)))
+    moving = round(cap * min(0.6, max(0.1, (1.25 if model == "bases" else 2.5) * _share(masks))))
     return cap - moving, moving

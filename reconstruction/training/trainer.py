@@ -8,10 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
+from reconstruction.training.ending import Ending
+from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
+from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
@@ -51,6 +55,7 @@ class TrainerSettings:
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
+    `ends_early`: whether a training that no longer gains ends before its budget.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
 
@@ -58,9 +63,10 @@ class TrainerSettings:
     white: float = 0.6
     rates: Rates = field(default_factory=Rates)
     tick_stride: int = 1
-    half_until: float = 0.1
+    half_until: float = HALF_UNTIL
     spike_every: int = 2
     canonical_until: float = 3 / 17
+    ends_early: bool = False
 
 
 class Trainer:
@@ -79,24 +85,33 @@ class Trainer:
         self.settings = settings
         self.rng = np.random.default_rng(seed)
         self.steps = 0
+        self.ending = Ending(len(views)) if settings.ends_early else None
         self.image, self.spikes = _terms(settings, clock)
-        self.optimizer = _optimizer(cloud, views, settings.rates)
+        self.extent_m = _extent_m(cloud, views)
+        self.optimizer = _optimizer(cloud, self.extent_m, settings.rates)
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
         self._anneal(done)
         every, coarse = self.settings.spike_every, done < self.settings.half_until
         due = self.spikes if not coarse and self.steps % every == every - 1 else None
-        view = self.views[int(self.rng.integers(len(self.views)))]
+        view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
-        loss = (due or self.image)(self.cloud, view, self.rng, 2 if coarse else 1)
+        loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
         penalty = self.cloud.motion.penalty()
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
         self.optimizer.step()
         self.steps += 1
-        return float(loss.detach())
+        found = float(loss.detach())
+        if self.ending and due is None and done >= max(self.settings.half_until, self.settings.canonical_until):
+            self.ending.see(view, found, self.steps, done)
+        return found
+
+    def done(self, share: float) -> float:
+        """How much of the training lies behind, where the budget says `share`: more once it ends early."""
+        return self.ending.done(share, self.steps) if self.ending else share
 
     def _anneal(self, done: float) -> None:
         for group in self.optimizer.param_groups:
@@ -110,16 +125,43 @@ class Trainer:
             "optimizer": self.optimizer.state_dict(),
             "rng": json.dumps(self.rng.bit_generator.state),
             "steps": self.steps,
+            "ending": self.ending.state() if self.ending else None,
         }
 
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
-        with torch.no_grad():
-            for name, tensor in self.cloud.tensors():
-                tensor.copy_(state["cloud"]["tensors"][name])
+        self.cloud = DynamicCloud.from_state(state["cloud"])
+        self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
         self.steps = state["steps"]
+        if self.ending and state.get("ending"):
+            self.ending = Ending.from_state(state["ending"])
+
+    def unsettle(self, views: Sequence[TrainingView], which: Tensor) -> None:
+        """Go on with other targets, and with the still Gaussians of the mask `which` [N] as moving ones.
+
+        Adam's moments are carried over; those of a motion that a Gaussian did not have before are zero.
+        """
+        names = {id(tensor): name for name, tensor in self.cloud.tensors()}
+        old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
+        moments = {
+            key: set_moving(
+                {n: old[n][key] if old.get(n) else torch.zeros_like(t) for n, t in self.cloud.tensors()},
+                which,
+                dict.fromkeys(FRESH, 0.0),
+            )
+            for key in ("exp_avg", "exp_avg_sq")
+        }
+        begun = torch.tensor(float(self.steps))
+        self.views, self.cloud = views, freed(self.cloud, which)
+        self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
+        for name, tensor in self.cloud.tensors():
+            if tensor.requires_grad:
+                state = {key: moments[key][name].clone() for key in moments}
+                self.optimizer.state[tensor] = {"step": old.get(name, {}).get("step", begun).clone(), **state}
+        if self.ending:
+            self.ending.begin_again()
 
 
 def _terms(settings: TrainerSettings, clock: RigClock) -> tuple[ImageTerm, Term | None]:
@@ -145,8 +187,7 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, views: Sequence[TrainingView], rates: Rates) -> Adam:
-    extent = _extent_m(cloud, views)
+def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
     groups = []
     for name, tensor in cloud.tensors():
         kind = name.split(".")[1]
@@ -154,7 +195,7 @@ def _optimizer(cloud: DynamicCloud, views: Sequence[TrainingView], rates: Rates)
             continue
         tensor.requires_grad_(True)
         length = kind in LENGTHS
-        start = getattr(rates, RATE_OF.get(kind, kind)) * (extent if length else 1.0)
+        start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
         end = rates.final if length else 1 / 3
         groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
     return Adam(groups)

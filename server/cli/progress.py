@@ -39,7 +39,10 @@ def _bar(name: str) -> Progress:
     bar = tqdm(total=1.0, desc=name, bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed} {postfix}", leave=True)
 
     def report(fraction: float, message: str) -> None:
-        bar.set_postfix_str(message, refresh=False)
+        *above, last = message.splitlines() or [""]
+        for line in above:
+            bar.write(line, file=sys.stderr)
+        bar.set_postfix_str(last, refresh=False)
         bar.update(min(fraction, 1.0) - bar.n)
         if fraction >= 1:
             bar.close()

@@ -88,6 +88,48 @@ def test_the_plan_round_trips_through_json():
     assert Plan.from_json(plan.to_json()) == plan
 
 
+def about(plan, what):
+    return next(d for d in plan.decisions if d.about == what)
+
+
+def test_what_is_left_out_says_what_it_saves():
+    plan, _, _ = make_plan(ReconstructionConfig(budget_s=None, steps=1000), RIG, streams())
+    assert about(plan, "supervision").saves_s == pytest.approx(
+        0.884 * 1000 * (0.01608 + 0.00642 * 40 * 26 / 1e5), rel=1e-3
+    )
+    assert about(plan, "colour").saves_bytes == 47 * 3 * 4 * 24_000
+    assert about(plan, "motion").saves_s > 0
+    assert about(plan, "poses").saves_s is None
+    assert "saves" in str(about(plan, "motion"))
+    assert "saves" not in str(about(plan, "poses"))
+    assert {d.about for d in plan.decisions} >= {"instants", "Gaussians", "resolution", "pixels"}
+
+
+def test_twice_the_steps_save_twice_the_seconds():
+    found = [make_plan(ReconstructionConfig(budget_s=None, steps=n), RIG, streams())[0] for n in (500, 1000)]
+    once, twice = (about(plan, "resolution").saves_s for plan in found)
+    assert twice == pytest.approx(2 * once)
+
+
+def test_a_wider_stride_saves_images_of_movers_alone():
+    config = ReconstructionConfig(tick_stride=8)
+    still, moving = (make_plan(config, RIG, streams(moving=m))[0] for m in (False, True))
+    assert about(still, "instants").saves_s is None
+    assert about(moving, "instants").saves_s == pytest.approx(9 * (160 - 20) * 0.0030 * 40 * 26 / 100_000)
+
+
+def test_a_skipped_view_saves_its_sweep():
+    plan, _, _ = make_plan(ReconstructionConfig(), RIG, streams(dark=("cam20",)))
+    assert about(plan, "views").saves_s > 0
+
+
+def test_a_plan_without_prices_is_read():
+    document = make_plan(ReconstructionConfig(), RIG, streams())[0].to_json()
+    for decision in document["decisions"]:
+        del decision["saves_s"], decision["saves_bytes"]
+    assert all(d.saves_s is None and d.saves_bytes is None for d in Plan.from_json(document).decisions)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

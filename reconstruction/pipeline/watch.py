@@ -1,0 +1,98 @@
+"""The watch of a training: once, after a part of it, the plan's still pixels are held against the spikes again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from reconstruction.images.methods import method_for
+from reconstruction.training.plan import Decision
+from reconstruction.training.run import RunFolder
+from reconstruction.training.supervision import TrainingView
+from reconstruction.training.trainer import Trainer
+from reconstruction.training.watch import look_again, unsettled
+
+WATCH_AT = 0.25  # share of the training
+UNDONE = "straight paths for what the plan took for still"
+
+
+class Watch:
+    """What the watch of one training found; `state` is None before it, and goes into every checkpoint after it.
+
+    The checkpoint comes first and the run folder follows it, so that a training killed between them loses nothing.
+    """
+
+    def __init__(self, run: RunFolder, trainer: Trainer):
+        self.run, self.trainer = run, trainer
+        self.state: dict | None = None
+
+    @property
+    def note(self) -> str:
+        """What was undone, to go behind a line of progress; empty where nothing was."""
+        return f"; watch: {self.state['choice']}" if self.state and self.state["masks"] else ""
+
+    def look(self, done: float, checkpoint: Callable[[], None]) -> None:
+        """Look once `done` reaches WATCH_AT; what changes is undone, kept by `checkpoint`, then in the run folder."""
+        if self.state is not None or not WATCH_AT <= done < 1:
+            return
+        static = self.run.config.model == "static"
+        changed = {} if static else look_again(self.trainer.views)
+        views, freed = self.trainer.views, 0
+        if changed:
+            masks = {i: views[i].source.moving | mask for i, mask in changed.items()}
+            which = unsettled(self.trainer.cloud.still.means, [view.camera for view in views], changed)
+            freed = int(which.sum())
+            self.trainer.unsettle(self._retargeted(masks), which)
+            pixels = sum(int(mask.sum()) for mask in changed.values())
+            choice = f"{pixels} pixels of {len(changed)} views move after all, {freed} Gaussians with them"
+            reason = f"spikes pooled over still pixels change; they get short images from step {self.trainer.steps} on"
+        else:
+            masks, choice = {}, "obeys --model static" if static else "nothing undone"
+            reason = "what was asked for is not undone" if static else f"still pixels of {len(views)} views stay so"
+        packed = {views[i].camera.id: torch.from_numpy(np.packbits(mask)) for i, mask in masks.items()}
+        self.state = {"masks": packed, "choice": choice, "reason": reason}
+        if masks:
+            checkpoint()
+        self._write()
+
+    def resume(self, state: dict | None) -> None:
+        """Carry on after a watch that a checkpoint tells of."""
+        self.state = state
+        if state is None:
+            return
+        numbers = {view.camera.id: i for i, view in enumerate(self.trainer.views)}
+        masks = {numbers[name]: self._unpacked(name, packed.numpy()) for name, packed in state["masks"].items()}
+        self.trainer.views = self._retargeted(masks)
+        self._write()
+
+    def _unpacked(self, name: str, packed: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        camera = next(view.camera for view in self.trainer.views if view.camera.id == name)
+        bits = np.unpackbits(packed, count=camera.width * camera.height)
+        return bits.reshape(camera.height, camera.width).astype(bool)
+
+    def _retargeted(self, masks: Mapping[int, NDArray[np.bool_]]) -> list[TrainingView]:
+        """The training views, those of `masks` with these pixels moving."""
+        views = list(self.trainer.views)
+        for i, moving in masks.items():
+            source = views[i].source
+            method = method_for(self.run.plan.images, source.stream.layout, moving)
+            views[i] = replace(views[i], source=replace(source, moving=moving, method=method, kept={}))
+        return views
+
+    def _write(self) -> None:
+        """Bring masks and plan of the run folder up to what the checkpoint says; the same again where they are."""
+        assert self.state is not None
+        for name, packed in self.state["masks"].items():
+            self.run.write_array(f"plan/moving_{name}", self._unpacked(name, packed.numpy()))
+        plan, override = self.run.plan, "none"
+        if self.state["masks"]:
+            override = "--model static"
+            if plan.model == "static":
+                plan = plan.amended(Decision("motion", "linear", UNDONE, "--model"), model="linear")
+        plan = plan.amended(Decision("watch", self.state["choice"], self.state["reason"], override))
+        self.run.document["plan"] = plan.to_json()
+        self.run.save()

@@ -1,0 +1,89 @@
+"""Ends a training before its budget when more of it gains nothing: the loss stands still, then the rates run down.
+
+Losses of single steps differ by view and instant far more than a training gains in a hundred steps, so whole windows of
+steps are compared, every view counting the same in each, and the mean of the last PATIENCE windows with that of as many
+before them. While rates are high the loss stands still above what lower rates reach: once it does, what is left of the
+budget is gone through in RUN_DOWN of the steps so far, and only then the training ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+WINDOW = 500  # steps
+PATIENCE = 3  # windows
+LEAST_GAIN = 0.002  # of the loss, from PATIENCE windows to the next
+RUN_DOWN = 0.25  # of the steps so far
+
+
+@dataclass
+class Ending:
+    """Watches the losses of `views` training views; `began` is the step at which the rates started to run down.
+
+    `totals` and `counts` [V] are of the window under way, `windows` the mean losses of those behind.
+    """
+
+    views: int
+    windows: list[float] = field(default_factory=list)
+    began: int | None = None
+    share: float = 0.0
+    totals: list[float] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.totals, self.counts = self.totals or [0.0] * self.views, self.counts or [0] * self.views
+
+    def see(self, view: int, loss: float, steps: int, share: float) -> None:
+        """One step at full resolution on `view`; `steps` and `share` of the training lie behind."""
+        if self.began is not None:
+            return
+        self.totals[view] += loss
+        self.counts[view] += 1
+        if sum(self.counts) < WINDOW:
+            return
+        means = [total / count for total, count in zip(self.totals, self.counts, strict=True) if count]
+        self.windows.append(float(np.mean(means)))
+        self.totals, self.counts = [0.0] * self.views, [0] * self.views
+        if self.stands_still():
+            self.began, self.share = steps, share
+
+    def stands_still(self) -> bool:
+        """Whether the last PATIENCE windows are no better than those before."""
+        if len(self.windows) < 2 * PATIENCE:
+            return False
+        before, after = self.windows[-2 * PATIENCE : -PATIENCE], self.windows[-PATIENCE:]
+        return float(np.mean(after)) > (1 - LEAST_GAIN) * float(np.mean(before))
+
+    def done(self, share: float, steps: int) -> float:
+        """The share of the training that lies behind: as the budget has it, or further while the rates run down."""
+        if self.began is None:
+            return share
+        down = (steps - self.began) / max(1.0, RUN_DOWN * self.began)
+        return min(1.0, max(share, self.share + (1 - self.share) * down))
+
+    def begin_again(self) -> None:
+        """Forget all losses: the targets have changed."""
+        self.windows, self.began, self.share = [], None, 0.0
+        self.totals, self.counts = [0.0] * self.views, [0] * self.views
+
+    @property
+    def reason(self) -> str:
+        """Why it ended."""
+        gain = 1 - float(np.mean(self.windows[-PATIENCE:])) / float(np.mean(self.windows[-2 * PATIENCE : -PATIENCE]))
+        return (
+            f"the loss fell by {gain:.2%} over {PATIENCE * WINDOW} steps, less than {LEAST_GAIN:.1%}; "
+            f"rates ran down from step {self.began}"
+        )
+
+    def state(self) -> dict:
+        """Plain numbers, for a checkpoint."""
+        return {key: list(value) if isinstance(value, list) else value for key, value in vars(self).items()}
+
+    @classmethod
+    def from_state(cls, state: dict) -> Ending:
+        """The inverse of `state`."""
+        values: dict[str, Any] = {k: list(v) if isinstance(v, list) else v for k, v in state.items()}
+        return cls(**values)

@@ -1,0 +1,119 @@
+"""What work costs, so that a plan can say what leaving it out saves.
+
+Unit costs are seconds of one thread, the least of two or three tries of processor time on a 2-core x86-64 virtual
+machine: the development recording `fan_and_ball` seed 1 (eight training views of 400x250, 400 planes, 21% of the pixels
+moving), kernels of level v4. They say which work is dear, not how long another machine takes.
+- SWEEP_S, SWEEP_MOVERS_S: `sweep_view` of one view against four, 128 hypotheses; 64 at half the width and height.
+- BACKGROUND_S: `background` of one view with moving pixels.
+- IMAGE_S: the image method at one plane of one view; `interpolated` looks at the moving pixels alone.
+- STEP_S, STILL_STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians, and without the moving ones.
+- HALF_STEP_S: the same step as STEP_S against images of half the width and height.
+- VARIATION_STEP_S: a step with `variation`, which renders three instants.
+- SPLATS_S: what each Gaussian adds to a step, from 12,000 to 24,000 of them.
+Images and sweeps grow with the pixels of a view, steps in part with the pixels and in part with the Gaussians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MEASURED_PX = 400 * 250
+MEASURED_GAUSSIANS = 24_000
+SWEEP_S = 0.28
+SWEEP_MOVERS_S = 0.041
+BACKGROUND_S = 0.048
+IMAGE_S = {
+    "tfi": 0.0012,
+    "tfp": 0.0005,
+    "tfstp": 0.13,
+    "tvs": 0.19,
+    "slope": 0.0019,
+    "adaptive": 0.031,
+    "interpolated": 0.0030,
+    "spk2imgnet": 0.48,
+    "blindspot": 0.72,
+}
+STEP_S = 0.0225
+STILL_STEP_S = 0.0138
+HALF_STEP_S = 0.0129
+VARIATION_STEP_S = 0.0424
+SPLATS_S = 6.7e-7
+FLOAT_BYTES = 4
+KEPT_COPIES = 3  # a trained number and Adam's two moments
+VIEW_DEPENDENT = 3 * 16 - 1  # numbers more a Gaussian: three channels of third-degree harmonics against one grey
+
+
+@dataclass(frozen=True)
+class Work:
+    """The size of a run: `pixels` of one view, `planes` of the clip, training `views`, Gaussians, and its length.
+
+    Exactly one of `budget_s` and `steps` is given, as in the configuration.
+    """
+
+    pixels: int
+    planes: int
+    views: int
+    gaussians: int
+    budget_s: float | None
+    steps: int | None
+
+    @property
+    def scale(self) -> float:
+        """Pixels of a view over those the unit costs were measured with."""
+        return self.pixels / MEASURED_PX
+
+    def step_s(self) -> float:
+        """Seconds of one step: a part that grows with the Gaussians and one that grows with the pixels."""
+        return SPLATS_S * self.gaussians + (STEP_S - SPLATS_S * MEASURED_GAUSSIANS) * self.scale
+
+    def likely_steps(self) -> int:
+        """Steps of the run: those asked for, or as many as the budget pays for on one thread."""
+        if self.steps is not None:
+            return self.steps
+        assert self.budget_s is not None
+        return round(self.budget_s / self.step_s())
+
+    def _steps_s(self, share: float) -> float:
+        """Seconds of all steps, times `share`."""
+        return self.likely_steps() * self.step_s() * share
+
+    def movers_s(self, instants: int) -> float:
+        """Seconds of sweeping movers at `instants`, and of carrying them through all steps."""
+        swept = instants * self.views * SWEEP_MOVERS_S + self.views * BACKGROUND_S
+        return self.scale * swept + self._steps_s(1 - STILL_STEP_S / STEP_S)
+
+    def view_s(self, instants: int) -> float:
+        """Seconds of preparing one more view: its background, its sweep, and those of movers at `instants`."""
+        return self.scale * (BACKGROUND_S + SWEEP_S + instants * SWEEP_MOVERS_S)
+
+    def images(self, stride: int) -> int:
+        """Target images of a run with one for every `stride` planes: all there are, or one a step if that is less."""
+        return min(self.views * max(1, self.planes // stride), self.likely_steps())
+
+    def instants_s(self) -> float:
+        """Seconds of the extra instants that `variation` renders in every step."""
+        return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
+
+    def half_size_s(self, share: float) -> float:
+        """Seconds saved by the first `share` of the steps at half the width and height."""
+        return self._steps_s(share * (1 - HALF_STEP_S / STEP_S))
+
+    def splats_s(self, count: int) -> float:
+        """Seconds of `count` more Gaussians through all steps."""
+        return self.likely_steps() * count * SPLATS_S
+
+    def image_s(self, method: str) -> float:
+        """Seconds of one target image."""
+        return IMAGE_S[method] * self.scale
+
+    def colour_bytes(self) -> int:
+        """Bytes of colours that depend on the viewing direction, with their moments."""
+        return VIEW_DEPENDENT * KEPT_COPIES * FLOAT_BYTES * self.gaussians
+
+
+def spoken(saves_s: float | None, saves_bytes: int | None) -> str:
+    """`saves 12 s, 40 MB`, or nothing where neither is known."""
+    parts = [] if saves_s is None else [f"{saves_s:.0f} s" if saves_s >= 10 else f"{saves_s:.1f} s"]
+    if saves_bytes is not None:
+        parts.append(f"{saves_bytes / 1e6:.0f} MB" if saves_bytes >= 1e7 else f"{saves_bytes / 1e6:.1f} MB")
+    return f"saves {', '.join(parts)}" if parts else ""

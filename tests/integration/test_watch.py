@@ -1,0 +1,116 @@
+"""A plan that took a mover for still: the watch undoes it in a whole run, also when that run is killed around it."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition.devices.open import Simulation
+from acquisition.progress import silent
+from acquisition.session.record import simulate
+from reconstruction.pipeline.budget import StoppedError
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.run import RunFolder
+from rigs.toml import catalog_rig
+
+pytestmark = pytest.mark.slow
+STEPS, WATCHED = 24, 6
+CONFIG = ReconstructionConfig(holdout="cam11", steps=STEPS, budget_s=None, seed=1, gaussians=2000)
+
+
+def quiet(stage):
+    return silent
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recordings") / "rec"
+    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3").scaled(160, 102), 128, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def blind(recording, tmp_path_factory):
+    """A run up to its training whose plan took everything for still."""
+    path = tmp_path_factory.mktemp("runs") / "blind"
+    run = reconstruct(recording, path, CONFIG, quiet, stage="plan")
+    for view in run.plan.views:
+        run.write_array(f"plan/moving_{view}", np.zeros_like(run.read_array(f"plan/moving_{view}")))
+    run.document["plan"] |= {"model": "static", "still_gaussians": CONFIG.gaussians, "moving_gaussians": 0}
+    run.save()
+    for stage in ("images", "points"):
+        reconstruct(recording, path, CONFIG, quiet, stage=stage)
+    return path
+
+
+def trained(recording, blind, out, kills=()):
+    """A copy of `blind` trained to the end, killed after each of `kills` steps on the way."""
+    shutil.copytree(blind, out)
+    for last in kills:
+        steps = iter(range(10**6))
+        done = load_checkpoint(out / "checkpoint.pt")["trainer"]["steps"] if (out / "checkpoint.pt").exists() else 0
+        with pytest.raises(StoppedError, match=f"stopped at step {last}"):
+            reconstruct(
+                recording,
+                out,
+                CONFIG,
+                quiet,
+                stage="train",
+                should_stop=lambda s=steps, n=last - done: next(s) == n - 1,
+            )
+    return reconstruct(recording, out, CONFIG, quiet, stage="train")
+
+
+@pytest.fixture(scope="module")
+def whole(recording, blind, tmp_path_factory):
+    return trained(recording, blind, tmp_path_factory.mktemp("runs") / "whole")
+
+
+def test_what_moves_is_found_and_the_plan_says_so(whole):
+    plan = RunFolder.open(whole.path).plan
+    assert plan.model == "linear"
+    assert any(d.about == "watch" and "move after all" in d.choice for d in plan.decisions)
+    assert any(d.about == "motion" and d.choice == "linear" for d in plan.decisions)
+    assert len(load_cloud(whole.checkpoint).moving) > 0
+    assert any(whole.read_array(f"plan/moving_{view}").any() for view in plan.views)
+
+
+@pytest.mark.parametrize("kills", [(WATCHED - 1,), (WATCHED,), (WATCHED - 1, WATCHED + 3)])
+def test_killed_around_the_watch_it_ends_in_the_same_state(kills, whole, recording, blind, tmp_path):
+    resumed = trained(recording, blind, tmp_path / "run", kills)
+    for (name, a), (_, b) in zip(
+        load_cloud(whole.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
+    ):
+        assert torch.equal(a, b), name
+    assert resumed.plan == whole.plan
+
+
+def test_killed_between_checkpoint_and_masks_it_ends_in_the_same_state(whole, recording, blind, tmp_path, monkeypatch):
+    shutil.copytree(blind, tmp_path / "run")
+    monkeypatch.setattr("reconstruction.pipeline.watch.Watch._write", lambda self: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train")
+    assert RunFolder.open(tmp_path / "run").plan.model == "static"
+    monkeypatch.undo()
+    resumed = reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train")
+    for (name, a), (_, b) in zip(
+        load_cloud(whole.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
+    ):
+        assert torch.equal(a, b), name
+    assert resumed.plan == whole.plan
+
+
+def test_an_override_is_obeyed(recording, blind, tmp_path):
+    shutil.copytree(blind, tmp_path / "run")
+    run = RunFolder.open(tmp_path / "run")
+    config = replace(CONFIG, model="static")
+    run.document["configuration"] = config.to_json()
+    run.save()
+    run = reconstruct(recording, run.path, config, quiet, stage="train")
+    assert run.plan.model == "static"
+    assert len(load_cloud(run.checkpoint).moving) == 0
+    assert any(d.about == "watch" and d.choice == "obeys --model static" for d in run.plan.decisions)
