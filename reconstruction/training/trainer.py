@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
 from reconstruction.training.ending import Ending
@@ -19,6 +20,8 @@ from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
+DEAD = 0.005  # opacity below which a Gaussian is not rendered to any effect
+LIVING_EVERY = 100  # steps between looks at whether any is left
 RATE_OF = {  # tensors of the field of 4dgs that share a rate
     **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
     **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
@@ -104,10 +107,21 @@ class Trainer:
         loss.backward()
         self.optimizer.step()
         self.steps += 1
+        if self.steps % LIVING_EVERY == 0:
+            self._refuse_dead()
         found = float(loss.detach())
         if self.ending and due is None and done >= max(self.settings.half_until, self.settings.canonical_until):
             self.ending.see(view, found, self.steps, done)
         return found
+
+    def _refuse_dead(self) -> None:
+        """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
+        clouds = (self.cloud.still, self.cloud.moving)
+        if not any(bool((cloud.opacity_logits.detach().sigmoid() >= DEAD).any()) for cloud in clouds):
+            raise ReconstructionError(
+                f"found no Gaussian of opacity {DEAD} or more after {self.steps} steps, expected some to learn from; "
+                "check that the recording is lit and the poses are its own, then start a new run"
+            )
 
     def done(self, share: float) -> float:
         """How much of the training lies behind, where the budget says `share`: more once it ends early."""

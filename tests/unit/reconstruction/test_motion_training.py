@@ -10,6 +10,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
@@ -22,7 +23,7 @@ from reconstruction.images.tfp import tfp
 from reconstruction.rendering.render import render
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.supervision import TrainingView
-from reconstruction.training.trainer import Trainer, TrainerSettings
+from reconstruction.training.trainer import LIVING_EVERY, Trainer, TrainerSettings
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform
@@ -123,3 +124,17 @@ def test_a_motion_is_learnt_from_standing_still(kind, view):
         trainer.step(0.2)
     now, then = (trainer.cloud.at(u * CLIP.last_s).means[-2:, 0].detach() for u in (0.9, 0.1))
     assert float((now - then).max()) > 0.15  # of 0.48
+
+
+@pytest.mark.parametrize("alive", [True, False])
+def test_a_training_with_nothing_left_to_see_stops_with_the_reason(alive, view):
+    trainer = trainer_of("polynomial", view)
+    with torch.no_grad():
+        trainer.cloud.still.opacity_logits.fill_(-20.0)
+        trainer.cloud.moving.opacity_logits.fill_(0.0 if alive else -20.0)
+    trainer.steps = LIVING_EVERY - 1
+    if alive:
+        assert trainer.step(0.3) > 0
+        return
+    with pytest.raises(ReconstructionError, match=r"found no Gaussian of opacity 0\.005 or more after 100 steps"):
+        trainer.step(0.3)
