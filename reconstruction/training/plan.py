@@ -19,6 +19,7 @@ from rigs.rig import Rig
 DARK_RATE = 1e-4  # spikes per pixel and tick; below it a view carries no picture
 STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
 LEAST_VIEWS = 2
+TWIN_PLANES = 32  # at the start of two streams that tell whether they are one
 LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 INSTANTS = 8  # at which movers are swept
 HALF_UNTIL = 0.1  # share of the training at half resolution
@@ -168,6 +169,7 @@ def _training_views(
     asked = config.views or tuple(c for c in rig.ids if c != config.holdout)
     for view in asked:
         rig.camera(view)
+    _refuse_twins(asked, streams)
     lit = []
     for view in asked:
         stream = streams[view]
@@ -185,6 +187,18 @@ def _training_views(
             f"found {len(lit)} training views with light, expected {LEAST_VIEWS} or more; record again or name others"
         )
     return tuple(lit)
+
+
+def _refuse_twins(views: Sequence[str], streams: Mapping[str, SpikeStream]) -> None:
+    """Two cameras never fire alike: the same planes that are not silent are one file under two names."""
+    seen: dict[bytes, str] = {}
+    for view in views:
+        planes = streams[view].window(0, min(TWIN_PLANES, len(streams[view])))
+        if not planes.any():
+            continue
+        twin = seen.setdefault(planes.tobytes(), view)
+        if twin != view:
+            raise BadRunError(f"found the same spikes in {twin} and {view}, expected one stream a camera; import again")
 
 
 def _light(streams: Sequence[SpikeStream], decisions: list[Decision]) -> Light:

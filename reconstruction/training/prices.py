@@ -2,7 +2,7 @@
 
 Unit costs are seconds of one thread, the least of two or three tries of processor time on a 2-core x86-64 virtual
 machine: the development recording `fan_and_ball` seed 1 (eight training views of 400x250, 400 planes, 21% of the pixels
-moving), kernels of level v4. They say which work is dear, not how long another machine takes.
+moving), kernels of level v3. They say which work is dear, not how long another machine takes.
 - SWEEP_S, SWEEP_MOVERS_S: `sweep_view` of one view against four, 128 hypotheses; 64 at half the width and height.
 - BACKGROUND_S: `background` of one view with moving pixels.
 - IMAGE_S: the image method at one plane of one view; `interpolated` looks at the moving pixels alone.

@@ -73,6 +73,20 @@ def test_a_dark_view_is_skipped_and_named():
     assert any("cam20 skipped" in d.choice for d in plan.decisions)
 
 
+def test_one_stream_under_two_names_is_refused_by_name():
+    found = streams()
+    found["cam12"] = found["cam01"]
+    with pytest.raises(BadRunError, match="the same spikes in cam01 and cam12, expected one stream a camera"):
+        make_plan(ReconstructionConfig(), RIG, found)
+    plan, _, _ = make_plan(ReconstructionConfig(holdout="cam12"), RIG, found)
+    assert len(plan.views) == 8
+
+
+def test_two_dark_views_are_no_twins():
+    plan, _, _ = make_plan(ReconstructionConfig(), RIG, streams(dark=("cam20", "cam00")))
+    assert len(plan.views) == 7
+
+
 def test_no_light_at_all_is_refused():
     with pytest.raises(BadRunError, match="found 0 training views with light"):
         make_plan(ReconstructionConfig(), RIG, streams(dark=RIG.ids))
