@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
+from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import StereoError
 from reconstruction.images.background import Background, background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
-from reconstruction.images.methods import method_for
+from reconstruction.images.methods import Method, method_for
 from reconstruction.initialization.consistency import consistent
 from reconstruction.initialization.holes import filled
 from reconstruction.initialization.points import Points, sample_points
@@ -31,7 +32,7 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
-from reconstruction.training.plan import INSTANTS, make_plan
+from reconstruction.training.plan import INSTANTS, Plan, make_plan
 from reconstruction.training.run import RunFolder
 from rigs.camera import Camera
 
@@ -75,9 +76,13 @@ def composite_sources(run: RunFolder, recording: Recording) -> dict[str, Composi
     for view in plan.views:
         stream, moving = recording.stream(view), run.read_array(f"plan/moving_{view}")
         still = Background(*(run.read_array(f"images/{f.name}_{view}") for f in fields(Background)))
-        images = method_for(SWEPT if plan.images == "clean" else plan.images, stream.layout, moving)
-        sources[view] = CompositeSource(stream, still, moving, images, light)
+        sources[view] = CompositeSource(stream, still, moving, short_images(plan, stream, moving), light)
     return sources
+
+
+def short_images(plan: Plan, stream: SpikeStream, moving: NDArray[np.bool_]) -> Method:
+    """How the plan sees what moves; where the targets are the truth, how points are found."""
+    return method_for(SWEPT if plan.images == "clean" else plan.images, stream.layout, moving)
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from reconstruction.images.methods import method_for
+from reconstruction.pipeline.stages import short_images
 from reconstruction.training.plan import Decision
 from reconstruction.training.run import RunFolder
 from reconstruction.training.supervision import TrainingView
@@ -79,7 +79,7 @@ class Watch:
         views = list(self.trainer.views)
         for i, moving in masks.items():
             source = views[i].source
-            method = method_for(self.run.plan.images, source.stream.layout, moving)
+            method = short_images(self.run.plan, source.stream, moving)
             views[i] = replace(views[i], source=replace(source, moving=moving, method=method, kept={}))
         return views
 
