@@ -14,7 +14,7 @@ from reconstruction.bench.clips import Truth
 from reconstruction.evaluation.truth import Truth as RunTruth
 from reconstruction.images.methods import METHODS
 from reconstruction.rendering.view import look
-from reconstruction.report.pictures import depth_colours, depth_span_m, difference, grey, write_png
+from reconstruction.report.pictures import depth_span_m, difference, grey, write_png
 from reconstruction.training.checkpoint import load_cloud
 from reconstruction.training.run import RunFolder
 from rigs.errors import Spike4dgsError
@@ -56,16 +56,18 @@ def write_run_strip(path: Path, run_folder: Path) -> None:
         (f"{run_folder.name}: truth", grey(wanted.intensity, truth.white)),
         ("render", grey(seen.intensity, truth.white)),
         ("difference x5", difference(seen.intensity, wanted.intensity, truth.white)),
-        (f"depth, {near:.1f} to {far:.1f} m", depth_colours(seen.depth, near, far)),
+        (f"depth, {near:.1f} (bright) to {far:.1f} m", _nearness(seen.depth, near, far)),
         (f"{novel}, never captured", grey(unseen.intensity, truth.white)),
         ("its difference x5", difference(unseen.intensity, elsewhere.intensity, truth.white)),
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_png(path, np.concatenate([_tile(title, _one(pixels)) for title, pixels in tiles], axis=1))
+    write_png(path, np.concatenate([_tile(title, pixels) for title, pixels in tiles], axis=1))
 
 
-def _one(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+def _nearness(depth: NDArray[np.float32], near_m: float, far_m: float) -> NDArray[np.uint8]:
+    """Depth [H, W] as grey: white at `near_m`, black at `far_m` and where there is none."""
+    shown = np.clip((far_m - np.nan_to_num(depth, nan=far_m)) / (far_m - near_m), 0, 1)
+    return (255 * shown).astype(np.uint8)
 
 
 def write_sheet(path: Path, strips: Path) -> None:
