@@ -14,7 +14,7 @@ from reconstruction.bench.clips import Truth
 from reconstruction.evaluation.truth import Truth as RunTruth
 from reconstruction.images.methods import METHODS
 from reconstruction.rendering.view import look
-from reconstruction.report.pictures import depth_span_m, difference, grey, write_png
+from reconstruction.report.pictures import depth_span_m, grey, write_png
 from reconstruction.training.checkpoint import load_cloud
 from reconstruction.training.run import RunFolder
 from rigs.errors import Spike4dgsError
@@ -55,10 +55,10 @@ def write_run_strip(path: Path, run_folder: Path) -> None:
     tiles = [
         (f"{run_folder.name}: truth", grey(wanted.intensity, truth.white)),
         ("render", grey(seen.intensity, truth.white)),
-        ("difference x5", difference(seen.intensity, wanted.intensity, truth.white)),
+        ("difference x5", grey(5 * np.abs(seen.intensity - wanted.intensity), truth.white)),
         (f"depth, {near:.1f} (bright) to {far:.1f} m", _nearness(seen.depth, near, far)),
         (f"{novel}, never captured", grey(unseen.intensity, truth.white)),
-        ("its difference x5", difference(unseen.intensity, elsewhere.intensity, truth.white)),
+        ("its difference x5", grey(5 * np.abs(unseen.intensity - elsewhere.intensity), truth.white)),
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, np.concatenate([_tile(title, pixels) for title, pixels in tiles], axis=1))
