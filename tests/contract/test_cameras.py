@@ -164,7 +164,9 @@ def camera(bench):
 
 
 def read_blocks(camera: UsbCamera) -> list[Block]:
-    return list(iter(lambda: camera.read_block(0.2), None))
+    """All that come: a slow machine may take seconds to the first, and half a second's silence is the end."""
+    first = camera.read_block(10)
+    return [first, *iter(lambda: camera.read_block(0.5), None)] if first else []
 
 
 def read_all(camera: UsbCamera) -> np.ndarray:
