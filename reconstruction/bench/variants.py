@@ -37,18 +37,12 @@ MODELS = (
         for name, about in (
             ("linear", "every mover on a straight path of its own"),
             ("cubic", "every mover on a cubic path of its own"),
-            ("bases", "movers on rigid bodies"),
+            ("bases", "movers on rigid bodies, images alone: what the ablations change"),
         )
     ),
 )
-ABLATIONS = (
-    *(
-        Variant(f"supervision.{name}", f"the spike term {name}", {"supervision": name}, (SHORT_S,), DEVELOPMENT)
-        for name in ("pixels", "l1", "l2", "variation", "counts", "cumulative")
-    ),
-    *(
-        Variant(f"images.{name}", f"targets from {name}", {"images": name}, (SHORT_S,), DEVELOPMENT)
-        for name in ("tfi", "tfp", "slope", "adaptive", "interpolated")
-    ),
+ABLATIONS = tuple(
+    Variant(f"supervision.{name}", f"images and the spike term {name}", {"supervision": name}, (SHORT_S,), DEVELOPMENT)
+    for name in ("l1", "l2", "variation", "counts", "cumulative")
 )
 VARIANTS = (AUTO, CLEAN, *MODELS, *ABLATIONS)

@@ -163,9 +163,9 @@ def camera(bench):
     opened.close()
 
 
-def read_blocks(camera: UsbCamera) -> list[Block]:
+def read_blocks(camera: UsbCamera, first_s: float = 10.0) -> list[Block]:
     """All that come: a slow machine may take seconds to the first, and half a second's silence is the end."""
-    first = camera.read_block(10)
+    first = camera.read_block(first_s)
     return [first, *iter(lambda: camera.read_block(0.5), None)] if first else []
 
 
@@ -310,7 +310,7 @@ def test_what_a_slow_reader_loses_is_counted_to_the_plane(bench):
     blocks = []
     for due in (80, 160, 900, 980, 1700, 5000):
         now_s[0] = (due + 0.5) / RATE
-        blocks += read_blocks(camera)
+        blocks += read_blocks(camera, first_s=0.5)
     lost, next_plane = 0, 0
     for block in blocks:
         lost += block.first_plane - next_plane
