@@ -1,6 +1,8 @@
 """`bench`: measurements one can repeat, as one JSON document, a table and a plot."""
 
 import json
+import subprocess
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +11,10 @@ import click
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.bench import parser_rows
-from acquisition.devices.open import Simulation
 from acquisition.durable import write_json
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS
 from acquisition.scenes.digest import committed_digests, scenes_digest
-from acquisition.session.record import simulate
-from rigs.toml import catalog_rig
 from server.cli.progress import progress_of
 
 TICKS = 400
@@ -115,11 +114,18 @@ def _training(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
         recording = work / f"{scene}-{seed}"
         if not recording.exists():
             recording.parent.mkdir(parents=True, exist_ok=True)
-            simulate(Simulation(scene, seed), catalog_rig("lab3x3"), TICKS, recording, progress_of("simulate"))
+            _simulate_apart(scene, seed, recording)
         clips.append(Clip(scene, seed, recording))
     document = bench_training(clips, variants, work, progress_of)
     document.omissions.append("one seed a scene")
     return document
+
+
+def _simulate_apart(scene: str, seed: int, recording: Path) -> None:
+    """`simulate` in a process of its own, whose threads wait as many pools should."""
+    options = {"scene": scene, "seed": seed, "ticks": TICKS, "out": recording}
+    command = [sys.executable, "-m", "server.cli", "simulate"]
+    subprocess.run(command + [word for k, v in options.items() for word in (f"--{k}", str(v))], check=True)
 
 
 def _table(document: dict) -> str:
