@@ -5,7 +5,7 @@ from how far into its interval it lies. The difference of two such clocks is a c
 blur of a short mean but no more quantisation than a long one, and dark pixels need no longer window: an interval longer
 than it fills it. It is the mean of TFI over the window's instants.
 Order: between TFI (a window of one plane) and TFP. Short windows suit whatever averages over many instants itself; they
-are noisier and less blurred. Chosen on `fan_and_ball`, seeds 1 and 2, as targets of a training: EVIDENCE.md.
+are noisier and less blurred. The window was chosen on `fan_and_ball`, seed 1, as targets of a training.
 Where no spike is within reach before or after an end, its clock is taken for half past; a pixel without any spike gets
 the most light that the silence allows. Neither is valid.
 Cost: two searches as of TFI and one count. Source: Zhu et al., ICME 2019 (the interval as a pixel's light).
