@@ -32,6 +32,7 @@ IMAGE_S = {
     "interpolated": 0.0030,
     "spk2imgnet": 0.48,
     "blindspot": 0.72,
+    "clean": 0.0,  # read once
 }
 STEP_S = 0.0225
 STILL_STEP_S = 0.0138

@@ -1,3 +1,5 @@
+from typing import get_args
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.config import ImageSource, ReconstructionConfig
 from reconstruction.training.plan import Plan, make_plan
 from rigs.errors import RigError
 from rigs.toml import catalog_rig
@@ -71,6 +73,12 @@ def test_a_dark_view_is_skipped_and_named():
     plan, _, _ = make_plan(ReconstructionConfig(), RIG, streams(dark=("cam20",)))
     assert "cam20" not in plan.views
     assert any("cam20 skipped" in d.choice for d in plan.decisions)
+
+
+@pytest.mark.parametrize("images", get_args(ImageSource))
+def test_every_choice_of_images_has_a_price(images):
+    plan, _, _ = make_plan(ReconstructionConfig(images=images), RIG, streams(moving=True))
+    assert plan.images == ("interpolated" if images == "auto" else images)
 
 
 def test_one_stream_under_two_names_is_refused_by_name():
