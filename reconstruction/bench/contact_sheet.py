@@ -70,13 +70,17 @@ def _nearness(depth: NDArray[np.float32], near_m: float, far_m: float) -> NDArra
     return (255 * shown).astype(np.uint8)
 
 
-def write_sheet(path: Path, strips: Path) -> None:
-    """All strips of a folder below one another, by name; nothing where there is none."""
+def write_sheet(path: Path, strips: Path, most_px: int | None = None) -> None:
+    """All strips of a folder below one another, by name, at most `most_px` wide; nothing where there is none."""
     rows = [np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)) for file in sorted(strips.glob("*.png"))]
     if not rows:
         return
     width = max(row.shape[1] for row in rows)
-    write_png(path, np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]))) for row in rows]))
+    sheet = np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]))) for row in rows])
+    if most_px is not None and width > most_px:
+        size = (most_px, sheet.shape[0] * most_px // width)
+        sheet = np.asarray(cv2.resize(sheet, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    write_png(path, sheet)
 
 
 def _tile(title: str, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:

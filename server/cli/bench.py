@@ -81,7 +81,7 @@ def _write(out: Path, name: str, found: dict, work: Path) -> None:
         longest = max(r["budget_s"] for r in found["rows"] if r["method"] == "auto")
         for run in sorted(work.glob(f"*-auto-{longest:g}s")):
             write_run_strip(work / "strips" / f"{run.name}.png", run)
-        write_sheet(out / f"{name}-sheet.png", work / "strips")
+        write_sheet(out / f"{name}-sheet.png", work / "strips", most_px=1200)
     elif name == "images":
         from reconstruction.bench.contact_sheet import write_sheet
         from reconstruction.bench.plot_images import plot_images
