@@ -57,6 +57,11 @@ class Transform:
         return cls(rotation, np.asarray(translation, dtype=np.float64))
 
     @classmethod
+    def from_rotvec(cls, rotvec: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Transform:
+        """A turn about the axis `rotvec` [3] by its length in radians (Rodrigues), then a translation [3] in metres."""
+        return cls(rotations(rotvec), np.asarray(translation, dtype=np.float64))
+
+    @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Transform:
         """From a homogeneous matrix [4, 4] or its upper [3, 4]."""
         m = np.asarray(matrix, dtype=np.float64)
@@ -119,3 +124,27 @@ class Transform:
             q[1 + l] = r[l, i] + r[i, l]
         q = q / np.linalg.norm(q)
         return q if q[0] >= 0 else -q
+
+
+def rotations(rotvecs: ArrayLike) -> Floats:
+    """Rotation vectors [..., 3] in radians as matrices [..., 3, 3]; exact through zero (Rodrigues' formula)."""
+    r = np.asarray(rotvecs, dtype=np.float64)
+    angle = np.linalg.norm(r, axis=-1)[..., None, None]
+    cross = cross_matrices(r)
+    half = np.sinc(angle / (2 * np.pi))  # sin(a/2) / (a/2)
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + half**2 / 2 * (cross @ cross)
+
+
+def cross_matrices(vectors: ArrayLike) -> Floats:
+    """Matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
+    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def rotvec_of(rotation: ArrayLike) -> Floats:
+    """The rotation vector [3] in radians, at most pi long, of a rotation matrix [3, 3]."""
+    w, *axis = Transform(np.asarray(rotation, dtype=np.float64), np.zeros(3)).quat_wxyz
+    sine = float(np.linalg.norm(axis))
+    angle = 2 * np.arctan2(sine, w)
+    return np.array(axis) * (angle / sine if sine > 1e-12 else 2.0)

@@ -8,8 +8,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 from urllib.parse import parse_qsl, urlsplit
@@ -27,18 +28,22 @@ from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.misplaced import misplaced
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import SceneSource
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
 from rigs.rig import Rig
 
+MOST_RIG_ERROR = 20.0
+
 
 @dataclass(frozen=True)
 class Simulation:
     """What simulated cameras see: a named scene, its seed, the sensor model, samples x samples rays a pixel.
 
-    Truth is written for every `truth_every`-th plane. `fault` is a fault of one camera, as `noisy:cam12`.
+    Truth is written for every `truth_every`-th plane. `fault` is a fault of one camera, as `noisy:cam12`. The cameras
+    stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them.
     """
 
     scene: str
@@ -47,6 +52,7 @@ class Simulation:
     samples: int = 2
     truth_every: int = 20
     fault: str = ""
+    rig_error: float = 0.0
 
     def __post_init__(self) -> None:
         if self.fault:
@@ -56,6 +62,17 @@ class Simulation:
         if self.samples < 1 or self.truth_every < 1:
             found = f"found samples {self.samples}, truth_every {self.truth_every}"
             raise CameraSetupError(f"{found}; expected at least 1 each")
+        if not 0 <= self.rig_error <= MOST_RIG_ERROR:
+            found = f"found the rig error {self.rig_error}"
+            raise CameraSetupError(f"{found}, expected 0 to {MOST_RIG_ERROR:g} degrees, cm and percent")
+
+    def built(self, rig: Rig) -> Rig:
+        """The rig as its cameras really stand."""
+        return misplaced(rig, self.rig_error, self.seed) if self.rig_error else rig
+
+    def drawn(self, rig: Rig) -> Rig:
+        """The rig as a recording states it: nominal where its cameras stand elsewhere."""
+        return replace(rig, poses="nominal", calibration=None) if self.rig_error else rig
 
 
 @dataclass(frozen=True)
@@ -95,10 +112,16 @@ def parse_devices(uri: str) -> Devices:
         if name not in fields:
             raise CameraSetupError(f"{uri}: found {name}, expected {', '.join(fields)}")
         if name not in ("sensor", "fault"):
-            if not str(value).isdecimal():
-                raise CameraSetupError(f"{uri}: found {name}={value}, expected a whole number")
-            values[name] = int(str(value))
+            values[name] = _number(uri, name, str(value))
     return Simulation(parts.path, **cast(dict, values))
+
+
+def _number(uri: str, name: str, value: str) -> int | float:
+    fits = r"[0-9]+(\.[0-9]+)?" if name == "rig_error" else r"[0-9]+"
+    if not re.fullmatch(fits, value):
+        expected = "a number" if name == "rig_error" else "a whole number"
+        raise CameraSetupError(f"{uri}: found {name}={value}, expected {expected}")
+    return float(value) if name == "rig_error" else int(value)
 
 
 @contextlib.contextmanager
@@ -119,7 +142,7 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
         scene, models = None, _replayed(rig, Recording.open(devices.path))
     else:
         scene = build_scene(devices.scene, devices.seed)
-        models = _models(rig, scene, devices, planes)
+        models = _models(devices.built(rig), scene, devices, planes)
     box = TriggerBox(MockHid(BoxModel("box", models)))
     backend = MockBackend(models)
     if isinstance(devices, Simulation) and devices.fault:

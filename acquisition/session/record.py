@@ -71,7 +71,8 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     extent = Extent(take.planes, pre_planes)
     _check_memory(rig, pre_planes or 0)
     share = _RECORDING_SHARE if isinstance(devices, Simulation) else _WRITTEN
-    with RecordingWriter(out, rig, _disk_use(rig, devices, take)) as recording:
+    drawn = devices.drawn(rig) if isinstance(devices, Simulation) else rig
+    with RecordingWriter(out, drawn, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
             for camera in opened.cameras if take.sensitivity else ():
                 camera.set_sensitivity(take.sensitivity or Sensitivity())
@@ -91,7 +92,7 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
             planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
             with disk_errors(folder):
                 report = _part(progress, share, _WRITTEN)
-                write_truth(scene, rig, planes, every, folder, report, sensor=devices.sensor)
+                write_truth(scene, devices.built(rig), planes, every, folder, report, sensor=devices.sensor)
         manifest = recording.commit(recording.entries(), opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
     if manifest.reason:

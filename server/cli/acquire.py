@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from acquisition.devices.open import Simulation
+from acquisition.devices.open import MOST_RIG_ERROR, Simulation
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
@@ -72,6 +72,13 @@ _SCENES_HELP = "; ".join(
     help="Rays a side of a pixel in each plane; the truth has 4 x 4.",
 )
 @click.option("--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="In planes.")
+@click.option(
+    "--rig-error",
+    default=0.0,
+    show_default=True,
+    type=click.FloatRange(0, MOST_RIG_ERROR),
+    help="Degrees, cm and percent of the focal length that the cameras are off the rig file, which is then nominal.",
+)
 @click.option("--spikecv", is_flag=True, help="Also write the config.yaml that SpikeCV reads.")
 @_out
 @_json

@@ -53,14 +53,17 @@ class FolderError(ServiceError):
 @click.option("--init", type=click.Choice(get_args(Init)), default="auto", show_default=True)
 @click.option("--supervision", type=click.Choice(get_args(Supervision)), default="auto", show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-def demo_command(out: Path | None, ticks: int, budget_s: float | None, steps: int | None, **options: Any) -> None:
+@click.option("--rig-error", type=float, default=0.0, show_default=True, help="As in simulate: a rig off its drawing.")
+def demo_command(
+    out: Path | None, ticks: int, budget_s: float | None, steps: int | None, rig_error: float, **options: Any
+) -> None:
     """Record the simulated rig and reconstruct the view of a camera nobody trained on, all through the service."""
     if steps is None and budget_s is None:
         budget_s = BUDGET_S
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     folder = _new_folder(out)
     try:
-        with _service(folder) as client:
+        with _service(folder, f"{SCENE}?rig_error={rig_error}") as client:
             wanted = {"holdout": HOLDOUT, "budget_s": budget_s, "steps": steps, **options}
             job = _run(client, ticks, wanted)
             metrics = json.loads(client.artefact(job.id, "metrics.json"))
@@ -101,12 +104,12 @@ def _follow(look: Callable[[], _W]) -> _W:
 
 
 @contextmanager
-def _service(folder: Path) -> Iterator[ServiceClient]:
+def _service(folder: Path, devices: str) -> Iterator[ServiceClient]:
     """A service with its worker over `folder` on a free port, stopped on the way out."""
     from server.client import ServiceClient
     from server.leash import leashed
 
-    flags = ["--port", "0", "--data", str(folder), "--rig", "lab3x3", "--devices", SCENE, "--with-worker"]
+    flags = ["--port", "0", "--data", str(folder), "--rig", "lab3x3", "--devices", devices, "--with-worker"]
     command = leashed([sys.executable, "-P", "-m", "server.cli", "serve", *flags], "SIGTERM")
     log = folder / "service.log"
     with log.open("w") as text:

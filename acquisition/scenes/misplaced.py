@@ -1,0 +1,30 @@
+"""A rig that was not built as drawn: what a nominal rig file is wrong by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rigs.rig import Rig
+from rigs.transform import Transform
+
+_MEAN_OF_NORM = np.sqrt(8 / np.pi)  # mean length of a normal vector in space, in its standard deviations
+
+
+def misplaced(rig: Rig, error: float, seed: int) -> Rig:
+    """`rig` with each camera turned by `error` degrees and moved by `error` cm on average, about random axes.
+
+    One focal length, shared by all lenses, is off by `error` percent, up or down. The poses are marked nominal.
+    """
+    rng = np.random.default_rng([seed, 0xA1])
+    percent = error * rng.choice((-1.0, 1.0))
+    sd = error / _MEAN_OF_NORM
+    cameras = []
+    for camera in rig.cameras:
+        turn = Transform.from_rotvec(np.radians(rng.normal(0, sd, 3)))
+        center = camera.center + rng.normal(0, sd, 3) / 100
+        rotation = turn.rotation @ camera.cam_from_rig.rotation
+        focal = {"fx": camera.fx * (1 + percent / 100), "fy": camera.fy * (1 + percent / 100)}
+        cameras.append(replace(camera, cam_from_rig=Transform(rotation, -rotation @ center), **focal))
+    return replace(rig, cameras=tuple(cameras), poses="nominal", calibration=None)

@@ -1,0 +1,1 @@
+"""What the cameras are, found from recordings: where they stand and how they see."""
