@@ -17,7 +17,6 @@ from reconstruction.calibration.projection import Projection, project
 from rigs.transform import Floats
 
 ITERATIONS = 30
-SMALL = 1e-6  # share of the cost; a step that gains less is the last
 MOST_DAMPING = 1e8
 UNSEEN_PX = 100.0  # what a point behind its camera costs
 
@@ -98,8 +97,8 @@ def _prior(problem: Problem, state: State) -> tuple[float, Floats, Floats]:
     return float((precision * apart**2).sum()), precision * apart, precision
 
 
-def adjust(problem: Problem, state: State, iterations: int = ITERATIONS) -> State:
-    """The state of least cost near `state`; stops where a step gains nothing."""
+def adjust(problem: Problem, state: State, iterations: int = ITERATIONS, least_gain: float = 1e-6) -> State:
+    """The state of least cost near `state`; a step that gains less than this share of the cost is the last."""
     damping, growth = 1e-4, 4.0
     current = linearised(problem, state)
     for _ in range(iterations):
@@ -113,7 +112,7 @@ def adjust(problem: Problem, state: State, iterations: int = ITERATIONS) -> Stat
             return state
         gained = current.cost - tried_cost
         state, damping, growth = tried, max(damping / 3, 1e-9), 4.0
-        if gained <= SMALL * tried_cost:
+        if gained <= least_gain * tried_cost:
             return state
         current = linearised(problem, state)
     return state
