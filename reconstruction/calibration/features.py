@@ -59,7 +59,7 @@ def toned(image: Image) -> Image:
 
 def find_features(image: Image) -> Features:
     """At most MOST_FEATURES of an image [H, W]."""
-    sift = cv2.SIFT_create(
+    sift = cv2.SIFT.create(
         nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, edgeThreshold=10, enable_precise_upscale=True
     )
     keypoints, descriptors = sift.detectAndCompute(np.round(255 * toned(image)).astype(np.uint8), None)

@@ -76,6 +76,8 @@ def gated(places: tuple[Floats, Floats], cameras: tuple[Camera, Camera], gate: G
 
 def _rays(places: Floats, camera: Camera) -> Floats:
     """Directions [M, 3] with z = 1 in camera axes."""
+    if not len(places):
+        return np.zeros((0, 3))
     distortion = np.array(camera.distortion)
     flat = cv2.undistortPoints(places[:, None].astype(np.float64), camera.K, distortion)[:, 0]
     return np.asarray(np.concatenate([flat, np.ones((len(flat), 1))], axis=1), dtype=np.float64)
@@ -96,9 +98,11 @@ def verified(places: tuple[Floats, Floats], seed: int) -> NDArray[np.bool_]:
     if len(places[0]) < LEAST_MATCHES:
         return np.zeros(len(places[0]), dtype=np.bool_)
     cv2.setRNGSeed(seed)
-    _, inliers = cv2.findFundamentalMat(
-        np.ascontiguousarray(places[0]), np.ascontiguousarray(places[1]), cv2.USAC_MAGSAC, VERIFIED_PX, 0.999, 5000
-    )
+    one, other = (np.ascontiguousarray(p) for p in places)
+    try:
+        _, inliers = cv2.findFundamentalMat(one, other, cv2.USAC_MAGSAC, VERIFIED_PX, 0.999, 5000)
+    except cv2.error:  # it asserts where no sample gave a model
+        inliers = None
     return np.zeros(len(places[0]), np.bool_) if inliers is None else inliers.ravel().astype(np.bool_)
 
 

@@ -5,6 +5,7 @@ A reprojection error tells nothing of a wrong minimum; how far the rig would hav
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,7 +42,7 @@ class Evidence:
         few = [c for c, n in zip(self.rig.ids, seen, strict=True) if n < LEAST_OBSERVATIONS]
         if few and len(few) < len(seen) - 2:
             raise GeometryError(
-                f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}, expected more as in the other views; "
+                f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}, expected more as in the others; "
                 "it is covered, moved, or in another camera's place: mend it or leave it out"
             )
         if len(tracks) < LEAST_TRACKS:
@@ -90,14 +91,45 @@ def judge(evidence: Evidence, solution: Solution) -> None:
 
 
 def _refuse_displaced(nominal: Rig, solution: Solution) -> None:
+    """Raise GeometryError where a camera is too far off its drawing, naming the one or the two that explain it."""
     found = replace(nominal, cameras=solution.state.cameras.written_to(nominal.cameras))
-    moved = align(found, nominal).carry_rig(found)
-    for camera, drawn in zip(moved.cameras, nominal.cameras, strict=True):
+    if not displaced(found, nominal):
+        return
+    for one, other in itertools.combinations(nominal.ids, 2):
+        if not displaced(found, _exchanged(nominal, one, other)):
+            raise GeometryError(
+                f"found {one} and {other} in each other's place, expected them as in the rig file; exchange their "
+                "streams or their serials"
+            )
+    for one in nominal.ids:
+        others = [c for c in nominal.ids if c != one]
+        if not displaced(found.only(others), nominal.only(others)):
+            far = displaced(align(found.only(others), nominal).carry_rig(found), nominal, aligned=True)[one]
+            raise GeometryError(
+                f"found {one} {far}, while the other cameras are where the rig file has them; it has moved, or sees a "
+                "pattern that repeats: mend it or leave it out"
+            )
+    worst, far = max(displaced(found, nominal).items(), key=lambda item: item[1])
+    raise GeometryError(
+        f"found {worst} {far}, expected {MOST_TURN_DEG:g} degrees and {100 * MOST_SHIFT_M:g} cm at most; a pattern that "
+        "repeats was matched wrongly, or the rig file is another array's"
+    )
+
+
+def displaced(found: Rig, nominal: Rig, *, aligned: bool = False) -> dict[str, str]:
+    """Cameras farther off their drawing than a hand is, with the words that say how far."""
+    moved = found if aligned else align(found, nominal).carry_rig(found)
+    far = {}
+    for camera in moved.cameras:
+        drawn = nominal.camera(camera.id)
         turn = np.degrees(np.linalg.norm(rotvec_of(camera.cam_from_rig.rotation @ drawn.cam_from_rig.rotation.T)))
         shift = float(np.linalg.norm(camera.center - drawn.center))
         if turn > MOST_TURN_DEG or shift > MOST_SHIFT_M:
-            raise GeometryError(
-                f"found {camera.id} {turn:.1f} degrees and {100 * shift:.1f} cm off the rig file, expected at most "
-                f"{MOST_TURN_DEG:g} and {100 * MOST_SHIFT_M:g}; a wrong match of a pattern that repeats, or a camera "
-                "that is not where the file has it"
-            )
+            far[camera.id] = f"{100 * shift:.1f} cm and {turn:.1f} degrees off its place in the rig file"
+    return far
+
+
+def _exchanged(rig: Rig, one: str, other: str) -> Rig:
+    """The rig with two cameras in each other's place."""
+    place = {one: rig.camera(other).cam_from_rig, other: rig.camera(one).cam_from_rig}
+    return replace(rig, cameras=tuple(replace(c, cam_from_rig=place.get(c.id, c.cam_from_rig)) for c in rig.cameras))
