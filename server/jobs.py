@@ -9,13 +9,13 @@ from server.settings import RigSource
 
 APPLICATION = "spike4dgs"
 # Workflows replay their steps by position: change this when, and only when, the order of stages changes.
-APPLICATION_VERSION = "1"
+APPLICATION_VERSION = "2"
 
 CAPTURE, CAPTURE_QUEUE = "capture", "captures"
 RECONSTRUCT, RECONSTRUCT_QUEUE = "reconstruct", "reconstructions"
 
 CAPTURE_STAGES = ("record",)
-RECONSTRUCTION_STAGES = ("plan", "images", "points", "train", "report")
+RECONSTRUCTION_STAGES = ("plan", "poses", "images", "points", "train", "report")
 
 ARTEFACTS = {
     "run.json": "application/json",

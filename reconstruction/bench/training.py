@@ -14,9 +14,10 @@ from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.bench.variants import AUTO, BUDGETS_S, CLEAN, HOLDOUT, MIDDLE_S, Variant
-from reconstruction.evaluation.evaluate import HeldOut, score_against_truth, score_floors
+from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
 from reconstruction.evaluation.truth import Truth
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.training.checkpoint import load_checkpoint
@@ -62,10 +63,10 @@ def bench_training(
 
 
 def _scored(run: RunFolder, clip: Clip, *, floors: bool) -> dict:
-    recording = Recording.open(clip.path)
-    held_out = HeldOut(recording.rig.camera(HOLDOUT), recording)
+    recording = posed(run, Recording.open(clip.path))
     assert recording.truth is not None
-    truth = Truth.open(recording.truth)
+    held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, Truth.open(recording.truth))
+    assert truth is not None
     states = [load_checkpoint(path) for path in run.snapshots()]
     clouds = [DynamicCloud.from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)

@@ -68,7 +68,7 @@ def linearised(problem: Problem, state: State) -> Linearised:
     coupling = _summed(jct @ jb, pair, blocks * count).reshape(blocks, count * p, d)
     scores = _summed((jct @ r[:, :, None])[:, :, 0], pair, blocks * count).reshape(blocks, count * p)
     local = _summed(jct @ jc, obs.camera, count)
-    flat = mixing.reshape(count * p, -1)
+    flat = mixing.reshape(count * p, mixing.shape[2])
     scores = scores @ flat
     prior_cost, prior_gradient, precision = _prior(problem, state)
     return Linearised(
@@ -145,9 +145,9 @@ def _inverse(hessians: Floats, damping: float) -> Floats:
 def _reduced(at: Linearised, inverse: Floats) -> tuple[Floats, Floats]:
     """The cameras' equations once the blocks are eliminated, from the inverses [L, D, D] of the blocks' Hessians."""
     folded = at.coupling @ inverse
-    g = at.hessian.shape[0]
-    wide = folded.transpose(1, 0, 2).reshape(g, -1)
-    reduced = at.hessian - wide @ at.coupling.transpose(1, 0, 2).reshape(g, -1).T
+    blocks, g, d = folded.shape
+    wide, plain = (a.transpose(1, 0, 2).reshape(g, blocks * d) for a in (folded, at.coupling))
+    reduced = at.hessian - wide @ plain.T
     return reduced, at.gradient - np.einsum("lgd,ld->g", folded, at.block_gradient)
 
 

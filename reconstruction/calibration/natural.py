@@ -29,7 +29,7 @@ from reconstruction.calibration.tracks_to_poses import (
     with_focal,
 )
 from reconstruction.calibration.uncertainty import camera_sds
-from reconstruction.calibration.verdict import Evidence, judge, refuse_blind
+from reconstruction.calibration.verdict import INLIER_PX, Evidence, judge, refuse_blind, refuse_unsure
 from rigs.camera import Camera
 from rigs.rig import Calibration, Rig, object_distance_m
 from rigs.similarity import align
@@ -41,7 +41,6 @@ MOST_TRACKS = 1000
 COARSE_TRACKS = 400
 CELLS = (8, 5)  # across and down a view, that tracks are spread over
 BEND_PX = 0.3  # Cauchy's, at the end
-INLIER_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def calibrate_natural(
     fine = observed(tracks, PATCH_SD_PX)
     solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX))
     progress(0.95, "adjusted")
-    judge(evidence, solution)
+    judge(evidence.rig, solution)
     found = _calibrated(rig, nominal, solution, len(tracks), time.monotonic() - began)
     progress(1.0, str(found.report["summary"]))
     return found
@@ -135,6 +134,7 @@ def spread(tracks: Tracks, cameras: Sequence[Camera], most: int, seed: int) -> T
 def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, seconds: float) -> Calibrated:
     cameras, problem = solution.state.cameras, solution.problem
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
+    refuse_unsure(sds)
     found = replace(nominal, cameras=cameras.written_to(nominal.cameras))
     found = align(found, nominal).carry_rig(found)
     residuals, obs = solution.residuals_px(), problem.observations

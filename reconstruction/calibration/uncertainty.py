@@ -19,7 +19,7 @@ OPTIMISM = 2.0  # variances are larger than the sandwich says by so much (measur
 def camera_sds(covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric: bool) -> list[CameraSd]:
     """Of every camera, from the covariance [G, G] of the free values; `metric`: whether scale is known."""
     count, parameters = len(cameras), len(PARAMETERS)
-    mixing = freedom.mixing.reshape(count * parameters, -1)
+    mixing = freedom.mixing.reshape(count * parameters, freedom.mixing.shape[2])
     spread = (mixing @ covariance @ mixing.T).reshape(count, parameters, count, parameters)
     poses = spread[:, :POSE, :, :POSE].reshape(count * POSE, count * POSE)
     left = aligning(cameras, metric=metric)

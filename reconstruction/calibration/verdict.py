@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reconstruction.calibration.calibrated import CameraSd
 from reconstruction.calibration.features import Features, Image
 from reconstruction.calibration.matches import Matches, Pair, Tracks
 from reconstruction.calibration.tracks_to_poses import Solution
@@ -25,6 +26,7 @@ LEAST_TRACKS = 250
 LEAST_OBSERVATIONS = 40  # of one camera
 LEAST_KEPT = 0.9  # share of observations within INLIER_PX
 INLIER_PX = 1.0
+MOST_SD_DEG = 0.1  # mean over the cameras; worse is seen in the pictures
 MOST_TURN_DEG, MOST_SHIFT_M, MOST_FOCAL = 12.5, 0.1, 0.08  # off the drawing: five times what a careful hand does
 
 
@@ -64,9 +66,18 @@ def refuse_blind(rig: Rig, images: Mapping[str, Image]) -> None:
         )
 
 
-def judge(evidence: Evidence, solution: Solution) -> None:
+def refuse_unsure(sds: Sequence[CameraSd]) -> None:
+    """Raise GeometryError where the adjustment itself says that it knows the cameras poorly."""
+    sd_deg = float(np.mean([sd.rotation_deg for sd in sds]))
+    if not sd_deg < MOST_SD_DEG:
+        raise GeometryError(
+            f"found the cameras to {sd_deg:.2f} degrees, expected {MOST_SD_DEG:g} or better: too little texture, or "
+            "too short or dim a recording; show the cameras something else, or a board"
+        )
+
+
+def judge(nominal: Rig, solution: Solution) -> None:
     """Raise GeometryError where the solution is one that must not be believed."""
-    nominal = evidence.rig
     residuals = np.linalg.norm(solution.residuals_px(), axis=1)
     kept = residuals < INLIER_PX
     share = float(kept.mean())
@@ -111,8 +122,8 @@ def _refuse_displaced(nominal: Rig, solution: Solution) -> None:
             )
     worst, far = max(displaced(found, nominal).items(), key=lambda item: item[1])
     raise GeometryError(
-        f"found {worst} {far}, expected {MOST_TURN_DEG:g} degrees and {100 * MOST_SHIFT_M:g} cm at most; a pattern that "
-        "repeats was matched wrongly, or the rig file is another array's"
+        f"found {worst} {far}, expected {100 * MOST_SHIFT_M:g} cm and {MOST_TURN_DEG:g} degrees at most; a pattern "
+        "that repeats was matched wrongly, or the rig file is another array's"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 from reconstruction.rendering.view import View, look
 from rigs.camera import Camera
+from rigs.similarity import align
 
 INSTANTS = 8  # truth instants a run is scored on
 COUNT_WINDOW = 32  # planes a count error is taken over
@@ -70,11 +71,21 @@ def score_against_counts(cloud: DynamicCloud, held_out: HeldOut) -> dict[str, fl
     return {"counts.mae": float(np.abs(gaps).mean()), "counts.rmse": float(np.sqrt((gaps**2).mean()))}
 
 
-def require_held_out(recording: Recording, camera_id: str | None) -> HeldOut:
-    """The held-out camera of a run; raises BadRunError for a run that trained on all cameras."""
-    if camera_id is None:
-        raise BadRunError("found a run without a held-out camera, expected one to score; reconstruct with --holdout")
-    return HeldOut(recording.rig.camera(camera_id), recording)
+def held_out_camera(
+    recording: Recording, camera_id: str, views: Sequence[str], truth: Truth | None
+) -> tuple[HeldOut, Truth | None]:
+    """The camera to score and the truth to score against, both in the frame of the cameras `views` that trained.
+
+    With truth it is the true camera, carried by the similarity that lays the true `views` on those of the recording's
+    rig; where these are the true ones, that changes nothing.
+    """
+    rig = recording.rig
+    true = truth.cameras(rig.tick_rate_hz) if truth else None
+    if truth is None or true is None or not {camera_id, *views} <= set(true.ids):
+        return HeldOut(rig.camera(camera_id), recording), truth
+    similarity = align(true.only(views), rig.only(views))
+    camera = similarity.carry_rig(true.only([camera_id])).cameras[0]
+    return HeldOut(camera, recording), replace(truth, metre=similarity.scale)
 
 
 def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import BadRunError
+from rigs.exchange.cameras import load_cameras
+from rigs.rig import Rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +26,15 @@ class TruthFrame:
 
 @dataclass(frozen=True)
 class Truth:
-    """A truth folder; `white` is the data range of every metric, `movers` the object ids that move."""
+    """A truth folder; `white` is the data range of every metric, `movers` the object ids that move.
+
+    `metre` is how long a metre of the truth is in the frame it is compared in.
+    """
 
     path: Path
     white: float
     movers: tuple[int, ...]
+    metre: float = 1.0
 
     @classmethod
     def open(cls, path: Path) -> Truth:
@@ -55,7 +61,12 @@ class Truth:
             intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError(f"{folder}: found no readable truth at plane {plane}, expected it whole") from error
-        return TruthFrame(plane, intensity, depth, np.isin(ids, self.movers))
+        return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
+
+    def cameras(self, tick_rate_hz: float) -> Rig | None:
+        """The true cameras; None in a truth that does not have them."""
+        file = self.path / "cameras.json"
+        return load_cameras(file, tick_rate_hz) if file.exists() else None
 
 
 def spread(planes: list[int], count: int) -> list[int]:

@@ -9,6 +9,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.evaluation.evaluate import (
     HeldOut,
+    held_out_camera,
     score_against_counts,
     score_against_truth,
     score_floors,
@@ -32,8 +33,10 @@ SHOWN_INSTANTS = 3
 def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Score the run on its held-out camera and write everything a person looks at."""
     cloud = load_cloud(run.checkpoint)
-    truth = Truth.open(recording.truth) if recording.truth and run.config.holdout else None
-    held_out = HeldOut(recording.rig.camera(run.config.holdout), recording) if run.config.holdout else None
+    known = Truth.open(recording.truth) if recording.truth and run.config.holdout else None
+    held_out, truth = None, None
+    if run.config.holdout:
+        held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, known)
     progress(0.0, "metrics")
     metrics = evaluate_run(run, recording, truth, lambda f, m: progress(0.4 * f, m))
     write_json(run.path / "metrics.json", metrics)
@@ -51,7 +54,7 @@ def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, prog
     if run.config.holdout is None:
         return {"note": "no camera was held out: nothing to score"}
     cloud = load_cloud(run.checkpoint)
-    held_out = HeldOut(recording.rig.camera(run.config.holdout), recording)
+    held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, truth)
     if truth is None:
         note = "no truth: errors of spike counts over 32-plane windows of the held-out camera"
         return {"held_out": run.config.holdout, "note": note, **score_against_counts(cloud, held_out)}
@@ -109,7 +112,10 @@ def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth
 
 
 def _pictures(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None) -> list[list[dict]]:
-    camera = recording.rig.camera(run.config.holdout) if run.config.holdout else recording.rig.cameras[0]
+    camera = recording.rig.cameras[0]
+    if run.config.holdout:
+        held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, truth)
+        camera = held_out.camera
     planes = truth.planes(camera.id) if truth else list(range(recording.planes))
     white = truth.white if truth else _white(run)
     (run.path / "thumbnails").mkdir(exist_ok=True)

@@ -11,11 +11,12 @@ from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.budget import Budget, StoppedError, process_budget
+from reconstruction.pipeline.poses import posed, poses_stage
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.run import RunFolder
 
-STAGES = ("plan", "images", "points", "train", "report")
+STAGES = ("plan", "poses", "images", "points", "train", "report")
 
 
 def reconstruct(
@@ -54,10 +55,11 @@ def reconstruct(
         budget = process_budget(run, began)
         work: dict[str, Callable[[Progress], None]] = {
             "plan": lambda p: plan_stage(run, recording, stoppable(p)),
+            "poses": lambda p: poses_stage(run, recording, stoppable(p)),
             "images": lambda p: images_stage(run, recording, stoppable(p)),
-            "points": lambda p: points_stage(run, recording, stoppable(p)),
-            "train": lambda p: _train(run, recording, p, budget, should_stop),
-            "report": lambda p: _report(run, recording, stoppable(p)),
+            "points": lambda p: points_stage(run, posed(run, recording), stoppable(p)),
+            "train": lambda p: _train(run, posed(run, recording), p, budget, should_stop),
+            "report": lambda p: _report(run, posed(run, recording), stoppable(p)),
         }
         for name in _due(run, stage, last):
             work[name](progress_of(name))

@@ -24,6 +24,7 @@ LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 INSTANTS = 8  # at which movers are swept
 HALF_UNTIL = 0.1  # share of the training at half resolution
 GAUSSIAN_FLOATS = 12  # of a still one
+POSES_S = 5.0  # nine views of 400x250, on two cores
 BEST_METHOD = "adaptive"  # of those without a network, on single images
 
 
@@ -51,7 +52,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """`views` train; `model`, `images`, `supervision` are concrete; the cap splits into still and moving Gaussians."""
+    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians."""
 
     views: tuple[str, ...]
     model: str
@@ -60,6 +61,7 @@ class Plan:
     moving_gaussians: int
     still_gaussians: int
     decisions: tuple[Decision, ...]
+    init: str = "sweep"
 
     def amended(self, decision: Decision, **changes: object) -> Plan:
         """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
@@ -93,7 +95,8 @@ def make_plan(
     still, moving = _split(config.gaussians, model, masks)
     decisions += _economies(config, work, _share(masks), (still, moving))
     decisions += _left_out(rig, views, work)
-    return Plan(views, model, images, supervision, moving, still, tuple(decisions)), masks, light
+    init = _choose_init(config, rig, decisions)
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions), init), masks, light
 
 
 def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], views: Sequence[str]) -> Work:
@@ -152,13 +155,22 @@ def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
         maps = f"maps of {calibrated} views are there, but training does not read them"
     else:
         maps = "the recording has no maps; `spike4dgs calibrate --pixels` makes them"
-    poses = f"the rig's poses are {rig.poses} and used as given"
     grey = "a spike carries no colour; against three channels of third-degree harmonics"
     return [
         Decision("pixels", "taken as even", maps, "none"),
-        Decision("poses", "not estimated", poses, "--init"),
         Decision("colour", "one grey channel, no view dependence", grey, "none", None, work.colour_bytes()),
     ]
+
+
+def _choose_init(config: ReconstructionConfig, rig: Rig, decisions: list[Decision]) -> str:
+    """How the cameras are found; the stage that does it says what came of it."""
+    if config.init != "auto":
+        return config.init
+    init = "natural" if rig.poses == "nominal" else "sweep"
+    choice = "found by natural" if init == "natural" else "not estimated"
+    spared_s = None if init == "natural" else POSES_S
+    decisions.append(Decision("poses", choice, f"the rig's poses are {rig.poses}", "--init", spared_s))
+    return init
 
 
 def _training_views(

@@ -17,6 +17,7 @@ COMMANDS = {  # name: (module, what it does)
     "verify": ("server.cli.acquire", "Check that a recording is whole."),
     "finalise": ("server.cli.acquire", "Finish what a crash left of a recording."),
     "calibrate": ("server.cli.calibrate", "Measure the pixels of a rig's cameras."),
+    "check-rig": ("server.cli.check_rig", "Say whether a stored calibration still fits a recording."),
     "images": ("server.cli.images", "Turn spikes into images."),
     "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),
     "render": ("server.cli.reconstruct", "Render a run from any camera at any time."),

@@ -14,7 +14,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, ReconstructionConfig
+from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, Init, ReconstructionConfig
 from reconstruction.training.run import RunFolder
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.progress import progress_of
@@ -26,7 +26,7 @@ FOLDER = click.Path(path_type=Path)
 @click.argument("recording", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Run folder; an unfinished one is resumed.")
 @click.option("--model", default="auto", help="auto, static, linear, cubic, bases or 4dgs.")
-@click.option("--init", default="auto", help="auto or sweep.")
+@click.option("--init", default="auto", help=f"One of: {', '.join(get_args(Init))}; auto: natural where nominal.")
 @click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
 @click.option("--supervision", default="auto", help="auto, pixels, l1, l2, variation, counts or cumulative.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")
@@ -99,6 +99,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> None:
     """Score RUN on its held-out camera, beside the floors it must beat."""
+    from reconstruction.pipeline.poses import posed
     from reconstruction.pipeline.report import evaluate_run
 
     run = RunFolder.open(run_folder)
@@ -107,7 +108,7 @@ def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> Non
             f"{run_folder}: found a run without a held-out camera; reconstruct with --holdout to score it"
         )
     known = Truth.open(truth) if truth else None
-    metrics = evaluate_run(run, Recording.open(run.recording), known, progress_of("evaluate"))
+    metrics = evaluate_run(run, posed(run, Recording.open(run.recording)), known, progress_of("evaluate"))
     click.echo(json.dumps(metrics) if as_json else _lines(metrics))
 
 

@@ -32,7 +32,7 @@ def trained(recording, out, monkeypatch, **limits):
     monkeypatch.setattr(ending, "WINDOW", 2)
     monkeypatch.setattr(ending, "LEAST_GAIN", 1.0)
     config = ReconstructionConfig(holdout="cam11", seed=1, gaussians=1000, **limits)
-    for stage in ("plan", "images", "points"):
+    for stage in ("plan", "poses", "images", "points"):
         run = reconstruct(recording, out, config, lambda _: silent, stage=stage)
     lines, ticks = [], itertools.count(0.0, 1.0)
     budget = Budget(lambda: next(ticks), 0.0, 0.0, config.budget_s, config.steps)

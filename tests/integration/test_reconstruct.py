@@ -86,7 +86,7 @@ def test_depth_shows_parallax(run, recording):
 
 def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tmp_path):
     calls = iter(range(10**6))
-    for stage in STAGES[:3]:
+    for stage in STAGES[:4]:
         reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage=stage)
     with pytest.raises(StoppedError, match="stopped at step 31"):
         reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train", should_stop=lambda: next(calls) == 30)
@@ -102,7 +102,7 @@ def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tm
 def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tmp_path):
     config = replace(CONFIG, model=model, steps=12)
     calls = iter(range(10**6))
-    for stage in STAGES[:3]:
+    for stage in STAGES[:4]:
         run = reconstruct(recording, tmp_path / "run", config, quiet, stage=stage)
     with pytest.raises(StoppedError, match="stopped at step 6"):
         reconstruct(recording, tmp_path / "run", config, quiet, stage="train", should_stop=lambda: next(calls) == 5)
@@ -124,7 +124,7 @@ def test_the_held_out_camera_is_not_read_before_the_report(recording, tmp_path, 
     read = []
     stream = Recording.stream
     monkeypatch.setattr(Recording, "stream", lambda self, c: (read.append(c), stream(self, c))[1])
-    for stage in STAGES[:4]:
+    for stage in STAGES[:5]:
         reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage=stage)
     assert "cam11" not in read
     assert "cam00" in read

@@ -183,7 +183,7 @@ def test_a_capture_becomes_a_reconstruction(client: ServiceClient, http: TestCli
     job = client.submit(JobRequest(capture=capture.id, holdout="cam11", steps=5))
     wait_for(lambda: client.job(job.id).status == "done")
     job = client.job(job.id)
-    assert list(job.seconds) == ["plan", "images", "points", "train", "report"]
+    assert list(job.seconds) == ["plan", "poses", "images", "points", "train", "report"]
     assert {artefact.name for artefact in client.artefacts(job.id)} == {"run.json", "metrics.json", "report.html"}
     assert json.loads(client.artefact(job.id, "metrics.json"))["psnr_db"] == 32.5
     assert "--stage train --model auto" in client.log(job.id)
@@ -234,7 +234,7 @@ def test_a_failed_job_goes_on_where_it_stopped(client: ServiceClient, data: Path
     wait_for(lambda: client.job(job.id).status == "done")
     assert client.job(job.id).error is None
     stages = [line.split()[2] for line in client.log(job.id).splitlines() if line.startswith("arguments")]
-    assert stages == ["plan", "images", "points", "points", "train", "report"]
+    assert stages == ["plan", "poses", "images", "points", "points", "train", "report"]
 
 
 def test_a_cancelled_job_stops_and_resumes_from_its_checkpoint(

@@ -88,7 +88,7 @@ def test_training_goes_on_from_its_checkpoint(
     wait_for(lambda: client.job(job).status == "done")
     assert [first for _, first in attempts(run)] == [0, done]
     stages = [line.split()[2] for line in client.log(job).splitlines() if line.startswith("arguments")]
-    assert stages == ["plan", "images", "points", "train", "train", "report"]
+    assert stages == ["plan", "poses", "images", "points", "train", "train", "report"]
 
 
 def test_a_capture_is_made_again_and_a_finished_one_kept(

@@ -1,3 +1,4 @@
+import dataclasses
 from typing import get_args
 
 import numpy as np
@@ -121,10 +122,18 @@ def test_what_is_left_out_says_what_it_saves():
     )
     assert about(plan, "colour").saves_bytes == 47 * 3 * 4 * 24_000
     assert about(plan, "motion").saves_s > 0
-    assert about(plan, "poses").saves_s is None
+    assert about(plan, "poses").saves_s > 0
+    assert about(plan, "pixels").saves_s is None
     assert "saves" in str(about(plan, "motion"))
-    assert "saves" not in str(about(plan, "poses"))
+    assert "saves" not in str(about(plan, "pixels"))
     assert {d.about for d in plan.decisions} >= {"instants", "Gaussians", "resolution", "pixels"}
+
+
+def test_poses_are_found_where_they_are_nominal_alone():
+    nominal = dataclasses.replace(RIG, poses="nominal")
+    assert make_plan(ReconstructionConfig(), RIG, streams())[0].init == "sweep"
+    assert make_plan(ReconstructionConfig(), nominal, streams())[0].init == "natural"
+    assert make_plan(ReconstructionConfig(init="sweep"), nominal, streams())[0].init == "sweep"
 
 
 def test_twice_the_steps_save_twice_the_seconds():

@@ -1,0 +1,66 @@
+"""Whether a stored calibration still fits what the cameras see today, and which camera has moved where it does not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.progress import Progress, silent
+from reconstruction.calibration.calibrated import Calibrated
+from reconstruction.calibration.features import Image
+from reconstruction.calibration.natural import calibrate_natural
+from rigs.rig import Rig, object_distance_m
+from rigs.similarity import align
+from rigs.transform import rotvec_of
+
+SDS = 4.0  # what was found may differ by so many standard deviations
+TURN_DEG, SHIFT_SHARE, FOCAL_PERCENT = 0.05, 1e-3, 0.5  # what always fits: a third of a pixel; shift: of the distance
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """How far today's camera is from the stored one, after alignment on the cameras that fit."""
+
+    camera: str
+    turn_deg: float
+    shift_m: float
+    focal_percent: float
+    fits: bool
+
+
+def check_rig(
+    rig: Rig, images: Mapping[str, Image], progress: Progress = silent
+) -> tuple[Calibrated, list[CameraCheck]]:
+    """What natural-scene calibration finds today, and how each camera of `rig` that has an image compares.
+
+    Raises GeometryError where today's scene does not tell.
+    """
+    today = calibrate_natural(rig, images, progress=progress)
+    kept = [c for c in rig.ids if c in images]
+    while True:
+        checks = _compared(rig, today, kept)
+        off = [c for c in checks if not c.fits and c.camera in kept]
+        if not off or len(kept) <= 2:
+            return today, checks
+        worst = max(off, key=lambda c: c.turn_deg + np.degrees(c.shift_m / object_distance_m(rig.cameras)))
+        kept.remove(worst.camera)
+
+
+def _compared(rig: Rig, today: Calibrated, kept: list[str]) -> list[CameraCheck]:
+    moved = align(today.rig.only(kept), rig).carry_rig(today.rig)
+    distance_m = object_distance_m(rig.cameras)
+    checks = []
+    for camera_id, sd in today.sd.items():
+        now, then = moved.camera(camera_id), rig.camera(camera_id)
+        turn = float(np.degrees(np.linalg.norm(rotvec_of(now.cam_from_rig.rotation @ then.cam_from_rig.rotation.T))))
+        shift = float(np.linalg.norm(now.center - then.center))
+        focal = 100 * abs(now.fx / then.fx - 1)
+        fits = (
+            turn <= max(TURN_DEG, SDS * sd.rotation_deg)
+            and shift <= max(SHIFT_SHARE * distance_m, SDS * sd.center_m)
+            and focal <= max(FOCAL_PERCENT, SDS * sd.focal_percent)
+        )
+        checks.append(CameraCheck(camera_id, turn, shift, focal, fits))
+    return checks
