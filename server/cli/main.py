@@ -53,7 +53,7 @@ class LazyGroup(click.Group):
                 f"{cmd_name}: found no package {error.name}, expected it installed; "
                 "run pip install 'spike4dgs[reconstruction,server]'"
             ) from error
-        return getattr(module, f"{cmd_name}_command")
+        return getattr(module, f"{cmd_name.replace('-', '_')}_command")
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
