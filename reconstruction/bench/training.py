@@ -63,7 +63,7 @@ def bench_training(
 
 
 def _scored(run: RunFolder, clip: Clip, *, floors: bool) -> dict:
-    recording = posed(run, Recording.open(clip.path))
+    recording = posed(run, Recording.open(clip.path), refined=True)
     assert recording.truth is not None
     held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, Truth.open(recording.truth))
     assert truth is not None

@@ -11,12 +11,13 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.geometry import Geometry
-from reconstruction.training.plan import Decision
+from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
 from rigs.rig import Rig
 from rigs.toml import dump_rig, load_rig
 
-FILE = "poses/rig.toml"
+FILE, REFINED = "poses/rig.toml", "poses/refined.toml"
+REFINE_SD_DEG = 0.03  # a fifth of a pixel
 Initialiser = Callable[[RunFolder, Recording, Sequence[str], Progress], Geometry]
 
 
@@ -42,25 +43,47 @@ def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> Non
     _write(run.path / FILE, found.rig)
     run.document["poses"] = {"init": init, "held_out_used": holdout in views, **found.report}
     reason = str(found.report.get("summary", "the rig's poses are nominal"))
+    unsure = float(found.report.get("rotation_sd_deg", 0.0)) > REFINE_SD_DEG  # type: ignore[arg-type]
     plan = run.plan.amended(Decision("poses", f"found by {init}", reason, "--init"))
+    if unsure:
+        plan = _refining(run, plan, f"they are known to no better than {REFINE_SD_DEG:g} degrees")
     run.document["plan"] = plan.to_json()
     run.save()
 
 
-def posed(run: RunFolder, recording: Recording) -> Recording:
-    """The recording with the cameras that the poses stage found; as it is where that had nothing to find."""
-    if not (run.path / FILE).exists():
+def posed(run: RunFolder, recording: Recording, *, refined: bool = False) -> Recording:
+    """The recording with the cameras that the poses stage found; as it is where that had nothing to find.
+
+    `refined`: with those that the training made of them, where it did.
+    """
+    names = (REFINED, FILE) if refined else (FILE,)
+    file = next((run.path / name for name in names if (run.path / name).exists()), None)
+    if file is None:
         return recording
     pixels = {camera.id: camera.pixels for camera in recording.rig.cameras}
-    rig = load_rig(run.path / FILE)
+    rig = load_rig(file)
     return replace(recording, rig=replace(rig, cameras=tuple(replace(c, pixels=pixels[c.id]) for c in rig.cameras)))
+
+
+def write_refined(run: RunFolder, rig: Rig, report: dict) -> None:
+    """Keep the cameras that training ended with, and what it changed."""
+    _write(run.path / REFINED, rig)
+    run.document["refinement"] = report
 
 
 def _keep_nominal(run: RunFolder, reason: str) -> None:
     run.document["poses"] = {"init": "sweep", "refused": reason, "held_out_used": False}
     plan = run.plan.amended(Decision("poses", "nominal, as given", reason, "--init"), init="sweep")
+    plan = _refining(run, plan, "they are nominal")
     run.document["plan"] = plan.to_json()
     run.save()
+
+
+def _refining(run: RunFolder, plan: Plan, reason: str) -> Plan:
+    """The plan with poses refined in training, unless that was forbidden."""
+    if run.config.refine == "off":
+        return plan
+    return plan.amended(Decision("refinement", "poses, gains and lags in training", reason, "--refine"), refine=True)
 
 
 def _write(path: Path, rig: Rig) -> None:

@@ -59,7 +59,7 @@ def reconstruct(
             "images": lambda p: images_stage(run, recording, stoppable(p)),
             "points": lambda p: points_stage(run, posed(run, recording), stoppable(p)),
             "train": lambda p: _train(run, posed(run, recording), p, budget, should_stop),
-            "report": lambda p: _report(run, posed(run, recording), stoppable(p)),
+            "report": lambda p: _report(run, posed(run, recording, refined=True), stoppable(p)),
         }
         for name in _due(run, stage, last):
             work[name](progress_of(name))

@@ -17,6 +17,7 @@ from reconstruction.images.clean import CleanSource
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light
 from reconstruction.pipeline.budget import Budget, StoppedError
+from reconstruction.pipeline.poses import write_refined
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.pipeline.watch import Watch
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
@@ -60,6 +61,8 @@ def train_stage(
     saver.checkpoint()
     if budget.done(trainer.steps) < 1:
         _say_ending(run, trainer, progress)
+    if trainer.refinement:
+        write_refined(run, trainer.refinement.refined(recording.rig), trainer.refinement.report())
     run.document["steps"] = trainer.steps
     run.document["gaussians"] = {"still": len(trainer.cloud.still), "moving": len(trainer.cloud.moving)}
 
@@ -127,6 +130,7 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
         ends_early=run.config.steps is None,
+        refines=plan.refine,
     )
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 

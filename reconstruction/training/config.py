@@ -12,9 +12,17 @@ Init = Literal["auto", "sweep", "natural"]
 ImageSource = Literal[
     "auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated", "spk2imgnet", "blindspot", "clean"
 ]
+Refine = Literal["auto", "on", "off"]
 Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
 
 DEFAULT_BUDGET_S = 120.0
+CHOICES = (
+    ("model", Model),
+    ("init", Init),
+    ("images", ImageSource),
+    ("supervision", Supervision),
+    ("refine", Refine),
+)
 
 
 @dataclass(frozen=True)
@@ -22,7 +30,8 @@ class ReconstructionConfig:
     """Closed lists of names as the command line knows them; exactly one of `budget_s` and `steps` rules.
 
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
-    images are targets. Raises BadRunError naming the field.
+    images are targets. `refine`: whether poses, gains and lags are learnt beside the Gaussians. Raises BadRunError
+    naming the field.
     """
 
     model: Model = "auto"
@@ -36,9 +45,10 @@ class ReconstructionConfig:
     seed: int = 0
     gaussians: int = 24_000
     tick_stride: int = 4
+    refine: Refine = "auto"
 
     def __post_init__(self) -> None:
-        for name, names in (("model", Model), ("init", Init), ("images", ImageSource), ("supervision", Supervision)):
+        for name, names in CHOICES:
             if getattr(self, name) not in get_args(names):
                 raise BadRunError(f"found {name} {getattr(self, name)!r}, expected one of {', '.join(get_args(names))}")
         if (self.budget_s is None) == (self.steps is None):

@@ -24,6 +24,7 @@ LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 INSTANTS = 8  # at which movers are swept
 HALF_UNTIL = 0.1  # share of the training at half resolution
 GAUSSIAN_FLOATS = 12  # of a still one
+UNADJUSTED = ("sfm", "dust3r", "msdi")  # poses that no covariance vouches for are refined in training
 POSES_S = 5.0  # nine views of 400x250, on two cores
 BEST_METHOD = "adaptive"  # of those without a network, on single images
 
@@ -62,6 +63,7 @@ class Plan:
     still_gaussians: int
     decisions: tuple[Decision, ...]
     init: str = "sweep"
+    refine: bool = False
 
     def amended(self, decision: Decision, **changes: object) -> Plan:
         """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
@@ -96,7 +98,8 @@ def make_plan(
     decisions += _economies(config, work, _share(masks), (still, moving))
     decisions += _left_out(rig, views, work)
     init = _choose_init(config, rig, decisions)
-    return Plan(views, model, images, supervision, moving, still, tuple(decisions), init), masks, light
+    refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine), masks, light
 
 
 def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], views: Sequence[str]) -> Work:

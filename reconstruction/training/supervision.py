@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.motion import Instantaneous
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.losses.counts import cumulative_loss, robust_loss
 from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Rendering, render
+from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
 from rigs.clock import RigClock
 
@@ -30,10 +32,15 @@ SpikeNorm = Literal["l1", "l2", "counts", "cumulative"]
 
 @dataclass(frozen=True, eq=False)
 class TrainingView:
-    """A camera and the images it should see."""
+    """A camera, the images it should see, and what of the camera is being refined (None: it stands as it is)."""
 
     camera: Camera
     source: CompositeSource
+    correction: Correction | None = None
+
+    def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
+        """What to render for it at an instant."""
+        return self.correction.seen(cloud, instant_s) if self.correction else cloud.at(instant_s)
 
 
 Term = Callable[[DynamicCloud, TrainingView, np.random.Generator, int], Tensor]
@@ -65,7 +72,7 @@ class ImageTerm:
         if shrink > 1:
             camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
             image = shrunk(image, camera)
-        return render(cloud.at(self.clock.instant_s(plane)), camera), torch.from_numpy(image)
+        return render(view.seen(cloud, self.clock.instant_s(plane)), camera), torch.from_numpy(image)
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W]."""
@@ -123,18 +130,21 @@ class SpikeTerm:
         nodes = min(self.most_nodes, math.ceil(window / self.planes_a_node))
         if self.norm == "cumulative":
             return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
-        light, alpha = self._integral(cloud, part, (first, window, nodes))
+        light, alpha = self._integral(cloud, view, part, (first, window, nodes))
         rate = torch.from_numpy(part.counts(view, first, first + window) / np.float32(window))
         good = torch.from_numpy(part.good)
         spikes = _norm(self.norm, light[good], rate[good], window)
         return spikes / self.image.white + self.image.solid * (1 - alpha).mean()
 
-    def _integral(self, cloud: DynamicCloud, part: Part, span: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    def _integral(
+        self, cloud: DynamicCloud, view: TrainingView, part: Part, span: tuple[int, int, int]
+    ) -> tuple[Tensor, Tensor]:
         """Mean light and alpha [H, W] over the planes of the span (first, length, nodes)."""
         first, length, nodes = span
         light = alpha = torch.zeros(())
         for node, weight in zip(*_quadrature(nodes), strict=True):
-            rendered = render(cloud.at(self.image.clock.instant_s(first + length * node - 0.5)), part.camera)
+            instant_s = self.image.clock.instant_s(first + length * node - 0.5)
+            rendered = render(view.seen(cloud, instant_s), part.camera)
             light = light + weight * rendered.intensity[..., 0]
             alpha = alpha + weight * rendered.alpha
         return light, alpha
@@ -144,7 +154,7 @@ class SpikeTerm:
     ) -> Tensor:
         first, length, parts = span
         starts = [first + i * length for i in range(parts)]
-        pairs = [self._integral(cloud, part, (start, length, 1)) for start in starts]
+        pairs = [self._integral(cloud, view, part, (start, length, 1)) for start in starts]
         counts = np.stack([part.counts(view, start, start + length) for start in starts])
         light, good = torch.stack([light for light, _ in pairs]), torch.from_numpy(part.good)
         loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)

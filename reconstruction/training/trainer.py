@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
+from reconstruction.training.refinement import Correction, Refinement
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
 from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
@@ -58,7 +59,8 @@ class TrainerSettings:
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
-    `ends_early`: whether a training that no longer gains ends before its budget.
+    `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
+    lags of the views are learnt too.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
 
@@ -70,6 +72,7 @@ class TrainerSettings:
     spike_every: int = 2
     canonical_until: float = 3 / 17
     ends_early: bool = False
+    refines: bool = False
 
 
 class Trainer:
@@ -84,7 +87,6 @@ class Trainer:
         seed: int,
     ):
         self.cloud = cloud
-        self.views = views
         self.settings = settings
         self.rng = np.random.default_rng(seed)
         self.steps = 0
@@ -92,6 +94,15 @@ class Trainer:
         self.image, self.spikes = _terms(settings, clock)
         self.extent_m = _extent_m(cloud, views)
         self.optimizer = _optimizer(cloud, self.extent_m, settings.rates)
+        cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
+        self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
+        self.views = self._corrected(views)
+
+    def _corrected(self, views: Sequence[TrainingView]) -> Sequence[TrainingView]:
+        """The views with their corrections, where there are any."""
+        if not self.refinement:
+            return views
+        return [replace(view, correction=Correction(self.refinement, i)) for i, view in enumerate(views)]
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
@@ -106,6 +117,8 @@ class Trainer:
             loss = loss + penalty
         loss.backward()
         self.optimizer.step()
+        if self.refinement:
+            self.refinement.step(done)
         self.steps += 1
         if self.steps % LIVING_EVERY == 0:
             self._refuse_dead()
@@ -140,6 +153,7 @@ class Trainer:
             "rng": json.dumps(self.rng.bit_generator.state),
             "steps": self.steps,
             "ending": self.ending.state() if self.ending else None,
+            "refinement": self.refinement.state() if self.refinement else None,
         }
 
     def restore(self, state: dict) -> None:
@@ -151,6 +165,8 @@ class Trainer:
         self.steps = state["steps"]
         if self.ending and state.get("ending"):
             self.ending = Ending.from_state(state["ending"])
+        if self.refinement and state.get("refinement"):
+            self.refinement.restore(state["refinement"])
 
     def unsettle(self, views: Sequence[TrainingView], which: Tensor) -> None:
         """Go on with other targets, and with the still Gaussians of the mask `which` [N] as moving ones.
@@ -168,7 +184,7 @@ class Trainer:
             for key in ("exp_avg", "exp_avg_sq")
         }
         begun = torch.tensor(float(self.steps))
-        self.views, self.cloud = views, freed(self.cloud, which)
+        self.views, self.cloud = self._corrected(views), freed(self.cloud, which)
         self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
         for name, tensor in self.cloud.tensors():
             if tensor.requires_grad:

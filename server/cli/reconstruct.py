@@ -29,6 +29,7 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--init", default="auto", help=f"One of: {', '.join(get_args(Init))}; auto: natural where nominal.")
 @click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
 @click.option("--supervision", default="auto", help="auto, pixels, l1, l2, variation, counts or cumulative.")
+@click.option("--refine", default="auto", help="auto, on or off: learn poses, gains and lags beside the Gaussians.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")
 @click.option("--views", default="", help="Training cameras, comma-separated [default: all but the held-out one].")
 @click.option("--tick-stride", type=int, default=4, show_default=True, help="Planes between instants used as images.")
@@ -108,7 +109,7 @@ def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> Non
             f"{run_folder}: found a run without a held-out camera; reconstruct with --holdout to score it"
         )
     known = Truth.open(truth) if truth else None
-    metrics = evaluate_run(run, posed(run, Recording.open(run.recording)), known, progress_of("evaluate"))
+    metrics = evaluate_run(run, posed(run, Recording.open(run.recording), refined=True), known, progress_of("evaluate"))
     click.echo(json.dumps(metrics) if as_json else _lines(metrics))
 
 
