@@ -18,4 +18,4 @@ class StereoError(ReconstructionError):
 
 
 class GeometryError(ReconstructionError):
-    """Where the cameras stand cannot be told from a recording, or not be trusted."""
+    """Where the cameras stand cannot be told from a recording, or not be trusted; the message names the views."""

@@ -101,4 +101,11 @@ def _natural(run: RunFolder, recording: Recording, views: Sequence[str], progres
     return Geometry(found.rig, report=found.report)
 
 
-INITIALISERS: dict[str, Initialiser] = {"natural": _natural}
+def _sfm(run: RunFolder, recording: Recording, views: Sequence[str], progress: Progress) -> Geometry:
+    from reconstruction.calibration.features import long_image
+    from reconstruction.initialization.sfm import sfm
+
+    return sfm(recording.rig, {view: long_image(recording.stream(view)) for view in views}, progress=progress)
+
+
+INITIALISERS: dict[str, Initialiser] = {"natural": _natural, "sfm": _sfm}

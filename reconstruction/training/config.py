@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 from reconstruction.errors import BadRunError
 
 Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
-Init = Literal["auto", "sweep", "natural"]
+Init = Literal["auto", "sweep", "natural", "sfm"]
 ImageSource = Literal[
     "auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated", "spk2imgnet", "blindspot", "clean"
 ]
