@@ -63,36 +63,53 @@ def calibrate_natural(
     `images` (camera id to [H, W], spikes per tick) are of the same instant or the same long window. Raises
     GeometryError, with the reason, where the result could not be trusted: keep the nominal rig then.
     """
-    options = options or NaturalOptions()
     began = time.monotonic()
-    nominal = rig.only(c for c in rig.ids if c in images)
-    refuse_blind(nominal, images)
-    pictures = [images[c] for c in nominal.ids]
+    ordered = {c: images[c] for c in rig.ids if c in images}
+    refuse_blind(ordered)
+    evidence = gather(ordered, progress)
+    return solve(rig, evidence, options or NaturalOptions(), progress, began=began)
+
+
+def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence:
+    """Features of all images and what matches between every two of them; knows nothing of a rig."""
     features = []
-    for i, picture in enumerate(pictures):
+    for i, (camera, picture) in enumerate(images.items()):
         features.append(find_features(picture))
-        progress(0.3 * (i + 1) / len(pictures), f"features of {nominal.ids[i]}: {len(features[-1])}")
-    candidates = {(a, b): matched(features[a], features[b]) for a, b in all_pairs(len(pictures))}
+        progress(0.3 * (i + 1) / len(images), f"features of {camera}: {len(features[-1])}")
+    candidates = {(a, b): matched(features[a], features[b]) for a, b in all_pairs(len(images))}
     progress(0.5, f"{sum(map(len, candidates.values()))} matches")
-    evidence = Evidence(nominal, features, candidates)
-    start, tracks = _coarse(evidence, options)
+    return Evidence(images, features, candidates)
+
+
+def solve(
+    rig: Rig,
+    evidence: Evidence,
+    options: NaturalOptions,
+    progress: Progress = silent,
+    *,
+    began: float | None = None,
+) -> Calibrated:
+    """`calibrate_natural` from what was gathered; `began` is when, on the monotonic clock, for the report."""
+    began = time.monotonic() if began is None else began
+    nominal = rig.only(evidence.images)
+    start, tracks = _coarse(nominal, evidence, options)
     progress(0.6, f"{len(tracks)} tracks")
     solution = annealed(start, tracks)
     if options.patches:
-        tracks = refined(tracks, pictures)
+        tracks = refined(tracks, list(evidence.images.values()))
     progress(0.8, "patches refined")
     fine = observed(tracks, PATCH_SD_PX)
     solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX))
     progress(0.95, "adjusted")
-    judge(evidence.rig, solution)
+    judge(nominal, solution)
     found = _calibrated(rig, nominal, solution, len(tracks), time.monotonic() - began)
     progress(1.0, str(found.report["summary"]))
     return found
 
 
-def _coarse(evidence: Evidence, options: NaturalOptions) -> tuple[Solution, Tracks]:
+def _coarse(nominal: Rig, evidence: Evidence, options: NaturalOptions) -> tuple[Solution, Tracks]:
     """Turns found from what the nominal rig allows, and the tracks that these turns allow."""
-    nominal, features = evidence.rig, evidence.features
+    features = evidence.features
     allowed = _allowed(nominal.cameras, features, evidence.candidates, options.gate)
     for (a, b), pairs in allowed.items():
         allowed[a, b] = pairs[

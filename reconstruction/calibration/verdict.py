@@ -32,16 +32,16 @@ MOST_TURN_DEG, MOST_SHIFT_M, MOST_FOCAL = 12.5, 0.1, 0.08  # off the drawing: fi
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The nominal rig, the features of its views, and what matches between every two of them before any gate."""
+    """The images by camera id, the features of each, and what matches between every two of them before any gate."""
 
-    rig: Rig
+    images: Mapping[str, Image]
     features: Sequence[Features]
     candidates: Mapping[Pair, Matches]
 
     def enough(self, tracks: Tracks) -> Tracks:
         """The tracks, where they are enough for all views; raises GeometryError naming the views that lack them."""
         seen = tracks.seen.sum(axis=0)
-        few = [c for c, n in zip(self.rig.ids, seen, strict=True) if n < LEAST_OBSERVATIONS]
+        few = [c for c, n in zip(self.images, seen, strict=True) if n < LEAST_OBSERVATIONS]
         if few and len(few) < len(seen) - 2:
             raise GeometryError(
                 f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}, expected more as in the others; "
@@ -55,11 +55,11 @@ class Evidence:
         return tracks
 
 
-def refuse_blind(rig: Rig, images: Mapping[str, Image]) -> None:
+def refuse_blind(images: Mapping[str, Image]) -> None:
     """Raise GeometryError for too few views, or naming those without light."""
-    if len(rig.cameras) < LEAST_VIEWS:
-        raise GeometryError(f"found {len(rig.cameras)} views, expected {LEAST_VIEWS} or more to find the cameras from")
-    dark = [c for c in rig.ids if float(np.mean(images[c])) < DARK]
+    if len(images) < LEAST_VIEWS:
+        raise GeometryError(f"found {len(images)} views, expected {LEAST_VIEWS} or more to find the cameras from")
+    dark = [c for c, image in images.items() if float(np.mean(image)) < DARK]
     if dark:
         raise GeometryError(
             f"found no light in {', '.join(dark)}, expected all views lit; open the lens or leave it out"

@@ -1,0 +1,62 @@
+"""The methods of the pose bench: spikes of some views and a nominal rig in, geometry out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.recording.reader import Recording
+from reconstruction.calibration.features import MOST_PLANES, long_image
+from reconstruction.calibration.natural import calibrate_natural
+from reconstruction.images.tfi import tfi
+from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.sfm import sfm
+from rigs.rig import Rig
+
+Images = dict[str, NDArray[np.float32]]
+Run = Callable[[Recording, Rig, Sequence[str], int | None], Geometry]
+
+
+@dataclass(frozen=True)
+class PoseMethod:
+    """`run` takes a recording, the nominal rig, the views' ids and how many planes there are (None: all)."""
+
+    name: str
+    about: str
+    run: Run
+
+
+def _nominal(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    return Geometry(rig)
+
+
+def _natural(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    found = calibrate_natural(rig, _long(recording, views, planes))
+    return Geometry(found.rig, report=found.report)
+
+
+def _tfi_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    middle = recording.planes // 2
+    return sfm(rig, {view: tfi(recording.stream(view), middle).intensity for view in views})
+
+
+def _long_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    return sfm(rig, _long(recording, views, planes))
+
+
+def _long(recording: Recording, views: Sequence[str], planes: int | None) -> Images:
+    return {view: long_image(recording.stream(view), planes or MOST_PLANES) for view in views}
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        PoseMethod("nominal", "the rig as drawn", _nominal),
+        PoseMethod("tfi+colmap", "TFI images of one instant, COLMAP from scratch", _tfi_colmap),
+        PoseMethod("long+colmap", "long-window images, COLMAP from scratch", _long_colmap),
+        PoseMethod("natural", "natural-scene calibration from the nominal rig", _natural),
+    )
+}

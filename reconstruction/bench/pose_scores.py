@@ -1,0 +1,73 @@
+"""Depth and points of estimated cameras against the truth, in the true frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.sweep import SweepOptions, depth_range_m
+from reconstruction.pipeline.stages import swept_maps
+from rigs.rig import Rig
+from rigs.similarity import align
+
+if TYPE_CHECKING:
+    from reconstruction.bench.poses import PoseClip
+
+CLOSE = 0.01  # of the true depth
+MOST_POINTS = 20000  # of a method's own that are scored
+WRONG = 0.5  # relative error that counts as no more than this: a point behind a camera, say
+
+
+def score_sweep(found: Rig, clip: PoseClip) -> dict[str, float]:
+    """`abs_rel` of the confirmed depths of a plane sweep on long-window images, and `complete`.
+
+    That is the share of the still pixels whose depth is within CLOSE of the truth.
+    """
+    cameras = list(align(found, clip.rig).carry_rig(found).cameras)
+    images = [clip.long_images[c.id] for c in cameras]
+    maps = swept_maps(cameras, images, SweepOptions(*depth_range_m(clip.rig.cameras)))
+    off, pixels = [], 0
+    for camera, swept in zip(cameras, maps, strict=True):
+        depth, still = _truth(clip, camera.id)
+        seen = still & np.isfinite(swept.depth)
+        off.append(np.abs(swept.depth - depth)[seen] / depth[seen])
+        pixels += int(still.sum())
+    errors = np.concatenate(off)
+    if not len(errors):
+        return {"complete": 0.0}
+    return {"abs_rel": float(errors.mean()), "complete": float((errors < CLOSE).sum() / pixels)}
+
+
+def score_own_points(found: Geometry, clip: PoseClip) -> dict[str, float]:
+    """`points`, how many a method has, and `points_abs_rel`: of each in the view that agrees best, on still pixels."""
+    if not len(found.points):
+        return {}
+    rng = np.random.default_rng(0)
+    chosen = rng.permutation(len(found.points))[:MOST_POINTS]
+    points = align(found.rig, clip.rig).apply(found.points[chosen])
+    best = np.full(len(points), np.inf)
+    for camera in clip.rig.cameras:
+        depth, still = _truth(clip, camera.id)
+        inside = camera.cam_from_rig.apply(points)
+        z = np.maximum(inside[:, 2], 1e-6)
+        column = np.floor(camera.fx * inside[:, 0] / z + camera.cx)
+        row = np.floor(camera.fy * inside[:, 1] / z + camera.cy)
+        seen = (inside[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        where = np.flatnonzero(seen)
+        at = row[where].astype(np.int64), column[where].astype(np.int64)
+        error = np.where(still[at], np.abs(z[where] - depth[at]) / depth[at], np.inf)
+        best[where] = np.minimum(best[where], error)
+    known = np.isfinite(best)
+    if not known.any():
+        return {"points": float(len(found.points))}
+    return {"points": float(len(found.points)), "points_abs_rel": float(np.minimum(best[known], WRONG).mean())}
+
+
+def _truth(clip: PoseClip, camera_id: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """True depth [H, W] in m at the middle of the clip, and where it is known and nothing moves."""
+    planes = clip.truth.planes(camera_id)
+    frame = clip.truth.frame(camera_id, planes[len(planes) // 2])
+    return frame.depth, ~frame.moving & np.isfinite(frame.depth)

@@ -1,0 +1,186 @@
+"""Where the cameras stand, by every method: error against run time, over nominal errors, views, and recording lengths.
+
+Every method is given the same spikes and the same rig as drawn, which is the true one misplaced by about so many
+degrees, cm and percent of the focal length. Errors are after similarity alignment; depth is by a plane sweep with the
+cameras found, on still pixels, and of the method's own points where it has any.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.bench_document import BenchDocument
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from acquisition.scenes.misplaced import misplaced
+from reconstruction.bench.pose_methods import METHODS, PoseMethod
+from reconstruction.bench.pose_scores import score_own_points, score_sweep
+from reconstruction.calibration.features import long_image
+from reconstruction.calibration.natural import NaturalOptions, gather, solve
+from reconstruction.errors import ReconstructionError
+from reconstruction.evaluation.truth import Truth
+from reconstruction.metrics.poses import pose_errors
+from rigs.rig import Rig, object_distance_m
+
+ERROR = 2.0  # of the nominal rig where nothing else is said
+ERRORS = (0.0, 1.0, 3.0, 5.0)
+ORDER = ("cam11", "cam01", "cam10", "cam12", "cam21", "cam00", "cam02", "cam20", "cam22")
+VIEWS = (3, 4, 5, 6, 7, 8)
+PLANES = (20, 40, 100)
+TRIALS, TRIAL_TURNS_DEG = 20, (2.0, 4.0)
+SWEPT = ("nominal", "tfi+colmap", "natural", "msdi", "msdi+ba")  # over nominal errors and views
+SCORES = ("rotation_deg", "translation_percent", "focal_percent", "seconds", "abs_rel", "complete", "points_abs_rel")
+
+
+@dataclass(frozen=True)
+class PoseClip:
+    """A simulated recording and its truth."""
+
+    scene: str
+    seed: int
+    path: Path
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The recording."""
+        return Recording.open(self.path)
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Its truth."""
+        assert self.recording.truth is not None
+        return Truth.open(self.recording.truth)
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The cameras as they truly stand."""
+        found = self.truth.cameras(self.recording.tick_rate_hz)
+        assert found is not None
+        return found.only(self.recording.camera_ids)
+
+    @cached_property
+    def long_images(self) -> dict[str, NDArray[np.float32]]:
+        """The long-window image of every camera, for scoring."""
+        return {c: long_image(self.recording.stream(c)) for c in self.recording.camera_ids}
+
+
+def bench_poses(clips: Sequence[PoseClip], progress: Progress, *, quick: bool = False) -> BenchDocument:
+    """Every method on every clip; then what the best of them take of worse rigs, fewer views, shorter recordings."""
+    document = BenchDocument("poses")
+    jobs = [(clip, job) for clip in clips for job in _jobs(quick)]
+    for number, (clip, job) in enumerate(jobs):
+        progress(number / len(jobs), f"{clip.scene}: {job.about}")
+        document.rows += job.run(clip)
+    _summarise(document)
+    document.omissions += [
+        "TFI + DUSt3R: no checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own",
+        "one seed a scene",
+    ]
+    progress(1.0, f"{len(document.rows)} rows")
+    return document
+
+
+@dataclass(frozen=True)
+class _Job:
+    about: str
+    run: Callable[[PoseClip], list[dict]]
+
+
+def _jobs(quick: bool) -> list[_Job]:
+    jobs = [_Job(name, lambda clip, m=method: [measured(m, clip, scored=True)]) for name, method in METHODS.items()]
+    if quick:
+        return jobs
+    for name in SWEPT:
+        method = METHODS[name]
+        jobs += [_Job(f"{name} at {e:g} degrees", lambda c, m=method, e=e: [measured(m, c, error=e)]) for e in ERRORS]
+        if name != "nominal":
+            jobs += [_Job(f"{name}, {v} views", lambda c, m=method, v=v: [measured(m, c, views=v)]) for v in VIEWS]
+    natural = METHODS["natural"]
+    jobs += [_Job(f"natural, {n} planes", lambda c, n=n: [measured(natural, c, planes=n)]) for n in PLANES]
+    return [*jobs, _Job("natural from random rigs", _trials)]
+
+
+def measured(
+    method: PoseMethod,
+    clip: PoseClip,
+    *,
+    error: float = ERROR,
+    views: int = len(ORDER),
+    planes: int | None = None,
+    scored: bool = False,
+) -> dict:
+    """A row: the cameras found and how far they are off, or why there are none; `scored` with depths and points."""
+    nominal = misplaced(clip.rig, error, clip.seed)
+    ids = [c for c in nominal.ids if c in ORDER[:views]]
+    about = {"method": method.name, "scene": clip.scene, "seed": clip.seed, "nominal": error, "views": views}
+    about |= {"planes": planes} if planes else {}
+    began = time.perf_counter()
+    try:
+        found = method.run(clip.recording, nominal, ids, planes)
+    except ReconstructionError as refusal:
+        return about | {"seconds": time.perf_counter() - began, "refused": str(refusal)}
+    row = about | {"seconds": time.perf_counter() - began} | _errors(found.rig.only(ids), clip.rig)
+    for name in ("rotation_sd_deg", "focal_sd_percent"):
+        row |= {name: found.report[name]} if name in found.report else {}
+    if scored:
+        row |= score_sweep(found.rig.only(ids), clip) | score_own_points(found, clip)
+    return row
+
+
+def _errors(found: Rig, true: Rig) -> dict[str, float]:
+    off = pose_errors(found, true, object_distance_m(true.cameras))
+    return {name: getattr(off, name) for name in ("rotation_deg", "translation_percent", "focal_percent")}
+
+
+def _trials(clip: PoseClip) -> list[dict]:
+    """Natural calibration from TRIALS random rigs; features and matches, which know nothing of a rig, are made once."""
+    evidence, rng, rows = gather(clip.long_images), np.random.default_rng(clip.seed), []
+    for trial in range(TRIALS):
+        turn = float(rng.uniform(*TRIAL_TURNS_DEG))
+        nominal = misplaced(clip.rig, ERROR, 1000 * clip.seed + trial, turn_deg=turn)
+        row = {"method": "natural.trial", "scene": clip.scene, "seed": clip.seed, "trial": trial, "turn_deg": turn}
+        try:
+            found = solve(nominal, evidence, NaturalOptions())
+            row |= _errors(found.rig, clip.rig) | {"rotation_sd_deg": found.report["rotation_sd_deg"]}
+        except ReconstructionError as refusal:
+            row |= {"refused": str(refusal)}
+        rows.append(row)
+    return rows
+
+
+def _summarise(document: BenchDocument) -> None:
+    """Means over the scenes: of each method as it is; by nominal error, views and planes; and the trials' worst."""
+    for name in METHODS:
+        rows = [r for r in document.rows if r["method"] == name]
+        for key, wanted in (("nominal", ERRORS), ("views", VIEWS), ("planes", PLANES)):
+            for value in wanted:
+                _means(document, f"{name}.{key}{value:g}", [r for r in rows if r.get(key) == value], SCORES[:4])
+        plain = [r for r in rows if r["nominal"] == ERROR and r["views"] == len(ORDER) and "planes" not in r]
+        _means(document, name, plain, SCORES)
+    trials = [r for r in document.rows if r["method"] == "natural.trial"]
+    if trials:
+        _means(document, "natural.trial", trials, SCORES[:3])
+        document.summary["natural.trial.count"] = len(trials)
+        for score in SCORES[:2]:
+            worst = max((r[score] for r in trials if score in r), default=float("nan"))
+            document.summary[f"natural.trial.worst_{score}"] = worst
+
+
+def _means(document: BenchDocument, name: str, rows: Sequence[dict], scores: Sequence[str]) -> None:
+    if not rows:
+        return
+    for score in scores:
+        values = [r[score] for r in rows if score in r and (score != "seconds" or "refused" not in r)]
+        if values:
+            document.summary[f"{name}.{score}"] = float(np.mean(values))
+    refused = sum("refused" in r for r in rows)
+    if refused:
+        document.summary[f"{name}.refused"] = refused
+        document.omissions.append(f"{name}: refused on {refused} of {len(rows)} recordings, which its means leave out")
