@@ -34,7 +34,7 @@ check: install
 	$(VENV)/bin/pyright
 
 bench: install
-	for name in images pixels rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	for name in images pixels poses rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
 	$(PY) -m reconstruction.images.learned.train curve reconstruction/images/learned/weights/small.json reconstruction/images/learned/weights/blindspot.json --out tests/benchmarks/learned.png
 
 sheets: install

@@ -22,8 +22,10 @@ _PARSED_BYTES = 10_000_000_000
 
 
 @click.command("bench")
-@click.argument("name", type=click.Choice(["images", "pixels", "rasterizer", "recorder", "training"]))
-@click.option("--scene", help="NAME,... [default: images, training: the evaluation scenes; pixels: fan_and_ball].")
+@click.argument("name", type=click.Choice(["images", "pixels", "poses", "rasterizer", "recorder", "training"]))
+@click.option(
+    "--scene", help="NAME,... [default: images, poses, training: the evaluation scenes; pixels: fan_and_ball]."
+)
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
     "--metric-files",
@@ -36,7 +38,10 @@ _PARSED_BYTES = 10_000_000_000
 def bench_command(
     name: str, scene: str | None, quick: bool, metric_files: Path | None, out: Path | None, as_json: bool
 ) -> None:
-    """Measure NAME: images, pixels (calibrated or not), rasterizer, recorder (on the disk of --out) or training."""
+    """Measure NAME.
+
+    images, pixels (calibrated or not), poses (of the cameras), rasterizer, recorder (on the disk of --out), training.
+    """
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
         work = out / "work" if out else Path(spare)
         if name == "images":
@@ -49,6 +54,8 @@ def bench_command(
             from reconstruction.bench.pixels import bench_pixels
 
             document = bench_pixels(scene or "fan_and_ball", EVALUATION_SEEDS[:1] if quick else EVALUATION_SEEDS)
+        elif name == "poses":
+            document = _poses(scene, quick, work)
         elif name == "recorder":
             document = _recorder(work / name, quick)
         else:
@@ -82,6 +89,10 @@ def _write(out: Path, name: str, found: dict, work: Path) -> None:
         for run in sorted(work.glob(f"*-auto-{longest:g}s")):
             write_run_strip(work / "strips" / f"{run.name}.png", run)
         write_sheet(out / f"{name}-sheet.png", work / "strips", most_px=1200)
+    elif name == "poses":
+        from reconstruction.bench.plot_poses import plot_poses
+
+        plot_poses(out / f"{name}.png", found)
     elif name == "images":
         from reconstruction.bench.contact_sheet import write_sheet
         from reconstruction.bench.plot_images import plot_images
@@ -108,17 +119,31 @@ def _training(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
         variants = [replace(v, scenes=named) if v is AUTO else v for v in variants]
     if quick:
         named, variants = named[:1], [replace(v, budgets_s=v.budgets_s[1:2]) for v in variants]
-    clips = []
-    for scene in named:
+    clips = [Clip(scene, seed, path) for scene, seed, path in _recorded(named, work)]
+    document = bench_training(clips, variants, work, progress_of)
+    document.omissions.append("one seed a scene")
+    return document
+
+
+def _poses(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
+    from reconstruction.bench.poses import PoseClip, bench_poses
+
+    named = tuple(scenes.split(",")) if scenes else EVALUATION
+    clips = [PoseClip(*found) for found in _recorded(named[:1] if quick else named, work)]
+    return bench_poses(clips, progress_of("poses"), quick=quick)
+
+
+def _recorded(scenes: tuple[str, ...], work: Path) -> list[tuple[str, int, Path]]:
+    """A recording of each scene in `work`, simulated where there is none: scene, seed, folder."""
+    found = []
+    for scene in scenes:
         seed = EVALUATION_SEEDS[0] if scene in EVALUATION else DEVELOPMENT_SEEDS[1]
         recording = work / f"{scene}-{seed}"
         if not recording.exists():
             recording.parent.mkdir(parents=True, exist_ok=True)
             _simulate_apart(scene, seed, recording)
-        clips.append(Clip(scene, seed, recording))
-    document = bench_training(clips, variants, work, progress_of)
-    document.omissions.append("one seed a scene")
-    return document
+        found.append((scene, seed, recording))
+    return found
 
 
 def _simulate_apart(scene: str, seed: int, recording: Path) -> None:
