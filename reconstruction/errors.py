@@ -15,3 +15,7 @@ class BadRunError(ReconstructionError):
 
 class StereoError(ReconstructionError):
     """Too few points survived initialisation; training would not recover."""
+
+
+class GeometryError(ReconstructionError):
+    """Where the cameras stand cannot be told from a recording, or not be trusted."""

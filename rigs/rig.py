@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
 
 from rigs.camera import Camera
 from rigs.clock import RigClock
@@ -69,3 +71,20 @@ class Rig:
     def scaled(self, width: int, height: int) -> Rig:
         """The rig with every sensor sampled at another size."""
         return replace(self, cameras=tuple(c.scaled(width, height) for c in self.cameras))
+
+
+def object_distance_m(cameras: Sequence[Camera]) -> float:
+    """Mean distance in m, along the optical axes, from the cameras to the point nearest to all those axes.
+
+    Parallel axes never meet: then ten baselines stand for the object's distance.
+    """
+    centers = np.stack([c.center for c in cameras])
+    axes = np.stack([c.cam_from_rig.rotation[2] for c in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3], removes the part along each axis
+    baseline = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean())
+    normal = across.sum(axis=0)
+    distance = 10 * baseline
+    if np.linalg.eigvalsh(normal)[0] > 1e-4 * len(cameras):
+        meeting = np.linalg.solve(normal, np.einsum("vij,vj->i", across, centers))
+        distance = float(np.einsum("vi,vi->v", meeting - centers, axes).mean())
+    return max(distance, 2 * baseline, 1e-3)

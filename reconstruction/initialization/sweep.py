@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from reconstruction.native import library
 from rigs.camera import Camera
+from rigs.rig import object_distance_m
 
 Image = NDArray[np.float32]
 SOURCES = 4  # nearest views matched against each reference
@@ -55,16 +56,7 @@ def depth_range_m(cameras: Sequence[Camera]) -> tuple[float, float]:
 
     Parallel axes never meet: then ten baselines stand for the object's distance.
     """
-    centers = np.stack([c.center for c in cameras])
-    axes = np.stack([c.cam_from_rig.rotation[2] for c in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3], removes the part along each axis
-    baseline = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean())
-    normal = across.sum(axis=0)
-    distance = 10 * baseline
-    if np.linalg.eigvalsh(normal)[0] > 1e-4 * len(cameras):
-        meeting = np.linalg.solve(normal, np.einsum("vij,vj->i", across, centers))
-        distance = float(np.einsum("vi,vi->v", meeting - centers, axes).mean())
-    distance = max(distance, 2 * baseline, 1e-3)
+    distance = object_distance_m(cameras)
     return distance / 2, distance * 4
 
 

@@ -1,0 +1,178 @@
+"""What a bundle adjustment is about: observations of blocks by cameras, what may change, how residuals count.
+
+Blocks are whatever the cameras look at, of any size: a point of the scene has 3 unknowns, the pose of a board 6.
+Letters: C cameras, G free camera values, L blocks of D unknowns, O observations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.calibration.projection import PARAMETERS, Cameras
+from rigs.transform import Floats, cross_matrices, rotations
+
+Indices = NDArray[np.int64]
+
+
+class Blocks(Protocol):
+    """What cameras look at: `place` gives each observation's point [O, 3] in m and its derivatives [O, 3, D]."""
+
+    def __len__(self) -> int: ...
+
+    def place(self, which: Indices) -> tuple[Floats, Floats]:
+        """See the class; `which` [O] is the block of each observation."""
+        ...
+
+    def moved(self, steps: Floats) -> Blocks:
+        """The blocks after steps [L, D]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePoints:
+    """Points [L, 3] in m that stand still."""
+
+    positions: Floats
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def place(self, which: Indices) -> tuple[Floats, Floats]:
+        """See Blocks."""
+        return self.positions[which], np.broadcast_to(np.eye(3), (len(which), 3, 3))
+
+    def moved(self, steps: Floats) -> ScenePoints:
+        """See Blocks."""
+        return ScenePoints(self.positions + steps)
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPoses:
+    """A board at L instants: rotations [L, 3, 3] and translations [L, 3], rig from board.
+
+    `corners` [O, 3] are the board's corners in m that the observations are of, in their order.
+    """
+
+    rotations: Floats
+    translations: Floats
+    corners: Floats
+
+    def __len__(self) -> int:
+        return len(self.translations)
+
+    def place(self, which: Indices) -> tuple[Floats, Floats]:
+        """See Blocks."""
+        turned = (self.rotations[which] @ self.corners[:, :, None])[:, :, 0]
+        shift = np.broadcast_to(np.eye(3), (len(which), 3, 3))
+        return turned + self.translations[which], np.concatenate([-cross_matrices(turned), shift], axis=2)
+
+    def moved(self, steps: Floats) -> BoardPoses:
+        """See Blocks."""
+        return replace(
+            self,
+            rotations=rotations(steps[:, :3]) @ self.rotations,
+            translations=self.translations + steps[:, 3:],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Pixels [O, 2], each of block `block` [O] seen by camera `camera` [O], with the standard deviation `sd_px` [O]."""
+
+    camera: Indices
+    block: Indices
+    pixels: Floats
+    sd_px: Floats
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def only(self, kept: NDArray[np.bool_]) -> Observations:
+        """Those where `kept` [O] is true."""
+        return Observations(self.camera[kept], self.block[kept], self.pixels[kept], self.sd_px[kept])
+
+
+@dataclass(frozen=True)
+class Loss:
+    """How residuals count: squares, Huber's or Cauchy's, whose bend is at `scale` standard deviations."""
+
+    kind: Literal["squares", "huber", "cauchy"] = "squares"
+    scale: float = 1.0
+
+    def cost(self, squared: Floats) -> Floats:
+        """The cost of squared residuals [O]."""
+        s = squared / self.scale**2
+        if self.kind == "huber":
+            s = np.where(s > 1, 2 * np.sqrt(np.maximum(s, 1)) - 1, s)
+        elif self.kind == "cauchy":
+            s = np.log1p(s)
+        return self.scale**2 * s
+
+    def weight(self, squared: Floats) -> Floats:
+        """The derivative of the cost by the squared residuals [O]."""
+        s = squared / self.scale**2
+        if self.kind == "huber":
+            return 1 / np.sqrt(np.maximum(s, 1))
+        return 1 / (1 + s) if self.kind == "cauchy" else np.ones_like(s)
+
+
+@dataclass(frozen=True, eq=False)
+class Freedom:
+    """Which camera parameters may change: steps [C, 14] of PARAMETERS are `mixing` [C, 14, G] times G free values.
+
+    `prior_sd` [G] is how far each value may be from `prior_mean` [G] (infinity: anywhere).
+    """
+
+    mixing: Floats
+    prior_sd: Floats
+    prior_mean: Floats
+
+    @classmethod
+    def none(cls, cameras: int) -> Freedom:
+        """Nothing may change."""
+        return cls(np.zeros((cameras, len(PARAMETERS), 0)), np.zeros(0), np.zeros(0))
+
+    def freed(self, columns: Floats, prior_sd: float) -> Freedom:
+        """With more values: `columns` [C, 14, n] that steps are mixed of, all with the same prior around zero."""
+        n = columns.shape[2]
+        return Freedom(
+            np.concatenate([self.mixing, columns], axis=2),
+            np.concatenate([self.prior_sd, np.full(n, prior_sd)]),
+            np.concatenate([self.prior_mean, np.zeros(n)]),
+        )
+
+    def each(self, name: str, prior_sd: float) -> Freedom:
+        """With the parameter `name` of every camera free for itself."""
+        columns = np.zeros((len(self.mixing), len(PARAMETERS), len(self.mixing)))
+        for camera in range(len(self.mixing)):
+            columns[camera, PARAMETERS.index(name), camera] = 1.0
+        return self.freed(columns, prior_sd)
+
+    def shared_focal(self, cameras: Cameras, prior_sd: float) -> Freedom:
+        """With one factor of all focal lengths free, as a relative change."""
+        columns = np.zeros((len(self.mixing), len(PARAMETERS), 1))
+        for number, name in enumerate(("fx", "fy")):
+            columns[:, PARAMETERS.index(name), 0] = cameras.lenses[:, number]
+        return self.freed(columns, prior_sd)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Cameras, what they see, and the sum of all steps [G] so far, which priors hold on to."""
+
+    cameras: Cameras
+    blocks: Blocks
+    steps: Floats
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is observed, what may change and how residuals count."""
+
+    observations: Observations
+    freedom: Freedom
+    loss: Loss
