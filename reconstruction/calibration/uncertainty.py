@@ -16,20 +16,15 @@ POSE = 6
 OPTIMISM = 2.0  # variances are larger than the sandwich says by so much (measured on development scenes)
 
 
-def camera_sds(
-    covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric: bool, optimism: float = OPTIMISM
-) -> list[CameraSd]:
-    """Of every camera, from the covariance [G, G] of the free values; `metric`: whether scale is known.
-
-    Variances are taken `optimism` times as large as the covariance has them.
-    """
+def camera_sds(covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric: bool) -> list[CameraSd]:
+    """Of every camera, from the covariance [G, G] of the free values; `metric`: whether scale is known."""
     count, parameters = len(cameras), len(PARAMETERS)
-    mixing = freedom.mixing.reshape(count * parameters, -1)
+    mixing = freedom.mixing.reshape(count * parameters, freedom.mixing.shape[2])
     spread = (mixing @ covariance @ mixing.T).reshape(count, parameters, count, parameters)
     poses = spread[:, :POSE, :, :POSE].reshape(count * POSE, count * POSE)
     left = aligning(cameras, metric=metric)
-    variances = optimism * np.diag(left @ poses @ left.T).reshape(count, POSE)
-    focal = optimism * np.array([spread[c, POSE, c, POSE] for c in range(count)]) / cameras.lenses[:, 0] ** 2
+    variances = OPTIMISM * np.diag(left @ poses @ left.T).reshape(count, POSE)
+    focal = OPTIMISM * np.array([spread[c, POSE, c, POSE] for c in range(count)]) / cameras.lenses[:, 0] ** 2
     return [
         CameraSd(float(np.degrees(np.sqrt(v[:3].sum()))), float(np.sqrt(v[3:].sum())), float(100 * np.sqrt(f)))
         for v, f in zip(variances, focal, strict=True)
