@@ -1,17 +1,22 @@
-"""`calibrate`: measure a rig's cameras, so far their pixels, and write what was found into a rig file."""
+"""`calibrate`: measure a rig's cameras, their pixels or where they stand, and write what was found into a rig file."""
 
 import dataclasses
+import datetime
 import json
 from pathlib import Path
 
 import click
-import numpy as np
 
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
 from acquisition.recording.reader import Recording
-from reconstruction.images.pixels import PixelCalibration, estimate_pixels, write_pixels
+from reconstruction.calibration.board_spec import parse_board
+from reconstruction.calibration.boards import calibrate_board
+from reconstruction.calibration.calibrated import Calibrated
+from reconstruction.calibration.residual_picture import draw_residuals
+from rigs.rig import Rig
 from rigs.toml import dump_rig
+from server.cli.calibrate_pixels import calibrate_pixels
 from server.cli.progress import progress_of
 
 FOLDER = click.Path(path_type=Path)
@@ -19,61 +24,67 @@ FOLDER = click.Path(path_type=Path)
 
 @click.command("calibrate")
 @click.argument("recording", metavar="REC", type=FOLDER)
-@click.option("--pixels", nargs=2, type=FOLDER, required=True, metavar="FLAT_REC DARK_REC", help="Even light; none.")
-@click.option("--out", type=FOLDER, required=True, help="RIG.toml to write; the pixels' maps go beside it.")
+@click.option("--pixels", nargs=2, type=FOLDER, metavar="FLAT_REC DARK_REC", help="Pixels, from even light and none.")
+@click.option(
+    "--board",
+    metavar="SPEC",
+    help="Lenses and poses, from a board that REC sees: charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT or "
+    "apriltag:COLSxROWS:TAG_MM:GAP_MM:36h11.",
+)
+@click.option("--out", type=FOLDER, required=True, help="RIG.toml to write; what belongs to it goes beside it.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-def calibrate_command(recording: Path, pixels: tuple[Path, Path], out: Path, as_json: bool) -> None:
-    """Measure gain, offset, hot and dead pixels of the cameras that made REC."""
-    rig = Recording.open(recording).rig
-    flat, dark = map(Recording.open, pixels)
+def calibrate_command(
+    recording: Path, pixels: tuple[Path, Path] | None, board: str | None, out: Path, as_json: bool
+) -> None:
+    """Measure the cameras that made REC: gain, offset, hot and dead pixels, or lenses and poses."""
+    if (pixels is None) == (board is None):
+        raise click.UsageError("give one of --pixels and --board")
     if out.exists():
         raise BadRecordingError(f"{out}: exists already, expected a new file; choose another --out")
-    progress, found = progress_of("calibrate"), {}
-    for number, camera in enumerate(rig.cameras):
-        progress(number / len(rig.cameras), camera.id)
-        found[camera.id] = _estimate(camera.id, (camera.width, camera.height), flat, dark)
+    if pixels is not None:
+        calibrate_pixels(recording, pixels, out, as_json=as_json)
+        return
+    spec = parse_board(board or "")
+    date = datetime.date.today().isoformat()
+    found = calibrate_board(Recording.open(recording), spec, date, progress_of("calibrate"))
+    write_calibrated(found, out)
+    _print_calibrated(found, out, as_json)
+
+
+def write_calibrated(found: Calibrated, out: Path) -> None:
+    """Write the rig file `out`, its cameras' pixel maps beside it, and a picture of the residuals."""
     out.parent.mkdir(parents=True, exist_ok=True)
+    draw_residuals(_picture(out), found)
+    write_durably(out, dump_rig(_with_pixels_beside(found.rig, out)))
+
+
+def _with_pixels_beside(rig: Rig, out: Path) -> Rig:
     cameras = []
     for camera in rig.cameras:
-        path = out.with_name(f"{out.stem}-{camera.id}-pixels.npz")
-        write_pixels(path, found[camera.id])
-        cameras.append(dataclasses.replace(camera, pixels=path))
-    write_durably(out, dump_rig(dataclasses.replace(rig, cameras=tuple(cameras))))
-    progress(1.0, f"{len(cameras)} cameras")
-    rows = {camera_id: _summary(calibration) for camera_id, calibration in found.items()}
+        if camera.pixels and camera.pixels.parent.resolve() != out.parent.resolve():
+            beside = out.with_name(f"{out.stem}-{camera.id}-pixels.npz")
+            write_durably(beside, camera.pixels.read_bytes())
+            camera = dataclasses.replace(camera, pixels=beside)
+        cameras.append(camera)
+    return dataclasses.replace(rig, cameras=tuple(cameras))
+
+
+def _picture(out: Path) -> Path:
+    return out.with_name(f"{out.stem}-residuals.png")
+
+
+def _print_calibrated(found: Calibrated, out: Path, as_json: bool) -> None:
+    report = found.report | {"rig": str(out), "picture": str(_picture(out))}
     if as_json:
-        click.echo(json.dumps({"rig": str(out), "cameras": rows}))
+        click.echo(json.dumps(report))
         return
-    for camera_id, row in rows.items():
+    click.echo(f"{out}: {report['summary']}")
+    for camera_id, sd in found.sd.items():
+        rows = found.residuals[camera_id]
         click.echo(
-            f"{camera_id}: gain spread {row['gain_spread']:.2%}, mean offset {row['mean_offset']:.5f} spikes per tick, "
-            f"{row['hot']} hot, {row['dead']} dead"
+            f"{camera_id}: {len(rows)} points, rotation +- {sd.rotation_deg:.4f} degrees, centre +- "
+            f"{1e3 * sd.center_m:.3f} mm, focal length +- {sd.focal_percent:.3f} %"
         )
-
-
-def _estimate(camera_id: str, size: tuple[int, int], flat: Recording, dark: Recording) -> PixelCalibration:
-    streams = []
-    for recording in (flat, dark):
-        try:
-            streams.append(recording.stream(camera_id))
-        except BadRecordingError as error:
-            raise BadRecordingError(f"{recording.path}: {error}") from error
-    found = streams[0].layout.width, streams[0].layout.height
-    if found != size:
-        raise BadRecordingError(
-            f"{flat.path}: {camera_id}: found {found[0]}x{found[1]} pixels, expected {size[0]}x{size[1]} as in REC"
-        )
-    try:
-        return estimate_pixels(*streams)
-    except BadRecordingError as error:
-        raise BadRecordingError(f"{camera_id}: {error}") from error
-
-
-def _summary(calibration: PixelCalibration) -> dict[str, float]:
-    good = ~calibration.defect
-    return {
-        "gain_spread": float(calibration.gain[good].std()),
-        "mean_offset": float(np.mean(calibration.offset[good])),
-        "hot": int(calibration.hot.sum()),
-        "dead": int(calibration.dead.sum()),
-    }
+    for name in ("focal", "principal_point", "distortion", "metric_scale"):
+        if name in report:
+            click.echo(f"{name.replace('_', ' ')}: {report[name]}")

@@ -1,0 +1,125 @@
+"""What is printed on a calibration board: which tags with which ids, and where their corners lie in metres.
+
+SPEC is `charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT` (squares, the first one black) or
+`apriltag:COLSxROWS:TAG_MM:GAP_MM:36h11` (tags, id 0 at the top left, row by row). A board's frame has its origin at the
+top left corner, of the first square or of the first tag, x along the rows, y down the columns and z into the board.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from reconstruction.errors import BadRunError
+from rigs.transform import Floats
+
+FORMS = "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT or apriltag:COLSxROWS:TAG_MM:GAP_MM:36h11"
+DICTIONARIES = tuple(sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_(?!.*\dH\d)\w+", name)))
+_APRILTAG = "DICT_APRILTAG_"
+_FAMILIES = {name.removeprefix(_APRILTAG): name for name in DICTIONARIES if name.startswith(_APRILTAG)}
+_MOST = 100  # squares or tags a side
+
+
+@dataclass(frozen=True, eq=False)
+class BoardSpec:
+    """A board: T tags of `dictionary`, their corners [T, 4, 3] in metres clockwise from the top left, and N points.
+
+    The points [N, 3] in metres are what is measured: the inner corners of a ChArUco board's squares, row by row, or the
+    corners of all tags, four to a tag. `tags_of` [N, 2] are the two tags next to each point, equal where it has one.
+    `cell_m` is the width of a black or white cell of a tag, `margin_m` how far from a point the next print begins.
+    """
+
+    text: str
+    kind: Literal["charuco", "apriltag"]
+    dictionary: str
+    tags: Floats
+    points: Floats
+    tags_of: np.ndarray
+    cell_m: float
+    margin_m: float
+
+
+def parse_board(text: str) -> BoardSpec:
+    """The board that SPEC describes; raises BadRunError naming the part that is wrong."""
+    parts = text.strip().split(":")
+    if len(parts) != 5 or parts[0] not in ("charuco", "apriltag"):
+        raise BadRunError(f"found the board {text!r}, expected {FORMS}")
+    columns, rows = _grid(text, parts[1])
+    if parts[0] == "charuco":
+        return _charuco(text, columns, rows, parts[2:])
+    return _april_grid(text, columns, rows, parts[2:])
+
+
+def predefined(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of that name."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _charuco(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
+    square, marker = _metres(text, "square", parts[0]), _metres(text, "marker", parts[1])
+    if columns < 3 or rows < 3:
+        raise BadRunError(f"board {text}: found {columns}x{rows} squares, expected at least 3x3")
+    if marker >= square:
+        raise BadRunError(
+            f"board {text}: found markers of {1e3 * marker:g} mm in squares of {1e3 * square:g} mm, expected smaller "
+            "markers; the square comes first"
+        )
+    dictionary = _dictionary(text, parts[2], columns * rows // 2)
+    white = [(row, column) for row in range(rows) for column in range(columns) if (row + column) % 2]
+    tags = _tags(square * np.array(white)[:, ::-1] + (square - marker) / 2, marker)
+    points = square * np.array([(x, y, 0) for y in range(1, rows) for x in range(1, columns)], dtype=np.float64)
+    distances = np.linalg.norm(tags.mean(axis=1)[None] - points[:, None], axis=2)
+    tags_of = np.sort(np.argsort(distances, axis=1)[:, :2], axis=1)
+    cell = marker / (predefined(dictionary).markerSize + 2)
+    return BoardSpec(text, "charuco", dictionary, tags, points, tags_of, cell, (square - marker) / 2)
+
+
+def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
+    tag, gap = _metres(text, "tag", parts[0]), _metres(text, "gap", parts[1])
+    if parts[2] not in _FAMILIES:
+        raise BadRunError(f"board {text}: found the family {parts[2]!r}, expected one of {', '.join(_FAMILIES)}")
+    dictionary = _dictionary(text, _FAMILIES[parts[2]], columns * rows)
+    at = (tag + gap) * np.array([(column, row) for row in range(rows) for column in range(columns)], dtype=np.float64)
+    tags = _tags(at, tag)
+    tags_of = np.repeat(np.arange(columns * rows), 4)
+    cell = tag / (predefined(dictionary).markerSize + 2)
+    return BoardSpec(
+        text, "apriltag", dictionary, tags, tags.reshape(-1, 3), np.stack([tags_of, tags_of], axis=1), cell, gap
+    )
+
+
+def _tags(at: Floats, side: float) -> Floats:
+    """Corners [T, 4, 3] of square tags whose top left corners lie at [T, 2]."""
+    corners = at[:, None] + side * np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    return np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=2)
+
+
+def _dictionary(text: str, name: str, tags: int) -> str:
+    if name not in DICTIONARIES:
+        raise BadRunError(f"board {text}: found the dictionary {name!r}, expected one of {', '.join(DICTIONARIES)}")
+    size = len(predefined(name).bytesList)
+    if tags > size:
+        raise BadRunError(f"board {text}: found {tags} tags, expected at most the {size} of {name}")
+    return name
+
+
+def _grid(text: str, part: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", part)
+    if not match or not all(1 <= int(n) <= _MOST for n in match.groups()):
+        raise BadRunError(f"board {text}: found the size {part!r}, expected COLSxROWS of 1 to {_MOST}, such as 6x4")
+    return int(match[1]), int(match[2])
+
+
+def _metres(text: str, name: str, part: str) -> float:
+    try:
+        millimetres = float(part)
+    except ValueError:
+        millimetres = math.nan
+    if not 0 < millimetres < 1e5:
+        raise BadRunError(f"board {text}: found the {name} {part!r}, expected a positive number of millimetres")
+    return millimetres / 1e3
