@@ -16,6 +16,7 @@ from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.sfm import sfm
 from rigs.rig import Rig
 
+DATE = "2026-01-01"  # of the rigs found, which nobody keeps
 Images = dict[str, NDArray[np.float32]]
 Run = Callable[[Recording, Rig, Sequence[str], int | None], Geometry]
 
@@ -34,7 +35,7 @@ def _nominal(recording: Recording, rig: Rig, views: Sequence[str], planes: int |
 
 
 def _natural(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    found = calibrate_natural(rig, _long(recording, views, planes))
+    found = calibrate_natural(rig, _long(recording, views, planes), DATE)
     return Geometry(found.rig, report=found.report)
 
 

@@ -20,7 +20,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.bench.pose_methods import METHODS, PoseMethod
+from reconstruction.bench.pose_methods import DATE, METHODS, PoseMethod
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
 from reconstruction.calibration.features import long_image
 from reconstruction.calibration.natural import NaturalOptions, gather, solve
@@ -147,7 +147,7 @@ def _trials(clip: PoseClip) -> list[dict]:
         nominal = misplaced(clip.rig, ERROR, 1000 * clip.seed + trial, turn_deg=turn)
         row = {"method": "natural.trial", "scene": clip.scene, "seed": clip.seed, "trial": trial, "turn_deg": turn}
         try:
-            found = solve(nominal, evidence, NaturalOptions())
+            found = solve(nominal, evidence, DATE, NaturalOptions())
             row |= _errors(found.rig, clip.rig) | {"rotation_sd_deg": found.report["rotation_sd_deg"]}
         except ReconstructionError as refusal:
             row |= {"refused": str(refusal)}

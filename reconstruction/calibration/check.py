@@ -31,13 +31,13 @@ class CameraCheck:
 
 
 def check_rig(
-    rig: Rig, images: Mapping[str, Image], progress: Progress = silent
+    rig: Rig, images: Mapping[str, Image], date: str, progress: Progress = silent
 ) -> tuple[Calibrated, list[CameraCheck]]:
     """What natural-scene calibration finds today, and how each camera of `rig` that has an image compares.
 
     Raises GeometryError where today's scene does not tell.
     """
-    today = calibrate_natural(rig, images, progress=progress)
+    today = calibrate_natural(rig, images, date, progress=progress)
     kept = [c for c in rig.ids if c in images]
     while True:
         checks = _compared(rig, today, kept)

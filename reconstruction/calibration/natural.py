@@ -5,7 +5,6 @@ Metric scale, place and turn of the whole come from the nominal cameras alone. L
 
 from __future__ import annotations
 
-import datetime
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -55,19 +54,21 @@ class NaturalOptions:
 def calibrate_natural(
     rig: Rig,
     images: Mapping[str, Image],
+    date: str,
     options: NaturalOptions | None = None,
     progress: Progress = silent,
 ) -> Calibrated:
     """The cameras of `rig` that have an image, poses and one focal factor found; the others keep what they have.
 
-    `images` (camera id to [H, W], spikes per tick) are of the same instant or the same long window. Raises
-    GeometryError, with the reason, where the result could not be trusted: keep the nominal rig then.
+    `images` (camera id to [H, W], spikes per tick) are of the same instant or the same long window; `date` is the
+    calibration's, in ISO form. Raises GeometryError, with the reason, where the result could not be trusted: keep the
+    nominal rig then.
     """
     began = time.monotonic()
     ordered = {c: images[c] for c in rig.ids if c in images}
     refuse_blind(ordered)
     evidence = gather(ordered, progress)
-    return solve(rig, evidence, options or NaturalOptions(), progress, began=began)
+    return solve(rig, evidence, date, options or NaturalOptions(), progress, began=began)
 
 
 def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence:
@@ -84,6 +85,7 @@ def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence
 def solve(
     rig: Rig,
     evidence: Evidence,
+    date: str,
     options: NaturalOptions,
     progress: Progress = silent,
     *,
@@ -102,7 +104,8 @@ def solve(
     solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX))
     progress(0.95, "adjusted")
     judge(nominal, solution)
-    found = _calibrated(rig, nominal, solution, len(tracks), time.monotonic() - began)
+    found = _calibrated(rig, nominal, solution, len(tracks), date)
+    found.report["seconds"] = round(time.monotonic() - began, 3)
     progress(1.0, str(found.report["summary"]))
     return found
 
@@ -148,7 +151,7 @@ def spread(tracks: Tracks, cameras: Sequence[Camera], most: int, seed: int) -> T
     return tracks.only(np.sort(order[np.argsort(rank, kind="stable")[:most]]))
 
 
-def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, seconds: float) -> Calibrated:
+def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, date: str) -> Calibrated:
     cameras, problem = solution.state.cameras, solution.problem
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
     refuse_unsure(sds)
@@ -170,15 +173,13 @@ def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, seconds
         "focal_change": focal,
         "focal_sd_percent": sds[0].focal_percent,
         "metric_scale": "from the nominal camera centres alone",
-        "seconds": round(seconds, 3),
     }
     new = {camera.id: camera for camera in found.cameras}
-    today = datetime.date.today().isoformat()
     whole = replace(
         rig,
         cameras=tuple(new.get(c.id, c) for c in rig.cameras),
         poses="calibrated",
-        calibration=Calibration(today, rms, sd_deg),
+        calibration=Calibration(date, rms, sd_deg),
     )
     rows = np.concatenate([obs.pixels, residuals], axis=1)
     by_camera = {c: rows[good & (obs.camera == i)] for i, c in enumerate(nominal.ids)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -97,7 +98,8 @@ def _natural(run: RunFolder, recording: Recording, views: Sequence[str], progres
     from reconstruction.calibration.natural import NaturalOptions, calibrate_natural
 
     images = {view: long_image(recording.stream(view)) for view in views}
-    found = calibrate_natural(recording.rig, images, NaturalOptions(seed=run.config.seed), progress)
+    today = datetime.date.today().isoformat()
+    found = calibrate_natural(recording.rig, images, today, NaturalOptions(seed=run.config.seed), progress)
     return Geometry(found.rig, report=found.report)
 
 

@@ -13,6 +13,8 @@ from acquisition.recording.reader import Recording
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.calibrated import Calibrated
+from reconstruction.calibration.features import long_image
+from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.calibration.residual_picture import draw_residuals
 from rigs.rig import Rig
 from rigs.toml import dump_rig
@@ -31,22 +33,27 @@ FOLDER = click.Path(path_type=Path)
     help="Lenses and poses, from a board that REC sees: charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT or "
     "apriltag:COLSxROWS:TAG_MM:GAP_MM:36h11.",
 )
+@click.option("--natural", is_flag=True, help="Poses and focal length, from the scene that REC sees, whatever it is.")
 @click.option("--out", type=FOLDER, required=True, help="RIG.toml to write; what belongs to it goes beside it.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def calibrate_command(
-    recording: Path, pixels: tuple[Path, Path] | None, board: str | None, out: Path, as_json: bool
+    recording: Path, pixels: tuple[Path, Path] | None, board: str | None, natural: bool, out: Path, as_json: bool
 ) -> None:
     """Measure the cameras that made REC: gain, offset, hot and dead pixels, or lenses and poses."""
-    if (pixels is None) == (board is None):
-        raise click.UsageError("give one of --pixels and --board")
+    if (pixels is not None) + (board is not None) + natural != 1:
+        raise click.UsageError("give one of --pixels, --board and --natural")
     if out.exists():
         raise BadRecordingError(f"{out}: exists already, expected a new file; choose another --out")
     if pixels is not None:
         calibrate_pixels(recording, pixels, out, as_json=as_json)
         return
-    spec = parse_board(board or "")
-    date = datetime.date.today().isoformat()
-    found = calibrate_board(Recording.open(recording), spec, date, progress_of("calibrate"))
+    spec = None if natural else parse_board(board or "")
+    opened, date, progress = Recording.open(recording), datetime.date.today().isoformat(), progress_of("calibrate")
+    if spec:
+        found = calibrate_board(opened, spec, date, progress)
+    else:
+        images = {camera: long_image(opened.stream(camera)) for camera in opened.camera_ids}
+        found = calibrate_natural(opened.rig, images, date, progress=progress)
     write_calibrated(found, out)
     _print_calibrated(found, out, as_json)
 

@@ -1,6 +1,7 @@
 """`check-rig`: does the stored calibration still fit this recording?"""
 
 import dataclasses
+import datetime
 import json
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def check_rig_command(context: click.Context, recording: Path, as_json: bool) ->
 
     opened = Recording.open(recording)
     images = {camera: long_image(opened.stream(camera)) for camera in opened.camera_ids}
-    today, checks = check_rig(opened.rig, images, progress_of("check-rig"))
+    today, checks = check_rig(opened.rig, images, datetime.date.today().isoformat(), progress_of("check-rig"))
     moved = [check.camera for check in checks if not check.fits]
     if as_json:
         rows = [dataclasses.asdict(check) for check in checks]

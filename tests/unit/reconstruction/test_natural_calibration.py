@@ -25,6 +25,7 @@ from rigs.toml import catalog_rig
 from rigs.transform import Transform
 
 RIG = misplaced(catalog_rig("lab3x3"), 1.5, 77)
+DATE = "2026-11-21"
 PERIOD = 64  # texels of the pattern that repeats
 
 
@@ -74,7 +75,7 @@ def errors_of(found, images):
 
 @pytest.mark.parametrize(("error", "seed"), [(2, 0), (5, 2)])
 def test_an_ordinary_scene_gives_the_cameras(room, error, seed):
-    found = calibrate_natural(misplaced(RIG, error, seed), room)
+    found = calibrate_natural(misplaced(RIG, error, seed), room, DATE)
     off = errors_of(found, room)
     assert off.rotation_deg < 0.01
     assert off.translation_percent < 0.01
@@ -87,26 +88,26 @@ def test_an_ordinary_scene_gives_the_cameras(room, error, seed):
 
 def test_a_flat_wall_is_enough():
     images = pictures(wall(0))
-    assert errors_of(calibrate_natural(misplaced(RIG, 2, 1), images), images).rotation_deg < 0.01
+    assert errors_of(calibrate_natural(misplaced(RIG, 2, 1), images, DATE), images).rotation_deg < 0.01
 
 
 def test_few_views_are_enough_and_the_others_keep_their_place(room):
     nominal = misplaced(RIG, 2, 3)
     few = {c: room[c] for c in ("cam00", "cam01", "cam10", "cam11")}
-    found = calibrate_natural(nominal, few)
+    found = calibrate_natural(nominal, few, DATE)
     assert errors_of(found, few).rotation_deg < 0.02
     assert found.rig.camera("cam22") is nominal.camera("cam22")
 
 
 def test_a_pattern_that_repeats_is_refused():
     with pytest.raises(GeometryError, match=r"tracks|contradict|off its place"):
-        calibrate_natural(misplaced(RIG, 2, 1), pictures(wall(1)))
+        calibrate_natural(misplaced(RIG, 2, 1), pictures(wall(1)), DATE)
 
 
 def test_exchanged_views_are_named(room):
     swapped = {**room, "cam01": room["cam12"], "cam12": room["cam01"]}
     with pytest.raises(GeometryError, match="found cam01 and cam12 in each other's place"):
-        calibrate_natural(misplaced(RIG, 2, 1), swapped)
+        calibrate_natural(misplaced(RIG, 2, 1), swapped, DATE)
 
 
 def test_a_moved_camera_is_named(room):
@@ -118,7 +119,7 @@ def test_a_moved_camera_is_named(room):
         for c in nominal.cameras
     )
     with pytest.raises(GeometryError, match="cam20"):
-        calibrate_natural(replace(nominal, cameras=moved), room)
+        calibrate_natural(replace(nominal, cameras=moved), room, DATE)
 
 
 @pytest.mark.parametrize(
@@ -131,20 +132,20 @@ def test_a_moved_camera_is_named(room):
 )
 def test_a_view_that_sees_nothing_is_named(room, change, said):
     with pytest.raises(GeometryError, match=said):
-        calibrate_natural(misplaced(RIG, 2, 1), {**room, "cam12": change(room["cam12"])})
+        calibrate_natural(misplaced(RIG, 2, 1), {**room, "cam12": change(room["cam12"])}, DATE)
 
 
 def test_too_little_is_refused(room):
     nominal = misplaced(RIG, 2, 1)
     with pytest.raises(GeometryError, match="2 views, expected 3"):
-        calibrate_natural(nominal, {c: room[c] for c in ("cam00", "cam01")})
+        calibrate_natural(nominal, {c: room[c] for c in ("cam00", "cam01")}, DATE)
     with pytest.raises(GeometryError, match="0 tracks"):
-        calibrate_natural(nominal, {c: np.full_like(room[c], 0.4) for c in RIG.ids})
+        calibrate_natural(nominal, {c: np.full_like(room[c], 0.4) for c in RIG.ids}, DATE)
 
 
 def test_the_same_seed_gives_the_same_cameras(room):
     few = {c: room[c] for c in ("cam00", "cam01", "cam10")}
-    one, other = (calibrate_natural(misplaced(RIG, 1, 1), few).rig.camera("cam01") for _ in range(2))
+    one, other = (calibrate_natural(misplaced(RIG, 1, 1), few, DATE).rig.camera("cam01") for _ in range(2))
     np.testing.assert_array_equal(one.cam_from_rig.matrix, other.cam_from_rig.matrix)
 
 
@@ -218,13 +219,13 @@ def turned(rig, camera_id, degrees):
 
 
 def test_a_calibration_that_fits_is_said_to_fit(room):
-    _, checks = check_rig(replace(RIG, poses="calibrated"), room)
+    _, checks = check_rig(replace(RIG, poses="calibrated"), room, DATE)
     assert [c.camera for c in checks] == list(RIG.ids)
     assert all(c.fits for c in checks)
 
 
 def test_a_camera_that_was_knocked_is_named(room):
-    _, checks = check_rig(turned(RIG, "cam02", 0.3), room)
+    _, checks = check_rig(turned(RIG, "cam02", 0.3), room, DATE)
     assert [c.camera for c in checks if not c.fits] == ["cam02"]
     (knocked,) = (c for c in checks if not c.fits)
     assert knocked.turn_deg == pytest.approx(0.3, abs=0.02)
