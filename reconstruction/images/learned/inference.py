@@ -24,9 +24,15 @@ ENOUGH_LIGHT, MOST_GROUP = 0.05, 15  # spikes per tick that a dim image is broug
 Floats = NDArray[np.float32]
 
 
-def infer(network: Model, module: nn.Module, stream: SpikeStream, plane: int) -> tuple[Floats, Floats]:
-    """Light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not negative."""
-    seen = torch.from_numpy(np.ascontiguousarray(network.observe(stream, plane)))[None].float()
+def infer(
+    network: Model, module: nn.Module, stream: SpikeStream, plane: int, seen: torch.Tensor | None = None
+) -> tuple[Floats, Floats]:
+    """Light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not negative.
+
+    `seen` [1, C, H, W] is what `network` observes there, for those who have it already.
+    """
+    if seen is None:
+        seen = torch.from_numpy(np.ascontiguousarray(network.observe(stream, plane)))[None].float()
     height, width = seen.shape[2:]
     light, sigma = torch.empty(height, width), torch.empty(height, width)
     with torch.inference_mode():

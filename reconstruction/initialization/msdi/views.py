@@ -18,7 +18,7 @@ from rigs.transform import Transform
 
 NEAREST, FARTHEST = 0.3, 8.0  # object distances between which anything may lie
 GATE = 45 / 350  # of the focal length: how far from its nominal epipolar line a correspondence may lie
-GATE_STEPS = 12  # inverse depths at which the line is walked along
+GATE_STEPS = 3  # inverse depths between which the line is straight
 LEAST_Z = 0.05  # of the depth in its own view: a point's least depth in another, so that none is divided by zero
 
 
@@ -124,10 +124,10 @@ def inverse_depths(views: Views, count: int) -> Tensor:
     return torch.linspace(*ends, count, dtype=views.center.dtype)
 
 
-def gate(views: Views, points: Tensor, size: tuple[int, int], radius: float = GATE) -> Tensor:
+def gate(views: Views, points: Tensor, radius: float = GATE) -> Tensor:
     """Whether points m of view w may be points n of view v, for the poses as they are [V, N, V, N].
 
-    `points` [V, N, 2] px, `size` (W, H). A pair passes where either point lies within `radius` focal lengths of the
+    `points` [V, N, 2] px. A pair passes where either point lies within `radius` focal lengths of the
     other's epipolar line, between the nearest and the farthest depth. No view goes with itself.
     """
     count, number = points.shape[:2]
