@@ -35,7 +35,7 @@ SCHEDULE = (
     Stage(3, 30.0, 1e-4, 1e-5),
     Stage(3, 10.0, 1e-3, 1e-5),
     Stage(3, 5.0, 0.01, 0.01),
-    Stage(4, 2.0, 0.02, 0.02),
+    Stage(8, 2.0, 0.02, 0.02),
 )
 
 
@@ -85,58 +85,86 @@ def residuals(views: Views, matches: Matches, inverse_depth: Tensor) -> tuple[Te
     return matches.found - (xy * views.focal + views.principal), seen
 
 
+class Slopes(NamedTuple):
+    """Derivatives of the expected pixels [V, N, W, 2, ...]: by turn and shift of the view a point belongs to (`own`, 6)
+
+    and of the view that sees it (`other`, 6), by the logarithm of the focal factor (`lens`) and by the inverse depth
+    (`along`).
+    """
+
+    own: Tensor
+    other: Tensor
+    lens: Tensor
+    along: Tensor
+
+
 def _step(
     views: Views, matches: Matches, inverse_depth: Tensor, parameters: Tensor, stage: Stage
 ) -> tuple[Tensor, Tensor]:
     """One Gauss-Newton step of parameters [P] and inverse depths [V, N]."""
     residual, seen = residuals(views, matches, inverse_depth)
-    jacobian, along = _jacobians(views, matches.pixels, inverse_depth, seen)
+    slopes = derivatives(views, matches.pixels, inverse_depth, seen)
     doubt = 1 + _square(residual, matches.information).detach() / stage.robust**2
     ahead = (seen[..., 2] > LEAST_Z).to(doubt)
     weight = matches.information * (ahead / doubt)[..., None, None]
-    weighted = torch.einsum("vnwab,vnwbp->vnwap", weight, jacobian)
-    weighted_along = torch.einsum("vnwab,vnwb->vnwa", weight, along)
-    normal = torch.einsum("vnwap,vnwaq->pq", weighted, jacobian)
-    right = torch.einsum("vnwap,vnwa->p", weighted, residual)
-    mixed = torch.einsum("vnwap,vnwa->vnp", weighted, along)
-    depth_right = torch.einsum("vnwa,vnwa->vn", weighted_along, residual)
-    depth_right = depth_right + (1 / views.distance - inverse_depth) * (views.distance / DEPTH_SD) ** 2
-    depth_normal = torch.einsum("vnwa,vnwa->vn", weighted_along, along) + (views.distance / DEPTH_SD) ** 2
+    normal, right, mixed = _normal_equations(slopes, weight, residual)
+    along = (weight @ slopes.along[..., None])[..., 0]
+    firm = (views.distance / DEPTH_SD) ** 2
+    depth_normal = (along * slopes.along).sum(dim=(2, 3)) + firm
+    depth_right = (along * residual).sum(dim=(2, 3)) + (1 / views.distance - inverse_depth) * firm
     prior = _prior(len(views), stage).to(normal)
     normal = normal + torch.diag(prior + DAMPING * normal.diagonal().detach())
     right = right - prior * parameters
-    scaled = mixed / depth_normal[..., None]
-    schur = normal - torch.einsum("vnp,vnq->pq", scaled, mixed)
-    step = torch.linalg.solve(schur, right - torch.einsum("vnp,vn->p", scaled, depth_right))
+    scaled = (mixed / depth_normal[..., None]).flatten(0, 1)
+    schur = normal - scaled.T @ mixed.flatten(0, 1)
+    step = torch.linalg.solve(schur, right - scaled.T @ depth_right.flatten())
     return step, (depth_right - mixed @ step) / depth_normal
 
 
-def _jacobians(views: Views, pixels: Tensor, inverse_depth: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-    """Of the expected pixels, by the parameters [V, N, W, 2, P] and by the inverse depth [V, N, W, 2]."""
-    count = len(views)
+def _normal_equations(slopes: Slopes, weight: Tensor, residual: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """J'WJ [P, P] and J'Wr [P] of the parameters, and J'W times the slope along the ray [V, N, P]."""
+    count = len(weight)
+    own, other, lens = slopes.own, slopes.other, slopes.lens[..., None]
+    weighted_own, weighted_other, weighted_lens = (weight @ part for part in (own, other, lens))
+    diagonal = torch.einsum("vnwap,vnwaq->vpq", weighted_own, own)
+    diagonal = diagonal + torch.einsum("vnwap,vnwaq->wpq", weighted_other, other)
+    crossed = torch.einsum("vnwap,vnwaq->vwpq", weighted_own, other)
+    identity = torch.eye(count, dtype=weight.dtype)
+    blocks = crossed + crossed.permute(1, 0, 3, 2) + identity[..., None, None] * diagonal[:, None]
+    poses = blocks.permute(0, 2, 1, 3).reshape(6 * count, 6 * count)
+    edge = torch.einsum("vnwap,vnwaq->vp", weighted_own, lens) + torch.einsum("vnwap,vnwaq->wp", weighted_other, lens)
+    corner = (weighted_lens * lens).sum().reshape(1, 1)
+    edge = edge.reshape(-1, 1)
+    normal = torch.cat([torch.cat([poses, edge], dim=1), torch.cat([edge.T, corner], dim=1)])
+    towards = torch.einsum("vnwap,vnwa->vp", weighted_own, residual)
+    towards = towards + torch.einsum("vnwap,vnwa->wp", weighted_other, residual)
+    right = torch.cat([towards.reshape(-1), (weighted_lens[..., 0] * residual).sum().reshape(1)])
+    mixed = torch.einsum("vnwap,vnwa->vnwp", weighted_other, slopes.along)
+    mixed_own = torch.einsum("vnwap,vnwa->vnp", weighted_own, slopes.along)
+    mixed = mixed + identity[:, None, :, None] * mixed_own[:, :, None]
+    mixed_lens = (weighted_lens[..., 0] * slopes.along).sum(dim=(2, 3))
+    return normal, right, torch.cat([mixed.flatten(2), mixed_lens[..., None]], dim=-1)
+
+
+def derivatives(views: Views, pixels: Tensor, inverse_depth: Tensor, seen: Tensor) -> Slopes:
+    """How the expected pixels of points at `pixels` [V, N, 2], `seen` [V, N, W, 3] in the others' axes, change."""
     directions = views.directions(pixels)
     z = seen[..., 2].clamp_min(LEAST_Z)
     slope = seen[..., :2] / z[..., None]
-    focal = views.focal
-    project = torch.zeros(*seen.shape[:-1], 2, 3, dtype=seen.dtype)
-    project[..., 0, 0], project[..., 1, 1] = 1 / z, 1 / z
-    project[..., 2] = -slope / z[..., None]
-    project = project * focal[:, :, None]
+    flat = torch.eye(2, dtype=seen.dtype).expand(*z.shape, 2, 2)
+    project = torch.cat([flat, -slope[..., None]], dim=-1) * (views.focal / z[..., None])[..., None]
     other_from_own = torch.einsum("wab,vcb->vwac", views.rotation, views.rotation)
     own_turn = torch.einsum("vwab,vnbc->vnwac", other_from_own, _cross(directions))
-    other_turn = -_cross(seen)
-    shift = inverse_depth[:, :, None, None, None] * views.rotation[None, None]
+    shift = (inverse_depth[:, :, None, None, None] * views.rotation).expand(own_turn.shape)
     squeezed = torch.cat([-directions[..., :2], torch.zeros_like(directions[..., :1])], dim=-1)
     refocus = torch.einsum("vwab,vnb->vnwa", other_from_own, squeezed)
-    shift = shift.expand(own_turn.shape)
-    own = project @ torch.cat([own_turn, shift], dim=-1)
-    others = project @ torch.cat([other_turn, -shift], dim=-1)
-    identity = torch.eye(count, dtype=seen.dtype)
-    placed = torch.einsum("vnwak,vq->vnwaqk", own, identity) + torch.einsum("vnwak,wq->vnwaqk", others, identity)
-    lens = (project @ refocus[..., None])[..., 0] + slope * focal
     baseline = torch.einsum("wab,vwb->vwa", views.rotation, views.center[:, None] - views.center[None])
-    along = (project @ baseline[:, None, :, :, None])[..., 0]
-    return torch.cat([placed.flatten(-2), lens[..., None]], dim=-1), along
+    return Slopes(
+        own=project @ torch.cat([own_turn, shift], dim=-1),
+        other=project @ torch.cat([-_cross(seen), -shift], dim=-1),
+        lens=(project @ refocus[..., None])[..., 0] + slope * views.focal,
+        along=(project @ baseline[:, None, :, :, None])[..., 0],
+    )
 
 
 def _prior(count: int, stage: Stage) -> Tensor:
