@@ -49,11 +49,15 @@ def infer(
 
 
 def estimated(name: str, stream: SpikeStream, plane: int, weights: Path | None = None) -> Estimate:
-    """The image at `plane` by the network `name`; valid where one of a pixel's 3x3 fired in the window it looks at.
+    """The image at `plane` by the network `name`; see `estimated_by`."""
+    return estimated_by(model(name), trained(name, weights), stream, plane)
+
+
+def estimated_by(network: Model, module: nn.Module, stream: SpikeStream, plane: int) -> Estimate:
+    """The image at `plane` by a trained network; valid where one of a pixel's 3x3 fired in the window it looks at.
 
     `sigma` is the network's own statement, learnt beside the light; unlike the other methods' it knows of motion.
     """
-    network, module = model(name), trained(name, weights)
     brighter, middle, group = gathered(stream, plane, network.reach)
     fired = (brighter.counts(*window_around(brighter, middle, network.reach)) > 0).astype(np.uint8)
     light, sigma = (image / np.float32(group) for image in infer(network, module, brighter, middle))

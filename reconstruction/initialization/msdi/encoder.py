@@ -107,5 +107,3 @@ def turned(x: Tensor, turns: Tensor) -> Tensor:
 
 def _doubled(x: Tensor) -> Tensor:
     return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
-
-

@@ -80,5 +80,3 @@ def sampled(maps: Tensor, pixels: Tensor, cell: int) -> Tensor:
     extent = torch.tensor([maps.shape[3], maps.shape[2]], dtype=maps.dtype) * cell
     grid = (2 * pixels.to(maps.dtype) / extent - 1)[:, :, None]
     return functional.grid_sample(maps, grid, align_corners=False)[..., 0].transpose(1, 2)
-
-

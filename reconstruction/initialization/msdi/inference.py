@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch.nn import functional
 
 from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.learned.inference import infer
+from reconstruction.images.learned.inference import gathered, infer
 from reconstruction.images.learned.models import model
 from reconstruction.images.learned.observation import rates
 from reconstruction.initialization.msdi.features import channels, working_factor
@@ -46,39 +47,44 @@ def infer_views(
     """Images of all `streams` at `plane`, then the cameras, then depth. `nominal` is over pixels of the full size."""
     height, width = streams[0].layout.height, streams[0].layout.width
     factor = working_factor(width)
-    light, sigma, seen = [], [], []
-    for number, stream in enumerate(streams):
-        progress(0.7 * number / len(streams), f"image {number + 1} of {len(streams)}")
-        image, error, channel = observed(network, stream, plane, factor)
-        light.append(image)
-        sigma.append(error)
-        seen.append(channel)
+    light, sigma, seen = _observe_all(network, streams, plane, factor, progress)
     progress(0.7, "poses")
     with torch.inference_mode():
-        channel_maps = torch.cat(seen)
         small = smaller(nominal, factor)
-        solved = network.solve(channel_maps, small)
-        solved = network.solve_again(solved, (channel_maps.shape[3], channel_maps.shape[2]), small)
-        rows, columns = -(-height // factor), -(-width // factor)
+        solved = network.solve(seen, small)
+        solved = network.solve_again(solved, (seen.shape[3], seen.shape[2]), small)
+        views, rows, columns = solved.adjusted.views, -(-height // factor), -(-width // factor)
         inverse, confidence = [], []
         for view in range(len(streams)):
             progress(0.8 + 0.2 * view / len(streams), f"depth {view + 1} of {len(streams)}")
-            swept = network.sweep(solved.encoded.middle, solved.adjusted.views, view)
+            swept = network.sweep(solved.encoded.middle, views, view)
             inverse.append(swept.inverse_depth[:rows, :columns])
             confidence.append(swept.confidence[:rows, :columns])
-    depth = 1 / torch.stack(inverse).numpy()
-    views = solved.adjusted.views
-    return Inferred(np.stack(light), np.stack(sigma), views, solved, depth, torch.stack(confidence).numpy(), factor)
+        depth, sure = 1 / torch.stack(inverse).numpy(), torch.stack(confidence).numpy()
+    return Inferred(light, sigma, views, solved, depth, sure, factor)
+
+
+def _observe_all(
+    network: SmallMsdi, streams: Sequence[SpikeStream], plane: int, factor: int, progress: Progress
+) -> tuple[Floats, Floats, Tensor]:
+    """Light and sigma [V, h, w] and channels [V, CHANNELS, H, W]; the views side by side on the cores there are."""
+    found = []
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        for one in pool.map(lambda stream: observed(network, stream, plane, factor), streams):
+            found.append(one)
+            progress(0.7 * len(found) / len(streams), f"image {len(found)} of {len(streams)}")
+    light, sigma, seen = zip(*found, strict=True)
+    return np.stack(light), np.stack(sigma), torch.cat(seen)
 
 
 def observed(network: SmallMsdi, stream: SpikeStream, plane: int, factor: int) -> tuple[Floats, Floats, Tensor]:
-    """Light and sigma [h, w] of one view, and its channels [1, CHANNELS, H, W]."""
+    """Light and sigma [h, w] of one view, and its channels [1, CHANNELS, H, W]; dim planes are joined in groups."""
     images = model("small")
-    seen = torch.from_numpy(rates(stream, plane))[None]
-    light, sigma = infer(images, network.image, stream, plane, seen)
-    level = images.level(seen)
+    brighter, middle, group = gathered(stream, plane, images.reach)
+    seen = torch.from_numpy(rates(brighter, middle))[None]
+    light, sigma = infer(images, network.image, brighter, middle, seen)
     pair = (torch.from_numpy(light)[None, None], torch.from_numpy(sigma)[None, None])
-    return light, sigma, channels(*pair, seen, level, factor)
+    return light / np.float32(group), sigma / np.float32(group), channels(*pair, seen, images.level(seen), factor)
 
 
 def smaller(views: Views, factor: int) -> Views:

@@ -101,5 +101,3 @@ def _seen(network: SmallMsdi, sample: Sample, joint: bool) -> tuple[Tensor, Tens
     if not joint:
         light, sigma = light.detach(), sigma.detach()
     return IMAGE_WEIGHT * found, channels(light, sigma, sample.rates, level, 1)
-
-
