@@ -17,8 +17,7 @@ from torch import Tensor
 from reconstruction.initialization.msdi.matching import Matches
 from reconstruction.initialization.msdi.views import FARTHEST, LEAST_Z, NEAREST, Views, homogeneous
 
-TURN_SD_RAD = 0.05
-DEPTH_SD = 3.0  # of an inverse depth, in object distances: keeps points that nothing holds
+DEPTH_SD = 30.0  # of an inverse depth, in object distances: keeps points that nothing holds
 DAMPING = 1e-6  # of the diagonal
 
 
@@ -29,6 +28,7 @@ class Stage(NamedTuple):
     robust: float
     shift_sd_m: float
     focal_sd: float
+    turn_sd_rad: float = 0.05
 
 
 SCHEDULE = (
@@ -168,7 +168,7 @@ def derivatives(views: Views, pixels: Tensor, inverse_depth: Tensor, seen: Tenso
 
 
 def _prior(count: int, stage: Stage) -> Tensor:
-    view = [TURN_SD_RAD**-2] * 3 + [stage.shift_sd_m**-2] * 3
+    view = [stage.turn_sd_rad**-2] * 3 + [stage.shift_sd_m**-2] * 3
     return torch.tensor(view * count + [stage.focal_sd**-2], dtype=torch.float64)
 
 

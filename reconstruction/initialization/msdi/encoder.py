@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from reconstruction.images.learned.small import ResidualBlock
-from reconstruction.initialization.msdi.features import CHANNELS
+from reconstruction.initialization.msdi.features import CHANNELS, PATCH
 
 FINE_WIDTH, MIDDLE_WIDTH, TOKEN_WIDTH = 24, 48, 96
 HEADS, BLOCKS = 4, 4  # blocks: self, cross, self, cross
@@ -30,16 +30,34 @@ class Encoded(NamedTuple):
     fine: Tensor
 
 
-class Encoder(nn.Module):
-    """Channels [V, CHANNELS, H, W] and the gate [V, N, V, N] to features; views in another order give the same."""
+class Trunk(nn.Module):
+    """Blocks over the tokens of all views, first inside each view, then across, in turn; views in any order."""
 
     def __init__(self) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(Block(TOKEN_WIDTH, across=bool(b % 2)) for b in range(BLOCKS))
+        self.norm = nn.LayerNorm(TOKEN_WIDTH)
+
+    def forward(self, tokens: Tensor, seen: Tensor, gate: Tensor) -> Tensor:
+        """Tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W], and the gate [V, N, V, N], to tokens."""
+        turns = rotary(seen.shape[2] // PATCH, seen.shape[3] // PATCH, TOKEN_WIDTH // HEADS).to(tokens)
+        for block in self.blocks:
+            tokens = block(tokens, turns, gate)
+        return self.norm(tokens)
+
+
+class Encoder(nn.Module):
+    """Channels [V, CHANNELS, H, W] and the gate [V, N, V, N] to features; views in another order give the same.
+
+    The `trunk` makes tokens of tokens and of what was seen: see `Trunk`, and `large` for another one.
+    """
+
+    def __init__(self, trunk: nn.Module) -> None:
         super().__init__()
         self.stem = nn.Sequential(nn.Conv2d(CHANNELS, FINE_WIDTH, 5, 2, 2), nn.ReLU(), ResidualBlock(FINE_WIDTH))
         self.down4 = nn.Sequential(nn.Conv2d(FINE_WIDTH, MIDDLE_WIDTH, 2, 2), ResidualBlock(MIDDLE_WIDTH))
         self.down8 = nn.Conv2d(MIDDLE_WIDTH, TOKEN_WIDTH, 2, 2)
-        self.blocks = nn.ModuleList(Block(TOKEN_WIDTH, across=bool(b % 2)) for b in range(BLOCKS))
-        self.norm = nn.LayerNorm(TOKEN_WIDTH)
+        self.trunk = trunk
         self.up4 = nn.Conv2d(TOKEN_WIDTH, MIDDLE_WIDTH, 1)
         self.merge4 = ResidualBlock(MIDDLE_WIDTH)
         self.up2 = nn.Conv2d(MIDDLE_WIDTH, FINE_WIDTH, 1)
@@ -50,13 +68,8 @@ class Encoder(nn.Module):
         at2 = self.stem(seen)
         at4 = self.down4(at2)
         at8 = self.down8(functional.relu(at4))
-        rows, columns = at8.shape[2:]
-        tokens = at8.flatten(2).transpose(1, 2)
-        turns = rotary(rows, columns, TOKEN_WIDTH // HEADS).to(tokens)
-        for block in self.blocks:
-            tokens = block(tokens, turns, gate)
-        tokens = self.norm(tokens)
-        grid = tokens.transpose(1, 2).unflatten(2, (rows, columns))
+        tokens = self.trunk(at8.flatten(2).transpose(1, 2), seen, gate)
+        grid = tokens.transpose(1, 2).unflatten(2, at8.shape[2:])
         middle = self.merge4(at4 + _doubled(self.up4(grid)))
         fine = self.merge2(at2 + _doubled(self.up2(functional.relu(middle))))
         return Encoded(tokens, middle, fine)

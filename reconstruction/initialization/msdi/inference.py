@@ -18,7 +18,7 @@ from reconstruction.images.learned.inference import gathered, infer
 from reconstruction.images.learned.models import model
 from reconstruction.images.learned.observation import rates
 from reconstruction.initialization.msdi.features import channels, working_factor
-from reconstruction.initialization.msdi.network import SmallMsdi, Solved
+from reconstruction.initialization.msdi.network import Msdi, Solved
 from reconstruction.initialization.msdi.views import Views
 
 Floats = NDArray[np.float32]
@@ -42,7 +42,7 @@ class Inferred:
 
 
 def infer_views(
-    network: SmallMsdi, streams: Sequence[SpikeStream], nominal: Views, plane: int, progress: Progress = silent
+    network: Msdi, streams: Sequence[SpikeStream], nominal: Views, plane: int, progress: Progress = silent
 ) -> Inferred:
     """Images of all `streams` at `plane`, then the cameras, then depth. `nominal` is over pixels of the full size."""
     height, width = streams[0].layout.height, streams[0].layout.width
@@ -60,12 +60,13 @@ def infer_views(
             swept = network.sweep(solved.encoded.middle, views, view)
             inverse.append(swept.inverse_depth[:rows, :columns])
             confidence.append(swept.confidence[:rows, :columns])
-        depth, sure = 1 / torch.stack(inverse).numpy(), torch.stack(confidence).numpy()
+        depth = (1 / torch.stack(inverse)).float().numpy()
+        sure = torch.stack(confidence).numpy()
     return Inferred(light, sigma, views, solved, depth, sure, factor)
 
 
 def _observe_all(
-    network: SmallMsdi, streams: Sequence[SpikeStream], plane: int, factor: int, progress: Progress
+    network: Msdi, streams: Sequence[SpikeStream], plane: int, factor: int, progress: Progress
 ) -> tuple[Floats, Floats, Tensor]:
     """Light and sigma [V, h, w] and channels [V, CHANNELS, H, W]; the views side by side on the cores there are."""
     found = []
@@ -77,7 +78,7 @@ def _observe_all(
     return np.stack(light), np.stack(sigma), torch.cat(seen)
 
 
-def observed(network: SmallMsdi, stream: SpikeStream, plane: int, factor: int) -> tuple[Floats, Floats, Tensor]:
+def observed(network: Msdi, stream: SpikeStream, plane: int, factor: int) -> tuple[Floats, Floats, Tensor]:
     """Light and sigma [h, w] of one view, and its channels [1, CHANNELS, H, W]; dim planes are joined in groups."""
     images = model("small")
     brighter, middle, group = gathered(stream, plane, images.reach)

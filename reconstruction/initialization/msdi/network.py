@@ -1,4 +1,4 @@
-"""The small tier of MSDI: rates of V views and their nominal rig to images, depth and residuals to that rig.
+"""MSDI: rates of V views and their nominal rig to images, depth and residuals to that rig.
 
 Images are those of Spk2ImgNet's small tier, learnt on with the rest. The geometry sees them shrunk; poses are not
 regressed but solved for from learnt correspondences (see `adjustment`), so that a network trained for an hour on a
@@ -17,7 +17,7 @@ from reconstruction.images.learned.models import model
 from reconstruction.images.learned.small import SmallSpk2ImgNet
 from reconstruction.initialization.msdi.adjustment import SCHEDULE, Adjusted, Stage, adjust
 from reconstruction.initialization.msdi.depth import Sweep
-from reconstruction.initialization.msdi.encoder import Encoded, Encoder
+from reconstruction.initialization.msdi.encoder import Encoded, Encoder, Trunk
 from reconstruction.initialization.msdi.features import channels, keypoints, patch_centers
 from reconstruction.initialization.msdi.matching import Matcher, Matches
 from reconstruction.initialization.msdi.views import GATE, Views, gate
@@ -36,13 +36,13 @@ class Solved:
     encoded: Encoded
 
 
-class SmallMsdi(nn.Module):
-    """The image network `image`, the encoder, the correlations and the sweep."""
+class Msdi(nn.Module):
+    """The image network `image`, the encoder around its trunk, the correlations and the sweep."""
 
-    def __init__(self) -> None:
+    def __init__(self, trunk: nn.Module) -> None:
         super().__init__()
         self.image = SmallSpk2ImgNet()
-        self.encoder = Encoder()
+        self.encoder = Encoder(trunk)
         self.matcher = Matcher()
         self.sweep = Sweep()
 
@@ -77,7 +77,12 @@ class SmallMsdi(nn.Module):
         return Solved(adjust(nominal, matches, (*SCHEDULE[:3], *CLOSER)), matches, first.encoded)
 
 
-def prepared(network: SmallMsdi, rates: Tensor, factor: int) -> tuple[Tensor, Tensor, Tensor]:
+def small_msdi() -> Msdi:
+    """The small tier: 0.8 M parameters."""
+    return Msdi(Trunk())
+
+
+def prepared(network: Msdi, rates: Tensor, factor: int) -> tuple[Tensor, Tensor, Tensor]:
     """Light and sigma [V, 1, h, w], and the channels [V, CHANNELS, H, W] the geometry sees."""
     light, sigma, level = network.light(rates)
     return light, sigma, channels(light, sigma, rates, level, factor)

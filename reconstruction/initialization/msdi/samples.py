@@ -17,7 +17,7 @@ from acquisition.scenes.misplaced import misplaced
 from reconstruction.images.learned.observation import rates
 from reconstruction.initialization.msdi.clips import MultiviewClip, read_clip, read_clip_set
 from reconstruction.initialization.msdi.features import PATCH
-from reconstruction.initialization.msdi.network import SmallMsdi, prepared
+from reconstruction.initialization.msdi.network import Msdi, prepared
 from reconstruction.initialization.msdi.views import Views
 
 THREE_VIEWS = 0.7  # share of the samples; the others have four, where the clips do
@@ -45,7 +45,7 @@ class Samples:
     Nominal rigs are off by up to `largest_error` degrees, cm and percent, rising over the first `rising` samples.
     """
 
-    def __init__(self, folder: Path, network: SmallMsdi, seed: int, largest_error: float, rising: int) -> None:
+    def __init__(self, folder: Path, network: Msdi, seed: int, largest_error: float, rising: int) -> None:
         self._folder, self._clips, self._network = folder, read_clip_set(folder), network
         self._seed, self._largest, self._rising = seed, largest_error, rising
         self._kept: dict[int, tuple[NDArray, MultiviewClip]] = {}

@@ -18,7 +18,7 @@ from reconstruction.images.learned.models import light_loss
 from reconstruction.images.learned.training import Loop, LoopConfig
 from reconstruction.images.learned.weights import SHIPPED, read_weights
 from reconstruction.initialization.msdi.features import channels, keypoints, patch_centers
-from reconstruction.initialization.msdi.network import SmallMsdi
+from reconstruction.initialization.msdi.network import Msdi, small_msdi
 from reconstruction.initialization.msdi.samples import Sample, Samples
 from reconstruction.initialization.msdi.supervision import (
     correspondences,
@@ -52,11 +52,11 @@ class MsdiConfig(LoopConfig):
 
 
 class MsdiTraining(Loop):
-    """SmallMsdi on its way; see `Loop`. The clips are in `clips`."""
+    """Msdi on its way; see `Loop`. The clips are in `clips`."""
 
     def __init__(self, folder: Path, config: MsdiConfig, clips: Path, device: str, notes: dict) -> None:
         torch.manual_seed(config.seed)
-        network, first = SmallMsdi(), SmallMsdi()
+        network, first = small_msdi(), small_msdi()
         for module in (network, first):
             read_weights(SHIPPED / "small.npz", module.image)
         self.wanted = config
@@ -67,12 +67,12 @@ class MsdiTraining(Loop):
     def _loss_of(self, module: nn.Module, number: int) -> Tensor:
         raw = number >= self.wanted.image_from and number % IMAGE_EVERY == 1
         pose = number >= self.wanted.pose_from and number % POSE_EVERY == 3
-        assert isinstance(module, SmallMsdi)
+        assert isinstance(module, Msdi)
         sample = self.samples.sample(number, raw=raw)
         return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)
 
 
-def sample_loss(network: SmallMsdi, sample: Sample, number: int, *, joint: bool, pose: bool) -> Tensor:
+def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose: bool) -> Tensor:
     """All losses of one sample; `number` draws what is drawn."""
     image, seen = _seen(network, sample, joint)
     pixels = keypoints(seen.detach())
@@ -91,7 +91,7 @@ def sample_loss(network: SmallMsdi, sample: Sample, number: int, *, joint: bool,
     return total
 
 
-def _seen(network: SmallMsdi, sample: Sample, joint: bool) -> tuple[Tensor, Tensor]:
+def _seen(network: Msdi, sample: Sample, joint: bool) -> tuple[Tensor, Tensor]:
     """The loss of the images, where they learn, and the channels the geometry sees."""
     if sample.rates is None:
         assert sample.seen is not None

@@ -18,7 +18,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.msdi.clips import MultiviewSet, make_clip
 from reconstruction.initialization.msdi.inference import full_size, infer_views
-from reconstruction.initialization.msdi.network import SmallMsdi
+from reconstruction.initialization.msdi.network import Msdi
 from reconstruction.initialization.msdi.views import Views
 from reconstruction.metrics.depth import abs_rel
 from reconstruction.metrics.image import psnr_db
@@ -77,7 +77,7 @@ def recorded_views(folder: Path, plane: int | None = None) -> Scored:
 
 def scores(network: nn.Module, scored: Sequence[Scored], progress: Progress = silent) -> dict[str, float]:
     """Means over each kind of view: pose error in degrees and percent of the distance, image dB, depth's Abs Rel."""
-    assert isinstance(network, SmallMsdi)
+    assert isinstance(network, Msdi)
     found: dict[str, list[float]] = {}
     for number, one in enumerate(scored):
         progress(number / len(scored), f"scoring {one.name}")
@@ -86,7 +86,7 @@ def scores(network: nn.Module, scored: Sequence[Scored], progress: Progress = si
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 
-def score(network: SmallMsdi, one: Scored) -> dict[str, float]:
+def score(network: Msdi, one: Scored) -> dict[str, float]:
     """The errors of one instant; depth is that of the rig aligned to the true one, as the rig's own scale is free."""
     inferred = infer_views(network, one.streams, Views.of_rig(one.nominal), one.plane)
     rig = inferred.views.to_rig(one.nominal, inferred.factor)

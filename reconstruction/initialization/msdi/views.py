@@ -71,8 +71,13 @@ class Views:
 
     def to(self, dtype: torch.dtype) -> Views:
         """The same in another precision."""
-        parts = (self.rotation, self.center, self.focal, self.principal)
-        return Views(*(part.to(dtype) for part in parts), self.distance)
+        return Views(
+            self.rotation.to(dtype),
+            self.center.to(dtype),
+            self.focal.to(dtype),
+            self.principal.to(dtype),
+            self.distance,
+        )
 
     def directions(self, pixels: Tensor) -> Tensor:
         """Of `pixels` [V, N, 2], with z = 1, in each view's own axes [V, N, 3]."""
