@@ -15,3 +15,7 @@ class BadRunError(ReconstructionError):
 
 class StereoError(ReconstructionError):
     """Too few points survived initialisation; training would not recover."""
+
+
+class GeometryError(ReconstructionError):
+    """Views that could not be placed against one another; the message names them."""

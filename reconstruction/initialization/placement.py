@@ -1,0 +1,79 @@
+"""What initialisers that estimate poses share: images they can use, cameras laid on the rig that was given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import BadRunError, GeometryError
+from rigs.rig import Rig
+from rigs.similarity import Similarity, align
+from rigs.transform import rotvec_of
+
+Images = Mapping[str, NDArray[np.float32]]
+FEWEST_VIEWS = 3
+WHITE_QUANTILE = 0.995
+MOST_TURN_DEG = 15.0  # no rig is built that far from its drawing: a mirrored or wrong solution
+MOST_FOCAL_PERCENT = 25.0
+
+
+def usable_views(rig: Rig, images: Images) -> tuple[str, ...]:
+    """Ids of the cameras that have an image, in the rig's order; BadRunError, by name, for images that do not fit."""
+    unknown = [c for c in images if c not in rig.ids]
+    if unknown:
+        raise BadRunError(f"found an image of {unknown[0]}, expected cameras of rig {rig.name}: {', '.join(rig.ids)}")
+    if len(images) < FEWEST_VIEWS:
+        raise BadRunError(f"found images of {len(images)} cameras, expected at least {FEWEST_VIEWS}")
+    for camera_id, image in images.items():
+        camera = rig.camera(camera_id)
+        if image.shape != (camera.height, camera.width):
+            size = f"[{camera.height}, {camera.width}]"
+            raise BadRunError(f"{camera_id}: found an image of shape {image.shape}, expected {size}")
+        if not np.isfinite(image).all():
+            raise BadRunError(f"{camera_id}: found NaN or infinity in the image, expected spikes per tick")
+        if not image.max() > image.min():
+            raise BadRunError(f"{camera_id}: found an image without contrast, expected light; leave this camera out")
+    return tuple(c for c in rig.ids if c in images)
+
+
+def toned(images: Images) -> dict[str, NDArray[np.float32]]:
+    """Linear images as a camera would store them, in [0, 1]: the square root, with one white for all of them."""
+    white = max(float(np.quantile(np.concatenate([image.ravel() for image in images.values()]), WHITE_QUANTILE)), 1e-9)
+    return {c: np.sqrt(np.clip(image / white, 0, 1)).astype(np.float32) for c, image in images.items()}
+
+
+def laid_on(rig: Rig, found: Rig) -> tuple[Rig, Similarity, dict[str, object]]:
+    """`rig` with the cameras of `found` in their place, the similarity that took them there, and what a report says.
+
+    Cameras that were not found stay as they are. Raises GeometryError, by name, where a camera or the focal length lies
+    so far from the rig's that the solution cannot be the right one.
+    """
+    similarity = align(found, rig)
+    moved = {c.id: c for c in similarity.carry_rig(found).cameras}
+    turns, shifts, focals = {}, {}, {}
+    for camera_id, camera in moved.items():
+        given = rig.camera(camera_id)
+        turn = rotvec_of(camera.cam_from_rig.rotation @ given.cam_from_rig.rotation.T)
+        turns[camera_id] = float(np.degrees(np.linalg.norm(turn)))
+        shifts[camera_id] = float(np.linalg.norm(camera.center - given.center))
+        focals[camera_id] = 100 * (camera.fx / given.fx - 1)
+    worst = max(turns, key=lambda c: turns[c])
+    if turns[worst] > MOST_TURN_DEG:
+        limit = f"expected less than {MOST_TURN_DEG:g}; give images with more texture, or keep the rig's poses"
+        raise GeometryError(f"found {worst} turned {turns[worst]:.1f} degrees from where the rig has it, {limit}")
+    changed = max(focals.values(), key=abs)
+    if abs(changed) > MOST_FOCAL_PERCENT:
+        limit = f"expected less than {MOST_FOCAL_PERCENT:g}; keep the rig's focal length"
+        raise GeometryError(f"found a focal length {changed:+.1f}% off the rig's, {limit}")
+    report: dict[str, object] = {
+        "estimated": list(moved),
+        "kept_nominal": [c for c in rig.ids if c not in moved],
+        "largest_turn_deg": turns[worst],
+        "largest_shift_m": max(shifts.values()),
+        "focal_change_percent": changed,
+        "scale_from": "the camera centres of the rig that was given",
+    }
+    return replace(rig, cameras=tuple(moved.get(c.id, c) for c in rig.cameras)), similarity, report

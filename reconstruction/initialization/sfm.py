@@ -1,0 +1,211 @@
+"""Structure from motion on one image a camera: SIFT, exhaustive matching, geometric verification, mapping (COLMAP).
+
+The rig that is given lends its focal length as a start and its centres for frame and scale; its poses are not used.
+When to use it: scenes with texture, no trust in the nominal poses. Periodic or flat scenes may end in a wrong minimum
+with an innocent residual. Sources: Schonberger & Frahm, "Structure-from-motion revisited", CVPR 2016 (incremental);
+Pan et al., "Global structure-from-motion revisited", ECCV 2024 (global).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.progress import Progress, silent
+from reconstruction.errors import BadRunError, GeometryError
+from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.placement import FEWEST_VIEWS, Images, laid_on, toned, usable_views
+from rigs.camera import Camera
+from rigs.rig import Rig
+from rigs.transform import Transform
+
+SEED = 0
+QUIET = 2  # errors and worse
+
+
+@dataclass(frozen=True)
+class SfmOptions:
+    """How `sfm` works. `mapping` adds view by view, or places all at once; `focal`: one factor for all, or the rig's.
+
+    `peak_threshold` is the contrast that a SIFT feature needs, of 1: raise it where images are noisy. `missing`: views
+    that do not register are an error, or keep the rig's pose, which the report says. Raises BadRunError for others.
+    """
+
+    mapping: Literal["incremental", "global"] = "incremental"
+    focal: Literal["estimated", "rig"] = "estimated"
+    peak_threshold: float = 0.02 / 3
+    missing: Literal["refuse", "nominal"] = "refuse"
+
+    def __post_init__(self) -> None:
+        known = {"mapping": ("incremental", "global"), "focal": ("estimated", "rig"), "missing": ("refuse", "nominal")}
+        for name, values in known.items():
+            if getattr(self, name) not in values:
+                raise BadRunError(f"found {name} {getattr(self, name)!r}, expected {' or '.join(values)}")
+        if not 0 < self.peak_threshold < 1:
+            raise BadRunError(f"found a peak threshold of {self.peak_threshold}, expected more than 0, less than 1")
+
+
+def sfm(rig: Rig, images: Images, options: SfmOptions | None = None, progress: Progress = silent) -> Geometry:
+    """Poses, one shared focal length and points from `images`: camera id to [H, W], linear, spikes per tick.
+
+    A point's confidence is the number of views that see it. The same input gives the same result. Raises BadRunError
+    for images that do not fit the rig and GeometryError, by name, for views that could not be placed.
+    """
+    options = options or SfmOptions()
+    views = usable_views(rig, images)
+    lens = _shared_lens(rig.only(views))
+    with tempfile.TemporaryDirectory(prefix="spike4dgs-sfm-") as folder, _quiet_pycolmap() as pycolmap:
+        _write_images(Path(folder), rig, lens, toned({c: images[c] for c in views}))
+        models = _Run(pycolmap, Path(folder), options, progress).models(lens)
+        return _geometry(rig, views, lens, models, options)
+
+
+def _shared_lens(rig: Rig) -> Camera:
+    """The pinhole that all views are seen through: the mean of the rig's lenses, without their distortion."""
+    mean = {name: float(np.mean([getattr(c, name) for c in rig.cameras])) for name in ("fx", "fy", "cx", "cy")}
+    first = rig.cameras[0]
+    odd = next((c for c in rig.cameras if (c.width, c.height) != (first.width, first.height)), None)
+    if odd:
+        sizes = f"{odd.width}x{odd.height}, expected {first.width}x{first.height} as of {first.id}"
+        raise BadRunError(f"{odd.id}: found the size {sizes}; structure from motion takes one lens for all cameras")
+    return replace(first, **mean, distortion=(0.0, 0.0, 0.0, 0.0))
+
+
+def _write_images(folder: Path, rig: Rig, lens: Camera, images: Mapping[str, NDArray[np.float32]]) -> None:
+    (folder / "images").mkdir()
+    for camera_id, image in images.items():
+        camera = rig.camera(camera_id)
+        if any(camera.distortion) or not np.allclose(camera.K, lens.K, rtol=1e-9):
+            image = _seen_through(lens, camera, image)
+        cv2.imwrite(str(folder / "images" / f"{camera_id}.png"), np.round(255 * image).astype(np.uint8))
+
+
+def _seen_through(lens: Camera, camera: Camera, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What `camera` took [H, W] as `lens` would have taken it from the same place."""
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel has its centre at zero
+    size = (lens.width, lens.height)
+    distortion = np.array(camera.distortion)
+    maps = cv2.initUndistortRectifyMap(camera.K - half, distortion, np.eye(3), lens.K - half, size, cv2.CV_32FC1)
+    seen = cv2.remap(image, maps[0], maps[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.clip(seen, 0, 1).astype(np.float32)
+
+
+@contextmanager
+def _quiet_pycolmap() -> Iterator[ModuleType]:
+    """pycolmap without its log on stderr. Loaded after OpenCV: the other way round the process dies on a PNG."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise BadRunError("found no pycolmap, expected it for sfm; pip install 'spike4dgs[reconstruction]'") from error
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = QUIET
+    try:
+        yield pycolmap
+    finally:
+        pycolmap.logging.minloglevel = before
+
+
+@dataclass(frozen=True)
+class _Run:
+    """COLMAP's steps in one temporary folder; one thread and one seed, so that they can be repeated."""
+
+    pycolmap: Any
+    folder: Path
+    options: SfmOptions
+    progress: Progress
+
+    def models(self, lens: Camera) -> list[Any]:
+        """The models found, largest first."""
+        self.pycolmap.set_random_seed(SEED)
+        try:
+            self.progress(0.0, "features")
+            self._extract(lens)
+            self.progress(0.35, "matches")
+            self._match()
+            self.progress(0.65, f"{self.options.mapping} mapping")
+            found = self._map()
+        except (RuntimeError, ValueError) as error:
+            raise GeometryError(f"found a failure of COLMAP: {str(error).splitlines()[0]}") from error
+        self.progress(1.0, "mapped")
+        return sorted(found.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), reverse=True)
+
+    @property
+    def _places(self) -> tuple[Path, Path]:
+        return self.folder / "database.db", self.folder / "images"
+
+    def _extract(self, lens: Camera) -> None:
+        colmap = self.pycolmap
+        even = abs(lens.fx / lens.fy - 1) < 1e-9
+        numbers = (lens.fx, lens.cx, lens.cy) if even else (lens.fx, lens.fy, lens.cx, lens.cy)
+        reader = colmap.ImageReaderOptions()
+        reader.camera_model = "SIMPLE_PINHOLE" if even else "PINHOLE"
+        reader.camera_params = ",".join(repr(n) for n in numbers)
+        extraction = colmap.FeatureExtractionOptions()
+        extraction.num_threads = 1
+        extraction.sift.peak_threshold = self.options.peak_threshold
+        how = {"camera_mode": colmap.CameraMode.SINGLE, "device": colmap.Device.cpu}
+        colmap.extract_features(*self._places, reader_options=reader, extraction_options=extraction, **how)
+
+    def _match(self) -> None:
+        colmap = self.pycolmap
+        matching, verification = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
+        matching.num_threads = 1
+        verification.ransac.random_seed = SEED
+        how = {"matching_options": matching, "verification_options": verification, "device": colmap.Device.cpu}
+        colmap.match_exhaustive(self._places[0], **how)
+
+    def _map(self) -> Mapping[int, Any]:
+        colmap, free = self.pycolmap, self.options.focal == "estimated"
+        if self.options.mapping == "incremental":
+            how = colmap.IncrementalPipelineOptions()
+            how.ba_refine_focal_length = free
+            how.mapper.abs_pose_refine_focal_length = False  # one view alone says too little
+            mapping = colmap.incremental_mapping
+        else:
+            how = colmap.GlobalPipelineOptions()
+            how.mapper.bundle_adjustment.refine_focal_length = free
+            how.mapper.bundle_adjustment.ceres.use_gpu = how.mapper.global_positioning.use_gpu = False
+            mapping = colmap.global_mapping
+        how.min_model_size, how.num_threads, how.random_seed = FEWEST_VIEWS, 1, SEED
+        return mapping(*self._places, self.folder / "models", how)
+
+
+def _geometry(rig: Rig, views: tuple[str, ...], lens: Camera, models: list[Any], options: SfmOptions) -> Geometry:
+    """The largest model as cameras on the rig and points; GeometryError where it lacks views it may not lack."""
+    poses = (
+        {image.name.removesuffix(".png"): image.cam_from_world() for image in models[0].images.values()}
+        if models
+        else {}
+    )
+    absent = [c for c in views if c not in poses]
+    if absent and (options.missing == "refuse" or len(poses) < FEWEST_VIEWS):
+        advice = "give sharper or less noisy images, another peak threshold, or keep the rig's poses"
+        raise GeometryError(f"found no place for {', '.join(absent)} of {len(views)} views, expected all; {advice}")
+    (colmap_lens,) = models[0].cameras.values()
+    x, y = colmap_lens.focal_length_x / lens.fx, colmap_lens.focal_length_y / lens.fy
+    cameras = []
+    for camera in rig.only(c for c in views if c in poses).cameras:
+        pose = poses[camera.id]
+        placed = Transform(np.asarray(pose.rotation.matrix()), np.asarray(pose.translation))
+        cameras.append(replace(camera, fx=camera.fx * x, fy=camera.fy * y, cam_from_rig=placed))
+    estimated, similarity, report = laid_on(rig, replace(rig, cameras=tuple(cameras)))
+    points = [(point.xyz, point.track.length()) for _, point in sorted(models[0].points3D.items())]
+    report |= {
+        "method": f"sfm {options.mapping}",
+        "focal": options.focal,
+        "unregistered": absent,
+        "models": len(models),
+        "points": len(points),
+        "reprojection_error_px": float(models[0].compute_mean_reprojection_error()),
+    }
+    positions = similarity.apply(np.array([xyz for xyz, _ in points]).reshape(-1, 3))
+    return Geometry(estimated, positions, np.array([seen for _, seen in points], np.float32), report=report)
