@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from reconstruction.images.learned.small import ResidualBlock
+from reconstruction.initialization.dust3r.blocks import Turns
 from reconstruction.initialization.msdi.features import CHANNELS, PATCH
 
 FINE_WIDTH, MIDDLE_WIDTH, TOKEN_WIDTH = 24, 48, 96
@@ -40,7 +41,8 @@ class Trunk(nn.Module):
 
     def forward(self, tokens: Tensor, seen: Tensor, gate: Tensor) -> Tensor:
         """Tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W], and the gate [V, N, V, N], to tokens."""
-        turns = rotary(seen.shape[2] // PATCH, seen.shape[3] // PATCH, TOKEN_WIDTH // HEADS).to(tokens)
+        grid = (seen.shape[2] // PATCH, seen.shape[3] // PATCH)
+        turns = Turns.of_grid(grid, TOKEN_WIDTH // HEADS, FREQUENCY, tokens)
         for block in self.blocks:
             tokens = block(tokens, turns, gate)
         return self.norm(tokens)
@@ -85,8 +87,8 @@ class Block(nn.Module):
         self.qkv, self.proj = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.mlp = nn.Sequential(nn.Linear(width, 3 * width), nn.GELU(), nn.Linear(3 * width, width))
 
-    def forward(self, tokens: Tensor, turns: Tensor, gate: Tensor) -> Tensor:
-        """Tokens [V, N, D], RoPE's `turns` [2, N, D / HEADS], the gate [V, N, V, N]; to tokens."""
+    def forward(self, tokens: Tensor, turns: Turns, gate: Tensor) -> Tensor:
+        """Tokens [V, N, D], RoPE's `turns`, the gate [V, N, V, N]; to tokens."""
         views, number, width = tokens.shape
         parts = self.qkv(self.norm1(tokens)).unflatten(2, (3, HEADS, -1)).permute(2, 0, 3, 1, 4)
         if self.across:
@@ -97,25 +99,10 @@ class Block(nn.Module):
             found = found[0].transpose(0, 1).reshape(views, number, width)
         else:
             query, key, value = parts
-            query, key = turned(query, turns), turned(key, turns)
+            query, key = turns.apply(query), turns.apply(key)
             found = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
         tokens = tokens + self.proj(found)
         return tokens + self.mlp(self.norm2(tokens))
-
-
-def rotary(rows: int, columns: int, width: int) -> Tensor:
-    """Cosines and sines [2, N, width] of RoPE: the first half of the dimensions turns with the row."""
-    quarter = width // 4
-    frequency = FREQUENCY ** (-torch.arange(quarter) / quarter)
-    y, x = torch.meshgrid(torch.arange(rows).float(), torch.arange(columns).float(), indexing="ij")
-    angle = torch.cat([place.reshape(-1, 1) * frequency for place in (y, y, x, x)], dim=1)
-    return torch.stack([angle.cos(), angle.sin()])
-
-
-def turned(x: Tensor, turns: Tensor) -> Tensor:
-    """`x` [..., N, width] turned in the planes of each half's first and second quarter."""
-    a, b, c, d = x.chunk(4, dim=-1)
-    return x * turns[0] + torch.cat([-b, a, -d, c], dim=-1) * turns[1]
 
 
 def _doubled(x: Tensor) -> Tensor:

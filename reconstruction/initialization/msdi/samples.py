@@ -38,6 +38,13 @@ class Sample:
     true: Views
     nominal: Views
 
+    def to(self, device: torch.device) -> Sample:
+        """The same on another device."""
+        seen = None if self.seen is None else self.seen.to(device)
+        rates = None if self.rates is None else self.rates.to(device)
+        light, depth = self.light.to(device), self.depth.to(device)
+        return Sample(seen, rates, light, depth, self.true.to(device), self.nominal.to(device))
+
 
 class Samples:
     """Samples of the clips in `folder`, seen through the image network `image_of` as it was at the start.

@@ -70,9 +70,9 @@ def fine_loss(matcher: Matcher, encoded: Encoded, pixels: Tensor, truth: tuple[T
     The windows stand where the coarse match might have put them: at the true token or, as drawn, beside it.
     """
     seen, tokens = truth
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator("cpu").manual_seed(seed)
     columns = encoded.fine.shape[3] * FINE // PATCH
-    shift = torch.randint(-1, 2, (2, *tokens.shape), generator=generator)
+    shift = torch.randint(-1, 2, (2, *tokens.shape), generator=generator, device="cpu").to(tokens)
     middle = _middle(tokens, columns) + PATCH * torch.stack([shift[0], shift[1]], dim=-1)
     last = torch.tensor([columns * PATCH, encoded.fine.shape[2] * FINE])
     reach = FINE * (WINDOW // 2) - 1

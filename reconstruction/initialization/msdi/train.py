@@ -14,7 +14,7 @@ from acquisition.progress import Progress
 from reconstruction.images.learned import ranks
 from reconstruction.initialization.msdi.clips import MultiviewSet, write_clips
 from reconstruction.initialization.msdi.curve import plot_curves
-from reconstruction.initialization.msdi.training import MsdiConfig, MsdiTraining
+from reconstruction.initialization.msdi.training import TIERS, MsdiConfig, MsdiTraining
 from reconstruction.initialization.msdi.validation import RANDOM, RANDOM_ERROR, random_views, recorded_views, scores
 from rigs.errors import Spike4dgsError
 
@@ -40,6 +40,8 @@ def clips_command(out: Path, count: int, first_seed: int, views: int) -> None:
 @main.command("network")
 @click.option("--clips", type=FOLDER, required=True, help="Folder of clips.")
 @OUT
+@click.option("--tier", "name", type=click.Choice(TIERS), default="small", show_default=True)
+@click.option("--backbone", type=FOLDER, help="DUSt3R checkpoint the large tier starts from.")
 @click.option("--development", type=FOLDER, multiple=True, help="Simulated recordings of fan_and_ball to score on.")
 @click.option("--steps", type=int, default=6000, show_default=True, help="Steps altogether.")
 @click.option("--joint/--separate", default=True, show_default=True, help="Whether geometry teaches the images, too.")
@@ -50,17 +52,18 @@ def clips_command(out: Path, count: int, first_seed: int, views: int) -> None:
 @click.option("--threads", type=int, default=0, help="Processor threads [default: as many as torch takes].")
 @click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
 def network_command(
-    clips: Path, out: Path, development: tuple[Path, ...], threads: int, device: str, **settings
+    clips: Path, out: Path, development: tuple[Path, ...], backbone: Path | None, threads: int, device: str, **settings
 ) -> None:
-    """Train the small tier on CLIPS."""
+    """Train a tier on CLIPS."""
     torch.set_num_threads(threads or torch.get_num_threads())
     own = ranks.start(device)
     try:
-        report = _report("small")
+        config = MsdiConfig(**settings)
+        report = _report(config.name)
         scored = [*random_views(), *(recorded_views(folder) for folder in development)] if ranks.first() else []
         validation = {"random_seeds": list(RANDOM.seeds), "random_error": RANDOM_ERROR}
         notes = {"validation": validation | {"development": [folder.name for folder in development]}}
-        training = MsdiTraining(out, MsdiConfig("small", **settings), clips, own, notes)
+        training = MsdiTraining(out, config, clips, own, notes, backbone=backbone)
         training.run(lambda module: scores(module, scored), report)
     finally:
         ranks.stop()

@@ -1,4 +1,4 @@
-"""The training of MSDI's small tier: one sample a step, jointly or with image and geometry apart.
+"""The training of MSDI: one sample a step, jointly or with image and geometry apart.
 
 Images start from the weights of Spk2ImgNet's small tier. They are shown to the geometry as those weights make them, and
 every `IMAGE_EVERY`th step, from `image_from` on, as the network itself makes them: `joint`, geometry then also moves
@@ -18,6 +18,7 @@ from reconstruction.images.learned.models import light_loss
 from reconstruction.images.learned.training import Loop, LoopConfig
 from reconstruction.images.learned.weights import SHIPPED, read_weights
 from reconstruction.initialization.msdi.features import channels, keypoints, patch_centers
+from reconstruction.initialization.msdi.large import large_msdi
 from reconstruction.initialization.msdi.network import Msdi, small_msdi
 from reconstruction.initialization.msdi.samples import Sample, Samples
 from reconstruction.initialization.msdi.supervision import (
@@ -29,6 +30,7 @@ from reconstruction.initialization.msdi.supervision import (
 )
 from reconstruction.initialization.msdi.views import gate
 
+TIERS = ("small", "large")
 IMAGE_EVERY, POSE_EVERY, DEPTH_EVERY = 4, 4, 3  # steps
 POSE_WEIGHT, IMAGE_WEIGHT, DEPTH_WEIGHT = 0.1, 1.0, 1.0
 
@@ -37,7 +39,7 @@ POSE_WEIGHT, IMAGE_WEIGHT, DEPTH_WEIGHT = 0.1, 1.0, 1.0
 class MsdiConfig(LoopConfig):
     """A loop over samples; images learn from step `image_from` on, poses are judged from `pose_from` on.
 
-    Nominal rigs are off by up to `largest_error` degrees, cm and percent.
+    Nominal rigs are off by up to `largest_error` degrees, cm and percent, less before `pose_from`.
     """
 
     joint: bool = True
@@ -52,15 +54,20 @@ class MsdiConfig(LoopConfig):
 
 
 class MsdiTraining(Loop):
-    """Msdi on its way; see `Loop`. The clips are in `clips`."""
+    """MSDI on its way; see `Loop`. The clips are in `clips`; `config.name` is the tier, `backbone` the large one's.
 
-    def __init__(self, folder: Path, config: MsdiConfig, clips: Path, device: str, notes: dict) -> None:
+    Raises BadRunError for an unknown tier, or a backbone for the small one.
+    """
+
+    def __init__(
+        self, folder: Path, config: MsdiConfig, clips: Path, device: str, notes: dict, *, backbone: Path | None = None
+    ) -> None:
         torch.manual_seed(config.seed)
-        network, first = small_msdi(), small_msdi()
+        network, first = _tier(config.name, backbone), small_msdi()
         for module in (network, first):
             read_weights(SHIPPED / "small.npz", module.image)
         self.wanted = config
-        self.samples = Samples(clips, first.eval(), config.seed, config.largest_error, config.steps // 3)
+        self.samples = Samples(clips, first.eval(), config.seed, config.largest_error, config.pose_from)
         described = {"pictures": self.samples.description(), **notes}
         super().__init__(folder, config, network, self._loss_of, device, described)
 
@@ -68,8 +75,17 @@ class MsdiTraining(Loop):
         raw = number >= self.wanted.image_from and number % IMAGE_EVERY == 1
         pose = number >= self.wanted.pose_from and number % POSE_EVERY == 3
         assert isinstance(module, Msdi)
-        sample = self.samples.sample(number, raw=raw)
-        return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)
+        sample = self.samples.sample(number, raw=raw).to(self.device)
+        with self.device:  # where what is made on the way lies
+            return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)
+
+
+def _tier(name: str, backbone: Path | None) -> Msdi:
+    if name not in TIERS or (backbone and name != "large"):
+        raise BadRunError(
+            f"found the tier {name!r} with the backbone {backbone}, expected small, or large with or without"
+        )
+    return large_msdi(backbone=backbone) if name == "large" else small_msdi()
 
 
 def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose: bool) -> Tensor:

@@ -69,14 +69,10 @@ class Views:
         parts = (self.rotation[which], self.center[which], self.focal[which], self.principal[which])
         return Views(*parts, self.distance)
 
-    def to(self, dtype: torch.dtype) -> Views:
-        """The same in another precision."""
+    def to(self, kind: torch.dtype | torch.device) -> Views:
+        """The same in another precision or on another device."""
         return Views(
-            self.rotation.to(dtype),
-            self.center.to(dtype),
-            self.focal.to(dtype),
-            self.principal.to(dtype),
-            self.distance,
+            self.rotation.to(kind), self.center.to(kind), self.focal.to(kind), self.principal.to(kind), self.distance
         )
 
     def directions(self, pixels: Tensor) -> Tensor:
