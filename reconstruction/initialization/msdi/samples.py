@@ -14,13 +14,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition.scenes.misplaced import misplaced
+from reconstruction.errors import BadRunError
 from reconstruction.images.learned.observation import rates
 from reconstruction.initialization.msdi.clips import MultiviewClip, read_clip, read_clip_set
 from reconstruction.initialization.msdi.features import PATCH
 from reconstruction.initialization.msdi.network import Msdi, prepared
-from reconstruction.initialization.msdi.views import Views
+from reconstruction.initialization.msdi.views import Views, object_distance
+from rigs.rig import Rig
 
 THREE_VIEWS = 0.7  # share of the samples; the others have four, where the clips do
+DISTANCES_M = (1.0, 3.0)  # the object's in any clip
+MISJUDGED = (0.6, 1.6)  # of the true distance: the nominal rig's least and most
 FIRST_ERROR = 0.5  # degrees, cm and percent of the nominal rigs at the start of the training
 
 
@@ -71,8 +75,9 @@ class Samples:
         maps = np.stack([rates(clip.streams[v], clip.plane) for v in which]) if raw else seen[which].astype(np.float32)
         rig = clip.rig.only([clip.rig.ids[v] for v in which])
         reach = FIRST_ERROR + (self._largest - FIRST_ERROR) * min(1.0, number / max(1, self._rising))
-        true = Views.of_rig(rig)
-        nominal = Views.of_rig(misplaced(rig, rng.uniform(0, reach), int(rng.integers(2**31))))
+        true = Views.of_rig(rig, distance=_distance(rig, *DISTANCES_M))
+        drawn = misplaced(rig, rng.uniform(0, reach), int(rng.integers(2**31)))
+        nominal = Views.of_rig(drawn, distance=_distance(drawn, *(true.distance * m for m in MISJUDGED)))
         cut = _Cut.drawn(rng, maps.shape[2], maps.shape[3])
         picture = torch.from_numpy(cut.of(maps))
         light, depth = (torch.from_numpy(cut.of(a[which])) for a in (clip.light, clip.depth))
@@ -87,6 +92,14 @@ class Samples:
                 channels = prepared(self._network, observed, 1)[2]
             self._kept[seed] = channels.numpy().astype(np.float16), clip
         return self._kept[seed]
+
+
+def _distance(rig: Rig, least: float, most: float) -> float:
+    """The object's distance as `rig` has it, kept within bounds; three cameras side by side hardly know it."""
+    try:
+        return min(max(object_distance(rig), least), most)
+    except BadRunError:
+        return most
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from rigs.transform import Transform
 
 NEAREST, FARTHEST = 0.3, 8.0  # object distances between which anything may lie
 GATE = 45 / 350  # of the focal length: how far from its nominal epipolar line a correspondence may lie
+AXIS_SD_RAD = 0.035  # of a nominal axis
+USUAL_DISTANCE, USUAL_SPREAD = 8.0, 0.5  # of the cameras' scatter; relative standard deviation of the distance
 GATE_STEPS = 3  # inverse depths between which the line is straight
 LEAST_Z = 0.05  # of the depth in its own view: a point's least depth in another, so that none is divided by zero
 
@@ -103,16 +105,19 @@ def homogeneous(views: Views, other: Views, directions: Tensor, inverse_depth: T
 def object_distance(rig: Rig) -> float:
     """The mean distance in m from the cameras to the point their axes come closest to.
 
-    Raises BadRunError where the axes are parallel or meet behind the cameras: then nobody knows where the object is.
+    Axes are believed to `AXIS_SD_RAD`; where cameras stand so close that this says little, the point is drawn to where
+    cameras that far apart usually look. Raises BadRunError for cameras at one place or turned away from one another.
     """
     centers = np.array([camera.center for camera in rig.cameras])
     axes = np.array([camera.cam_from_rig.rotation[2] for camera in rig.cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(axis=0)
-    values = np.linalg.eigvalsh(total)
-    if values[0] < 1e-4 * len(rig.cameras):
-        raise BadRunError(f"rig {rig.name}: found parallel cameras, expected them turned towards the object")
-    point = np.linalg.solve(total, (across @ centers[:, :, None]).sum(axis=0)[:, 0])
+    middle, ahead = centers.mean(axis=0), axes.mean(axis=0)
+    usual = USUAL_DISTANCE * float(np.sqrt(((centers - middle) ** 2).sum(axis=1).mean()))
+    if usual < 1e-6:
+        raise BadRunError(f"rig {rig.name}: found cameras at one place, expected them apart")
+    across = (np.eye(3) - axes[:, :, None] * axes[:, None, :]) / (AXIS_SD_RAD * usual) ** 2
+    firm = 1 / (USUAL_SPREAD * usual) ** 2
+    right = (across @ centers[:, :, None]).sum(axis=0)[:, 0] + firm * (middle + usual * ahead)
+    point = np.linalg.solve(across.sum(axis=0) + firm * np.eye(3), right)
     depths = ((point - centers) * axes).sum(axis=1)
     if depths.min() <= 0:
         raise BadRunError(f"rig {rig.name}: found cameras turned away from one another, expected one object in view")

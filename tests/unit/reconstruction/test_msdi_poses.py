@@ -53,8 +53,10 @@ def test_a_rig_goes_to_views_and_back():
 
 def test_the_object_lies_where_the_axes_meet():
     assert object_distance(catalog_rig("lab3x3")) == pytest.approx(1.81, abs=0.01)
+    distances = [object_distance(misplaced(random_rig(seed, 4, 192, 128), 1.0, seed)) for seed in range(40)]
+    assert 0.8 < min(distances) < max(distances) < 4
     rig = catalog_rig("lab3x3").only(["cam11"])
-    with pytest.raises(BadRunError, match="parallel cameras"):
+    with pytest.raises(BadRunError, match="cameras at one place"):
         object_distance(rig)
 
 
