@@ -109,14 +109,15 @@ class Loop:
         found.backward()
         ranks.average_gradients(self.module.parameters())
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), LARGEST_GRADIENT)
-        if torch.isfinite(norm):
+        sound = bool(torch.isfinite(norm)) and bool(torch.isfinite(found))
+        if sound:  # a step that would spoil the weights is left out
             self.optimiser.step()
         self.step += 1
         keep = min(self.config.averaged, self.step / (self.step + 10))
         with torch.no_grad():
             for mean, now in zip(self.average.parameters(), self.module.parameters(), strict=True):
                 mean.lerp_(now, 1 - keep)
-        self.recent += (found.item() - self.recent) * max(0.01, 1 / self.step)
+        self.recent += (found.item() - self.recent) * max(0.01, 1 / self.step) if sound else 0.0
 
     def _store(self) -> None:
         state = {
