@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -75,48 +76,66 @@ def make_clip(wanted: ClipSet, seed: int) -> Clip:
 
 def write_clips(folder: Path, wanted: ClipSet, progress: Progress = silent) -> None:
     """Fill `folder` with the clips it lacks; raises BadRunError where it was begun for another set."""
-    folder.mkdir(parents=True, exist_ok=True)
     document = {"schema": SCHEMA, **asdict(wanted), "instants": list(wanted.instants)}
+
+    def arrays(seed: int) -> dict[str, NDArray]:
+        clip = make_clip(wanted, seed)
+        return {"packed": clip.stream.packed, "truth": clip.truth}
+
+    fill_folder(folder, document, wanted.seeds, arrays, progress)
+
+
+def fill_folder(
+    folder: Path, document: dict, seeds: range, arrays_of: Callable[[int], dict[str, NDArray]], progress: Progress
+) -> None:
+    """Write `arrays_of` each of `seeds` that `folder` lacks; raises BadRunError where `clips.json` is another one."""
+    folder.mkdir(parents=True, exist_ok=True)
     if (folder / "clips.json").exists():
-        if (found := _document(folder)) != document:
+        if (found := read_document(folder)) != document:
             raise BadRunError(f"{folder}: found clips {found}, expected {document}; give a new folder")
     else:
         write_json(folder / "clips.json", document)
-    lacking = [seed for seed in wanted.seeds if not _path(folder, seed).exists()]
+    lacking = [seed for seed in seeds if not clip_path(folder, seed).exists()]
     for done, seed in enumerate(lacking, 1):
-        clip = make_clip(wanted, seed)
         buffer = io.BytesIO()
-        np.savez(buffer, packed=clip.stream.packed, truth=clip.truth)
-        write_durably(_path(folder, seed), buffer.getvalue())
+        np.savez(buffer, **arrays_of(seed))  # pyright: ignore[reportArgumentType]
+        write_durably(clip_path(folder, seed), buffer.getvalue())
         progress(done / len(lacking), f"clip {seed}")
+
+
+def require_whole(folder: Path, document: dict, schema: int, seeds: range) -> None:
+    """Raises BadRunError where `document` is of another schema or clips of `seeds` are missing."""
+    lacking = sum(not clip_path(folder, seed).exists() for seed in seeds)
+    if lacking or document.get("schema") != schema:
+        raise BadRunError(f"{folder}: found {lacking} clips missing of {len(seeds)}; run the generator again")
 
 
 def read_clip_set(folder: Path) -> ClipSet:
     """What `folder` holds; raises BadRunError where it is no folder of clips of this version, or not whole."""
-    found = _document(folder)
+    found = read_document(folder)
     try:
         first_seed, count, size, planes = (int(found[name]) for name in ("first_seed", "count", "size", "planes"))
         wanted = ClipSet(first_seed, count, size, planes, tuple(found["instants"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadRunError(f"{folder}/clips.json: found {found}, expected a set of clips; make it again") from error
-    lacking = sum(not _path(folder, seed).exists() for seed in wanted.seeds)
-    if lacking or found.get("schema") != SCHEMA:
-        raise BadRunError(f"{folder}: found {lacking} clips missing of {wanted.count}; run the generator again")
+    require_whole(folder, found, SCHEMA, wanted.seeds)
     return wanted
 
 
 def read_clip(folder: Path, wanted: ClipSet, seed: int) -> Clip:
     """The clip with `seed` out of `folder`."""
-    with np.load(_path(folder, seed), allow_pickle=False) as archive:
+    with np.load(clip_path(folder, seed), allow_pickle=False) as archive:
         stream = SpikeStream(archive["packed"], PlaneLayout(wanted.size, wanted.size), TICK_RATE_HZ)
         return Clip(stream, wanted.instants, archive["truth"].astype(np.float32))
 
 
-def _path(folder: Path, seed: int) -> Path:
+def clip_path(folder: Path, seed: int) -> Path:
+    """The file of the clip with `seed`."""
     return folder / f"{seed:07d}.npz"
 
 
-def _document(folder: Path) -> dict:
+def read_document(folder: Path) -> dict:
+    """What `clips.json` of `folder` says; raises BadRunError where there is none."""
     try:
         return json.loads((folder / "clips.json").read_text())
     except (OSError, ValueError) as error:

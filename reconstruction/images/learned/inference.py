@@ -24,9 +24,15 @@ ENOUGH_LIGHT, MOST_GROUP = 0.05, 15  # spikes per tick that a dim image is broug
 Floats = NDArray[np.float32]
 
 
-def infer(network: Model, module: nn.Module, stream: SpikeStream, plane: int) -> tuple[Floats, Floats]:
-    """Light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not negative."""
-    seen = torch.from_numpy(np.ascontiguousarray(network.observe(stream, plane)))[None].float()
+def infer(
+    network: Model, module: nn.Module, stream: SpikeStream, plane: int, seen: torch.Tensor | None = None
+) -> tuple[Floats, Floats]:
+    """Light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not negative.
+
+    `seen` [1, C, H, W] is what `network` observes there, for those who have it already.
+    """
+    if seen is None:
+        seen = torch.from_numpy(np.ascontiguousarray(network.observe(stream, plane)))[None].float()
     height, width = seen.shape[2:]
     light, sigma = torch.empty(height, width), torch.empty(height, width)
     with torch.inference_mode():
@@ -43,11 +49,15 @@ def infer(network: Model, module: nn.Module, stream: SpikeStream, plane: int) ->
 
 
 def estimated(name: str, stream: SpikeStream, plane: int, weights: Path | None = None) -> Estimate:
-    """The image at `plane` by the network `name`; valid where one of a pixel's 3x3 fired in the window it looks at.
+    """The image at `plane` by the network `name`; see `estimated_by`."""
+    return estimated_by(model(name), trained(name, weights), stream, plane)
+
+
+def estimated_by(network: Model, module: nn.Module, stream: SpikeStream, plane: int) -> Estimate:
+    """The image at `plane` by a trained network; valid where one of a pixel's 3x3 fired in the window it looks at.
 
     `sigma` is the network's own statement, learnt beside the light; unlike the other methods' it knows of motion.
     """
-    network, module = model(name), trained(name, weights)
     brighter, middle, group = gathered(stream, plane, network.reach)
     fired = (brighter.counts(*window_around(brighter, middle, network.reach)) > 0).astype(np.uint8)
     light, sigma = (image / np.float32(group) for image in infer(network, module, brighter, middle))

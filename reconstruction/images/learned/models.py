@@ -53,10 +53,15 @@ def loss(model: Model, module: nn.Module, seen: Tensor, truth: Tensor | None) ->
         raise BadRunError("found no true light to train this network on, expected clips that have it; use blindspot")
     level = model.level(seen)
     light, sigma = module(seen, level)
+    return light_loss(light, sigma, target, level, model.bend)
+
+
+def light_loss(light: Tensor, sigma: Tensor, target: Tensor, level: Tensor, bend: float = BEND) -> Tensor:
+    """The loss of light and its standard deviation against the target [N, 1, H, W], at mean light [N, 1, 1, 1]."""
     error, spread = (light - target) / level, sigma / level
-    light_loss = functional.huber_loss(error, torch.zeros_like(error), delta=model.bend)
+    found = functional.huber_loss(error, torch.zeros_like(error), delta=bend)
     likelihood = spread.log() + (error.detach() / spread) ** 2 / 2
-    return light_loss / BEND + SIGMA_WEIGHT * likelihood.mean()
+    return found / BEND + SIGMA_WEIGHT * likelihood.mean()
 
 
 def model(name: str) -> Model:

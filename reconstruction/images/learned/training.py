@@ -22,6 +22,7 @@ from acquisition.durable import write_json
 from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
+from reconstruction.images.learned import ranks
 from reconstruction.images.learned.batches import Batches, Pictures
 from reconstruction.images.learned.models import loss, model
 from reconstruction.images.learned.weights import read_state, write_state, write_weights
@@ -31,16 +32,15 @@ LAST_RATE = 0.02  # of the learning rate, at the last step
 LARGEST_GRADIENT = 1.0
 
 Score = Callable[[nn.Module], dict[str, float]]
+LossOf = Callable[[nn.Module, int], torch.Tensor]
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
-    """What is trained and how; `averaged` is the share of the running average that a step keeps."""
+class LoopConfig:
+    """What is trained and how long; `averaged` is the share of the running average that a step keeps."""
 
     name: str
     steps: int
-    batch: int = 8
-    crop: int = 64
     learning_rate: float = 1e-3
     averaged: float = 0.998
     seed: int = 0
@@ -56,23 +56,31 @@ class TrainingConfig:
         return self.learning_rate * min(1.0, (step + 1) / WARM_UP) * (LAST_RATE + (1 - LAST_RATE) * left)
 
 
-class Training:
-    """One network on its way; `run` goes on from whatever `folder` holds.
+@dataclass(frozen=True)
+class TrainingConfig(LoopConfig):
+    """A loop over batches of `batch` crops of `crop` px a side."""
 
-    Raises BadRunError where the folder was begun with another network, batch or seed. More `steps` than before are a
-    longer training, whose learning rate is that of the longer one from here on. `notes` go into the document.
+    batch: int = 8
+    crop: int = 64
+
+
+class Loop:
+    """A module on its way down the losses of numbered batches; `run` goes on from whatever `folder` holds.
+
+    `loss_of(module, number)` is the loss of batch `number`. Raises BadRunError where the folder was begun with another
+    configuration. More `steps` than before are a longer training, whose learning rate is that of the longer one from
+    here on. `described` goes into the document. Of several processes (see `ranks`) each takes its own batches.
     """
 
     def __init__(
-        self, folder: Path, config: TrainingConfig, pictures: Pictures, device: str = "cpu", notes: dict | None = None
+        self, folder: Path, config: LoopConfig, module: nn.Module, loss_of: LossOf, device: str, described: dict
     ) -> None:
-        self.model, self.config, self.folder = model(config.name), config, folder
-        self.device, self.notes = torch.device(device), notes or {}
-        self.batches = Batches(pictures, self.model, config.batch, config.crop, config.seed)
-        torch.manual_seed(config.seed)
-        self.module = self.model.build().to(self.device)
+        self.config, self.folder, self.described = config, folder, described
+        self.device, self.loss_of = torch.device(device), loss_of
+        self.module = module.to(self.device)
         self.average = copy.deepcopy(self.module).requires_grad_(False)
-        self.optimiser = torch.optim.Adam(self.module.parameters(), config.learning_rate)
+        groups = getattr(module, "parameter_groups", lambda: [{"params": list(module.parameters())}])()
+        self.optimiser = torch.optim.Adam(groups, config.learning_rate)
         self.step, self.seconds, self.recent = 0, 0.0, 0.0
         self.curve: list[dict[str, float]] = []
         folder.mkdir(parents=True, exist_ok=True)
@@ -86,27 +94,30 @@ class Training:
             self._take_step()
             self.seconds += clock() - began
             if self.step % self.config.score_every == 0 or self.step == self.config.steps:
-                found = score(copy.deepcopy(self.average).cpu().eval())
-                self.curve.append({"step": self.step, "seconds": self.seconds, "loss": self.recent} | found)
-                self._store()
+                if ranks.first():
+                    found = score(copy.deepcopy(self.average).cpu().eval())
+                    self.curve.append({"step": self.step, "seconds": self.seconds, "loss": self.recent} | found)
+                    self._store()
+                ranks.wait()
             progress(self.step / self.config.steps, f"step {self.step}, loss {self.recent:.4f}")
 
     def _take_step(self) -> None:
         for group in self.optimiser.param_groups:
-            group["lr"] = self.config.rate(self.step)
-        seen, truth = self.batches.batch(self.step)
-        seen = seen.to(self.device, memory_format=torch.channels_last)
-        found = loss(self.model, self.module, seen, None if truth is None else truth.to(self.device))
+            group["lr"] = self.config.rate(self.step) * group.get("share", 1.0)
+        found = self.loss_of(self.module, ranks.own(self.step))
         self.optimiser.zero_grad()
         found.backward()
-        nn.utils.clip_grad_norm_(self.module.parameters(), LARGEST_GRADIENT)
-        self.optimiser.step()
+        ranks.average_gradients(self.module.parameters())
+        norm = nn.utils.clip_grad_norm_(self.module.parameters(), LARGEST_GRADIENT)
+        sound = bool(torch.isfinite(norm)) and bool(torch.isfinite(found))
+        if sound:  # a step that would spoil the weights is left out
+            self.optimiser.step()
         self.step += 1
         keep = min(self.config.averaged, self.step / (self.step + 10))
         with torch.no_grad():
             for mean, now in zip(self.average.parameters(), self.module.parameters(), strict=True):
                 mean.lerp_(now, 1 - keep)
-        self.recent += (found.item() - self.recent) * max(0.01, 1 / self.step)
+        self.recent += (found.item() - self.recent) * max(0.01, 1 / self.step) if sound else 0.0
 
     def _store(self) -> None:
         state = {
@@ -140,9 +151,26 @@ class Training:
             "network": self.config.name,
             "parameters": sum(p.numel() for p in self.module.parameters()),
             "config": asdict(self.config),
-            "pictures": self.batches.pictures.description(),
             "device": device | {"accelerator": None if self.device.type == "cpu" else str(self.device)},
             "revision": code_revision(),
-            **self.notes,
+            **self.described,
             "curve": self.curve,
         }
+
+
+class Training(Loop):
+    """One image network on batches of `pictures`; see `Loop`. `notes` go into the document."""
+
+    def __init__(
+        self, folder: Path, config: TrainingConfig, pictures: Pictures, device: str = "cpu", notes: dict | None = None
+    ) -> None:
+        self.model = model(config.name)
+        self.batches = Batches(pictures, self.model, config.batch, config.crop, config.seed)
+        torch.manual_seed(config.seed)
+        described = {"pictures": pictures.description(), **(notes or {})}
+        super().__init__(folder, config, self.model.build(), self._loss_of, device, described)
+
+    def _loss_of(self, module: nn.Module, number: int) -> torch.Tensor:
+        seen, truth = self.batches.batch(number)
+        seen = seen.to(self.device, memory_format=torch.channels_last)
+        return loss(self.model, module, seen, None if truth is None else truth.to(self.device))

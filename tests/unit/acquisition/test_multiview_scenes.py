@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+
+from acquisition.errors import AcquisitionError
+from acquisition.scenes.multiview import DISTANCE_M, SPACING_M, multiview_scene, random_rig
+
+SEEDS = range(12)
+
+
+def test_the_same_seed_is_the_same_rig_and_scene():
+    a, again, b = random_rig(5, 4, 192, 128), random_rig(5, 4, 192, 128), random_rig(6, 4, 192, 128)
+    assert a.ids == again.ids
+    assert all(
+        np.array_equal(x.cam_from_rig.matrix, y.cam_from_rig.matrix)
+        for x, y in zip(a.cameras, again.cameras, strict=True)
+    )
+    assert a.cameras[0].fx != b.cameras[0].fx
+    one, two = multiview_scene(5, 170.0), multiview_scene(5, 170.0)
+    assert np.array_equal(one.geometry.shapes, two.geometry.shapes)
+    assert np.array_equal(one.textures, two.textures)
+
+
+@pytest.mark.parametrize("views", [3, 9])
+def test_cameras_stand_apart_and_look_at_one_place(views):
+    for seed in SEEDS:
+        rig = random_rig(seed, views, 192, 128)
+        assert len(set(rig.ids)) == views
+        centers = np.array([camera.center for camera in rig.cameras])
+        gaps = np.linalg.norm(centers[:, None] - centers[None], axis=-1)[~np.eye(views, dtype=bool)]
+        assert gaps.min() > 0.03
+        assert gaps.max() < 3 * SPACING_M[1] + 0.2
+        for camera in rig.cameras:
+            ahead = camera.cam_from_rig.apply([0, 0, np.mean(DISTANCE_M)])
+            assert ahead[2] > 1
+            assert np.abs(ahead[:2] / ahead[2] * camera.fx).max() < 60
+
+
+def test_every_view_is_filled_by_the_scene():
+    for seed in SEEDS:
+        rig = random_rig(seed, 3, 48, 32)
+        scene = multiview_scene(seed, rig.cameras[0].fx)
+        for camera in rig.cameras:
+            depth = scene.render(camera, np.zeros(1), 1).depth
+            assert np.isfinite(depth).mean() > 0.9
+            assert np.nanmin(depth) > 0.3
+
+
+def test_most_scenes_stand_still_and_some_have_a_floor():
+    scenes = [multiview_scene(seed, 170.0) for seed in range(30)]
+    assert 0.6 < np.mean([not scene.movers for scene in scenes]) < 1
+    floors = np.mean([any(body.name == "floor" for body in scene.bodies) for scene in scenes])
+    assert 0.3 < floors < 0.9
+
+
+def test_a_rig_of_one_or_ten_views_is_refused():
+    for views in (1, 10):
+        with pytest.raises(AcquisitionError, match="2 to 9"):
+            random_rig(0, views, 192, 128)

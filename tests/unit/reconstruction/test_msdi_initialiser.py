@@ -1,0 +1,128 @@
+import numpy as np
+import pytest
+
+from acquisition.errors import BadRecordingError
+from acquisition.scenes.misplaced import misplaced
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.images.adaptive import adaptive
+from reconstruction.initialization.msdi.clips import MultiviewSet, make_clip
+from reconstruction.initialization.msdi.image import msdi
+from reconstruction.initialization.msdi.initialiser import LEAST_CONFIDENCE, initialise
+from reconstruction.metrics.image import psnr_db
+from reconstruction.metrics.poses import pose_errors
+from rigs.similarity import align
+
+CLIP = MultiviewSet(first_seed=910_001, count=1)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return make_clip(CLIP, CLIP.first_seed)
+
+
+@pytest.fixture(scope="module")
+def streams(clip):
+    return dict(zip(clip.rig.ids, clip.streams, strict=True))
+
+
+@pytest.fixture(scope="module")
+def nominal(clip):
+    return misplaced(clip.rig, 2.0, 4)
+
+
+@pytest.fixture(scope="module")
+def found(clip, streams, nominal):
+    told = []
+    geometry = initialise(streams, nominal, clip.rig.clock.instant_s(clip.plane), lambda f, m: told.append(f))
+    assert told == sorted(told)
+    assert 0 <= told[0] <= told[-1] <= 1
+    return geometry
+
+
+def dark(stream):
+    return SpikeStream(np.zeros_like(stream.packed), stream.layout, stream.tick_rate_hz)
+
+
+def test_the_shipped_weights_leave_a_quarter_of_the_nominal_error(clip, nominal, found):
+    assert "refused" not in found.report
+    before, after = (pose_errors(rig, clip.rig, 1.8) for rig in (nominal, found.rig))
+    assert after.rotation_deg < before.rotation_deg / 4
+    assert found.rig.ids == nominal.ids
+    assert align(found.rig, nominal).scale == pytest.approx(1, abs=1e-6)
+
+
+def test_points_lie_on_what_the_views_see(clip, found):
+    assert found.points.shape == (len(found.confidence), 3)
+    assert len(found.points) > 3000
+    assert found.confidence.min() >= LEAST_CONFIDENCE
+    in_truth = align(found.rig, clip.rig).apply(found.points)
+    camera, depth = clip.rig.cameras[0], clip.depth[0]
+    there = camera.cam_from_rig.apply(in_truth)
+    at = (there[:, :2] / there[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)).astype(int)
+    inside = ((at >= 0) & (at < (camera.width, camera.height))).all(axis=1)
+    true = depth[at[inside, 1], at[inside, 0]]
+    error = np.abs(there[inside, 2] / true - 1)
+    assert np.median(error) < 0.05
+
+
+def test_images_are_better_than_the_best_without_learning(clip, streams, found):
+    for v, (name, stream) in enumerate(streams.items()):
+        learnt, plain = found.images[name], adaptive(stream, clip.plane).intensity
+        assert psnr_db(learnt, clip.light[v], clip.white) > psnr_db(plain, clip.light[v], clip.white)
+
+
+def test_a_single_stream_gives_the_same_image(clip, streams, found):
+    name = clip.rig.ids[1]
+    estimate = msdi(streams[name], clip.plane)
+    assert np.allclose(estimate.intensity, found.images[name], atol=1e-6)
+    assert estimate.valid.mean() > 0.9
+    assert (estimate.sigma > 0).all()
+
+
+def test_a_dark_view_keeps_its_nominal_pose_and_the_others_are_found(clip, streams, nominal):
+    last = clip.rig.ids[-1]
+    geometry = initialise({**streams, last: dark(streams[last])}, nominal, clip.rig.clock.instant_s(clip.plane))
+    assert geometry.report["dark"] == [last]
+    kept = geometry.rig.camera(last).cam_from_rig.matrix
+    assert np.array_equal(kept, nominal.camera(last).cam_from_rig.matrix)
+    others = clip.rig.only(clip.rig.ids[:-1])
+    before, after = (pose_errors(rig.only(others.ids), others, 1.8) for rig in (nominal, geometry.rig))
+    assert after.rotation_deg < before.rotation_deg / 2
+    assert last not in geometry.images
+
+
+def test_with_too_little_light_the_nominal_rig_stands(clip, streams, nominal):
+    darkened = {name: dark(stream) for name, stream in streams.items()}
+    geometry = initialise(darkened, nominal, clip.rig.clock.instant_s(clip.plane))
+    assert geometry.rig is nominal
+    assert "0 views with light" in str(geometry.report["refused"])
+    assert len(geometry.points) == len(geometry.confidence) == 0
+
+
+def test_views_of_different_scenes_are_not_believed(clip, streams, nominal):
+    """Noise in place of one view: its correspondences do not agree with any camera."""
+    name = clip.rig.ids[0]
+    noise = np.random.default_rng(0).integers(0, 256, streams[name].packed.shape, dtype=np.uint8)
+    other = SpikeStream(noise, streams[name].layout, streams[name].tick_rate_hz)
+    geometry = initialise({**streams, name: other}, nominal, clip.rig.clock.instant_s(clip.plane))
+    assert "refused" in geometry.report
+    assert geometry.rig is nominal
+
+
+def test_what_cannot_be_is_refused_by_name(clip, streams, nominal, tmp_path):
+    instant_s = clip.rig.clock.instant_s(clip.plane)
+    two = dict(list(streams.items())[:2])
+    with pytest.raises(BadRunError, match="2 views, expected 3 to 9"):
+        initialise(two, nominal, instant_s)
+    with pytest.raises(BadRunError, match="streams of camXY"):
+        initialise({**streams, "camXY": clip.streams[0]}, nominal, instant_s)
+    with pytest.raises(BadRunError, match="one size"):
+        initialise(streams, nominal.scaled(96, 64), instant_s)
+    with pytest.raises(BadRecordingError, match="expected one inside"):
+        initialise(streams, nominal, 1.0)
+    with pytest.raises(BadRunError, match="no weights"):
+        initialise(streams, nominal, instant_s, weights=tmp_path / "none.npz")
+    (tmp_path / "junk.npz").write_bytes(b"junk")
+    with pytest.raises(BadRunError, match="other or damaged weights"):
+        initialise(streams, nominal, instant_s, weights=tmp_path / "junk.npz")

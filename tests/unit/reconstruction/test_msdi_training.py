@@ -1,0 +1,227 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from reconstruction.errors import BadRunError
+from reconstruction.initialization.msdi.clips import MultiviewSet, make_clip, read_clip, read_clip_set, write_clips
+from reconstruction.initialization.msdi.curve import plot_curves
+from reconstruction.initialization.msdi.depth import STEPS, Swept
+from reconstruction.initialization.msdi.features import keypoints, sampled
+from reconstruction.initialization.msdi.network import small_msdi
+from reconstruction.initialization.msdi.samples import Samples
+from reconstruction.initialization.msdi.supervision import (
+    IGNORED,
+    UNSEEN,
+    correspondences,
+    depth_at,
+    depth_loss,
+    token_loss,
+)
+from reconstruction.initialization.msdi.train import main
+from reconstruction.initialization.msdi.training import MsdiConfig, MsdiTraining, sample_loss
+from reconstruction.initialization.msdi.views import Views, inverse_depths
+
+TINY = MultiviewSet(first_seed=5, count=2, views=3, width=56, height=40)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # sums in one order
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    write_clips(folder, TINY)
+    return folder
+
+
+def training(out, folder, **settings):
+    wanted = {"name": "small", "steps": 4, "score_every": 2, "image_from": 0, "pose_from": 0} | settings
+    return MsdiTraining(out, MsdiConfig(**wanted), folder, "cpu", {})
+
+
+def no_score(module):
+    return {}
+
+
+def test_clips_come_back_as_they_were_made(folder):
+    assert read_clip_set(folder) == TINY
+    made, found = make_clip(TINY, 6), read_clip(folder, TINY, 6)
+    for a, b in zip(made.streams, found.streams, strict=True):
+        assert np.array_equal(a.packed, b.packed)
+    assert np.allclose(made.light, found.light, rtol=1e-3)
+    assert np.array_equal(made.depth, found.depth)
+    assert made.white == found.white
+    assert all(np.array_equal(a.K, b.K) for a, b in zip(made.rig.cameras, found.rig.cameras, strict=True))
+
+
+def test_clips_that_are_lacking_other_or_impossible_are_refused(folder, tmp_path):
+    with pytest.raises(BadRunError, match="give a new folder"):
+        write_clips(folder, MultiviewSet(5, 3, 3, 56, 40))
+    with pytest.raises(BadRunError, match=r"no readable clips\.json"):
+        read_clip_set(tmp_path)
+    (tmp_path / "clips.json").write_text(json.dumps({"schema": 1, "first_seed": 0}))
+    with pytest.raises(BadRunError, match="expected clips of several views"):
+        read_clip_set(tmp_path)
+    with pytest.raises(BadRunError, match="2 to 9 views"):
+        MultiviewSet(0, 1, 10)
+
+
+def test_a_sample_is_the_same_whenever_it_is_asked_for(folder):
+    torch.manual_seed(0)
+    network = small_msdi()
+    one, two = (Samples(folder, network, 3, 2.0, 10) for _ in range(2))
+    one.sample(0, raw=False)
+    a, b = one.sample(7, raw=False), two.sample(7, raw=False)
+    assert a.seen is not None
+    assert b.seen is not None
+    assert torch.equal(a.seen, b.seen)
+    assert torch.equal(a.nominal.rotation, b.nominal.rotation)
+    raw = one.sample(7, raw=True)
+    assert raw.seen is None
+    assert raw.rates is not None
+    assert raw.rates.shape[2:] == a.seen.shape[2:]
+    assert torch.equal(raw.light, a.light)
+
+
+def test_true_correspondences_look_alike_however_the_sample_was_turned(folder):
+    torch.manual_seed(0)
+    samples = Samples(folder, small_msdi(), 0, 2.0, 10)
+    alike = []
+    for number in range(6):
+        sample = samples.sample(number, raw=False)
+        assert sample.seen is not None
+        pixels = keypoints(sample.seen)
+        seen, tokens = correspondences(sample.depth, sample.true, pixels)
+        light = sample.light / sample.light.mean()
+        here = sampled(light, pixels, 1)[..., 0]
+        for v in range(len(pixels)):
+            for w in range(len(pixels)):
+                kept = tokens[v, :, w] >= 0
+                if v != w and kept.sum() > 5:
+                    there = sampled(light[w : w + 1], seen[None, v, :, w], 1)[0, :, 0]
+                    alike.append(float(torch.corrcoef(torch.stack([here[v][kept], there[kept]]))[0, 1]))
+                assert v != w or (tokens[v, :, w] == IGNORED).all()
+    assert np.mean(alike) > 0.8
+
+
+def test_depth_is_that_of_the_pixel_and_nothing_outside():
+    depth = torch.arange(12.0).reshape(1, 3, 4)
+    at = torch.tensor([[[1.5, 2.5], [3.99, 0.0], [-0.1, 1.0], [4.0, 1.0]]])
+    found = depth_at(depth, at)[0]
+    assert found[:2].tolist() == [9.0, 3.0]
+    assert torch.isnan(found[2:]).all()
+
+
+def test_the_token_loss_falls_with_the_share_of_the_true_token():
+    tokens = torch.tensor([[[IGNORED, 1], [IGNORED, UNSEEN]], [[0, IGNORED], [0, IGNORED]]])
+    allowed = torch.ones(2, 2, 2, 2, dtype=torch.bool)
+
+    def loss(right):
+        logits = torch.zeros(2, 2, 2, 3)
+        logits[0, 0, 1, 1] = logits[0, 1, 1, 2] = logits[1, 0, 0, 0] = logits[1, 1, 0, 0] = right
+        return float(token_loss(logits.log_softmax(-1), tokens, allowed))
+
+    assert loss(0.0) == pytest.approx(np.log(3), rel=1e-5)
+    assert loss(2.0) < loss(0.0) < loss(-2.0)
+
+
+def test_the_depth_loss_is_least_at_the_truth():
+    views = Views.of_rig(read_clip_set_rig())
+    steps = inverse_depths(views, STEPS).float()
+    depth = torch.full((16, 24), float(1 / steps[20]))
+
+    def loss(at, confidence=2.0):
+        logits = torch.full((STEPS, 4, 6), -5.0)
+        logits[at] = 5.0
+        inverse = torch.full_like(depth, float(steps[at]))
+        return float(depth_loss(Swept(logits, inverse, torch.full_like(depth, confidence)), depth, views))
+
+    assert loss(20) < loss(21) < loss(30)
+    assert loss(20, confidence=10.0) < loss(20)
+    assert loss(30, confidence=10.0) > loss(30)
+    unknown = torch.full_like(depth, torch.nan)
+    logits = torch.zeros(STEPS, 4, 6, requires_grad=True)
+    depth_loss(Swept(logits, 1 / depth, 2 * torch.ones_like(depth)), unknown, views).backward()
+    assert logits.grad is not None
+    assert torch.isfinite(logits.grad).all()
+
+
+def read_clip_set_rig():
+    from acquisition.scenes.multiview import random_rig
+
+    return random_rig(1, 3, 24, 16)
+
+
+def test_apart_the_geometry_does_not_teach_the_images_and_joint_it_does(folder):
+    torch.manual_seed(0)
+    network = small_msdi()
+    sample = Samples(folder, network, 0, 2.0, 10).sample(1, raw=True)
+    grads = {}
+    for joint in (False, True):
+        network.zero_grad()
+        sample_loss(network, sample, 0, joint=joint, pose=True).backward()
+        grads[joint] = [p.grad.clone() for p in network.image.parameters() if p.grad is not None]
+    image_only = []
+    network.zero_grad()
+    from reconstruction.images.learned.models import light_loss
+
+    assert sample.rates is not None
+    light, sigma, level = network.light(sample.rates)
+    light_loss(light, sigma, sample.light, level).backward()
+    image_only = [p.grad for p in network.image.parameters() if p.grad is not None]
+    assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(grads[False], image_only, strict=True))
+    assert any(not torch.allclose(a, b, atol=1e-4) for a, b in zip(grads[True], image_only, strict=True))
+
+
+def test_a_killed_training_goes_on_as_if_it_had_not_been(folder, tmp_path):
+    whole = training(tmp_path / "whole", folder)
+    before = [p.clone() for p in whole.module.parameters()]
+    whole.run(no_score)
+    assert sum(not torch.equal(a, b) for a, b in zip(before, whole.module.parameters(), strict=True)) > 60
+    stopped = training(tmp_path / "cut", folder)
+
+    def die_after_three(fraction, message):
+        if fraction > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped.run(no_score, die_after_three)
+    resumed = training(tmp_path / "cut", folder)
+    assert resumed.step == 2
+    resumed.run(no_score)
+    for a, b in zip(whole.average.parameters(), resumed.average.parameters(), strict=True):
+        assert torch.equal(a, b)
+    files = [(tmp_path / name / "small.npz").read_bytes() for name in ("whole", "cut")]
+    assert files[0] == files[1]
+    document = json.loads((tmp_path / "cut" / "training.json").read_text())
+    assert document["pictures"]["clips"]["count"] == 2
+    assert document["config"]["joint"] is True
+    with pytest.raises(BadRunError, match="give a new folder"):
+        training(tmp_path / "cut", folder, joint=False)
+
+
+def test_the_curve_is_drawn_from_a_training_with_scores_only(tmp_path):
+    point = {"step": 1, "seconds": 1.0, "loss": 1.0} | {f"random_{n}": 1.0 for n in ("deg", "abs_rel", "db")}
+    document = {"config": {"joint": True}, "device": {"processor": "x", "threads": 1}, "curve": [point, point]}
+    path = tmp_path / "training.json"
+    path.write_text(json.dumps(document))
+    plot_curves([path], tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
+    path.write_text(json.dumps(document | {"curve": []}))
+    with pytest.raises(BadRunError, match="no curve of a training"):
+        plot_curves([path], tmp_path / "curve.png")
+
+
+def test_the_commands_say_what_they_take(tmp_path):
+    shown = CliRunner().invoke(main, ["network", "--help"])
+    assert "--joint / --separate" in shown.output
+    wrong = CliRunner().invoke(main, ["network", "--clips", str(tmp_path), "--out", str(tmp_path / "run")])
+    assert isinstance(wrong.exception, BadRunError)
