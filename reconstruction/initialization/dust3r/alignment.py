@@ -24,8 +24,9 @@ from reconstruction.initialization.dust3r.start import Start, focal_factor, star
 from rigs.transform import Floats, Transform
 
 ROUNDED = (0.05, 0.01, 0.002)  # below which a distance counts as a square, in median depths
-STEPS = 60  # of each stage
-CAUCHY = 2.0  # width of the last stage, in median distances
+STEPS = 100  # of each stage, at most
+POLISHED = 3  # times: L-BFGS may stop on its way, and goes on when begun anew
+CAUCHY = 3.0  # width of the last stage, in median distances
 FINEST = 1e-6  # of those, in median depths
 MOST_RESIDUAL = 0.15  # median disagreement of a view with its pairs, as a share of the depth
 AGREEMENT = 0.05  # as a share of the depth: where a point's confidence has fallen to half
@@ -64,7 +65,8 @@ def aligned(
     for stage, rounded in enumerate(ROUNDED):
         progress((stage + 1) / (len(ROUNDED) + 1), "aligning pairs")
         problem.improve(rounded)
-    problem.polish()
+    for _ in range(POLISHED):
+        problem.polish()
     progress(1.0, "aligned")
     found = problem.result()
     bad = [name for name, off in zip(names, found.residuals, strict=True) if not off <= MOST_RESIDUAL]
@@ -151,7 +153,7 @@ class _Problem:
             history_size=20,
             line_search_fn="strong_wolfe",
             tolerance_grad=1e-10,
-            tolerance_change=1e-13,
+            tolerance_change=1e-9,
         )
 
         def cost() -> Tensor:
