@@ -1,12 +1,12 @@
 """Where one picture has the points of a calibration board, to a few hundredths of a pixel.
 
 OpenCV's detector finds the tags in a picture made twice as large, for it wants cells of several pixels. What it found
-must lie as the board says (one homography, RANSAC); then each point is sought anew in the linear picture itself, by the
-straight edges that make it: borders between the squares of a ChArUco board meet in its points, the sides of a tag in its
-corners, whose diagonals meet in its middle. Each edge passes where the light, integrated across it, has stepped from the
-black level to the white one, so blur that is alike on both sides, be it of pixels, of interpolation or of motion, does
-not shift it. Without noise points are exact to 0.01 px; `cv2.cornerSubPix` errs by 0.04 px at squares. Corners of tags
-that move are found 0.01 px too far out, for dark pixels remember light longer; their middles are not.
+must lie as the board says (one homography, RANSAC); then each point is sought anew in the linear picture itself, by
+the straight edges that make it: borders between the squares of a ChArUco board meet in its points, the sides of a tag
+in its corners, whose diagonals meet in its middle. Each edge passes where the light, integrated across it, has stepped
+from the black level to the white one, so blur that is alike on both sides, be it of pixels, of interpolation or of
+motion, does not shift it. Without noise points are exact to 0.01 px; `cv2.cornerSubPix` errs by 0.04 px at squares.
+Corners of tags that move are found 0.01 px too far out, for dark pixels remember light longer; their middles are not.
 
 Letters: T tags, N points, B tags or points, E edges of each, S samples along an edge, O offsets across it.
 """

@@ -30,8 +30,9 @@ class BoardSpec:
     """A board: T tags of `dictionary`, their corners [T, 4, 3] in metres clockwise from the top left, and N points.
 
     The points [N, 3] in metres are what is measured: the inner corners of a ChArUco board's squares, row by row, or the
-    middles of the tags. Print and light that spread move a tag's corners outward, but not its middle. `tags_of` [N, 2] are the two tags next to each point, equal where it has one.
-    `cell_m` is the width of a black or white cell of a tag, `margin_m` how far from a point the next print begins.
+    middles of the tags. Print and light that spread move a tag's corners outward, but not its middle. `tags_of` [N, 2]
+    are the two tags next to each point, equal where it has one. `cell_m` is the width of a black or white cell of a
+    tag, `margin_m` how far from a point the next print begins.
     """
 
     text: str
