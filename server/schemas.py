@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Status = Literal["queued", "running", "done", "failed", "cancelled"]
 Images = Literal["auto", "tfi", "tfp"]
-Init = Literal["auto", "sweep", "natural", "sfm"]
+Init = Literal["auto", "sweep", "natural", "sfm", "msdi"]
 Model = Literal["auto", "static", "linear"]
 Supervision = Literal["auto", "pixels", "variation"]
 

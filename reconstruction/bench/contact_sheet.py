@@ -12,7 +12,7 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.clips import Truth
 from reconstruction.evaluation.truth import Truth as RunTruth
-from reconstruction.images.methods import METHODS
+from reconstruction.pipeline.image_methods import ALL_METHODS as METHODS
 from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_span_m, grey, write_png
 from reconstruction.training.checkpoint import load_cloud

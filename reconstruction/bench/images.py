@@ -33,7 +33,8 @@ from reconstruction.bench.recordings import (
 )
 from reconstruction.bench.scores import DEFINITIONS, Scorer
 from reconstruction.images.estimate import Estimate
-from reconstruction.images.methods import METHODS, Method
+from reconstruction.images.methods import Method
+from reconstruction.pipeline.image_methods import ALL_METHODS as METHODS
 from rigs.errors import Spike4dgsError
 from rigs.toml import catalog_rig
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,9 @@ from reconstruction.calibration.features import MOST_PLANES, long_image
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.images.tfi import tfi
 from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.msdi.image import msdi
 from reconstruction.initialization.sfm import sfm
+from reconstruction.pipeline.initialisers import InitOptions, initialise, msdi_alone
 from rigs.rig import Rig
 
 DATE = "2026-01-01"  # of the rigs found, which nobody keeps
@@ -52,12 +54,28 @@ def _long(recording: Recording, views: Sequence[str], planes: int | None) -> Ima
     return {view: long_image(recording.stream(view), planes or MOST_PLANES) for view in views}
 
 
+def _msdi(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    return msdi_alone(replace(recording, rig=rig), views)
+
+
+def _msdi_ba(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    return initialise("msdi", replace(recording, rig=rig), views, InitOptions())
+
+
+def _msdi_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    middle = recording.planes // 2
+    return sfm(rig, {view: msdi(recording.stream(view), middle).intensity for view in views})
+
+
 METHODS = {
     method.name: method
     for method in (
         PoseMethod("nominal", "the rig as drawn", _nominal),
         PoseMethod("tfi+colmap", "TFI images of one instant, COLMAP from scratch", _tfi_colmap),
+        PoseMethod("msdi-image+colmap", "MSDI images of one instant, COLMAP from scratch", _msdi_colmap),
         PoseMethod("long+colmap", "long-window images, COLMAP from scratch", _long_colmap),
         PoseMethod("natural", "natural-scene calibration from the nominal rig", _natural),
+        PoseMethod("msdi", "MSDI's network alone, at one instant", _msdi),
+        PoseMethod("msdi+ba", "MSDI, then natural calibration from its cameras", _msdi_ba),
     )
 }

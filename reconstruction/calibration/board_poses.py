@@ -17,7 +17,7 @@ from reconstruction.calibration.projection import Cameras, project
 from rigs.camera import Camera
 from rigs.transform import Floats, Transform
 
-LEAST_POINTS = 6
+LEAST_POINTS = 4
 LEAST_WIDTH = 0.1  # of the points' extent across their length; less is a line
 MOST_PX = 50.0  # what a point far off counts at most
 

@@ -30,8 +30,9 @@ class BoardSpec:
     """A board: T tags of `dictionary`, their corners [T, 4, 3] in metres clockwise from the top left, and N points.
 
     The points [N, 3] in metres are what is measured: the inner corners of a ChArUco board's squares, row by row, or the
-    corners of all tags, four to a tag. `tags_of` [N, 2] are the two tags next to each point, equal where it has one.
-    `cell_m` is the width of a black or white cell of a tag, `margin_m` how far from a point the next print begins.
+    middles of the tags. Print and light that spread move a tag's corners outward, but not its middle. `tags_of` [N, 2]
+    are the two tags next to each point, equal where it has one. `cell_m` is the width of a black or white cell of a
+    tag, `margin_m` how far from a point the next print begins.
     """
 
     text: str
@@ -83,13 +84,15 @@ def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSp
     tag, gap = _metres(text, "tag", parts[0]), _metres(text, "gap", parts[1])
     if parts[2] not in _FAMILIES:
         raise BadRunError(f"board {text}: found the family {parts[2]!r}, expected one of {', '.join(_FAMILIES)}")
+    if columns < 2 or rows < 2:
+        raise BadRunError(f"board {text}: found {columns}x{rows} tags, expected at least 2x2")
     dictionary = _dictionary(text, _FAMILIES[parts[2]], columns * rows)
     at = (tag + gap) * np.array([(column, row) for row in range(rows) for column in range(columns)], dtype=np.float64)
     tags = _tags(at, tag)
-    tags_of = np.repeat(np.arange(columns * rows), 4)
+    tags_of = np.arange(columns * rows)
     cell = tag / (predefined(dictionary).markerSize + 2)
     return BoardSpec(
-        text, "apriltag", dictionary, tags, tags.reshape(-1, 3), np.stack([tags_of, tags_of], axis=1), cell, gap
+        text, "apriltag", dictionary, tags, tags.mean(axis=1), np.stack([tags_of, tags_of], axis=1), cell, gap
     )
 
 

@@ -51,6 +51,9 @@ class NaturalOptions:
     seed: int = 0
 
 
+AFTER_MSDI = NaturalOptions(Gate(15.0, along=1.0))  # its cameras are off by a few tenths of a degree at most
+
+
 def calibrate_natural(
     rig: Rig,
     images: Mapping[str, Image],

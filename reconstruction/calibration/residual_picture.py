@@ -34,7 +34,8 @@ def draw_residuals(path: Path, found: Calibrated) -> None:
     times = _round(ARROW_SHARE * max(camera.width for camera in cameras) / max(usual, 1e-9))
     figure = Figure(figsize=(3.4 * columns, 2.4 * rows + 3.0), layout="constrained")
     FigureCanvasAgg(figure)
-    above, below = np.asarray(figure.subfigures(2, 1, squeeze=False, height_ratios=(2.4 * rows, 2.6)))[:, 0]
+    parts = figure.add_gridspec(2, 1, height_ratios=(2.4 * rows, 2.6))
+    above, below = (figure.add_subfigure(parts[k]) for k in (0, 1))
     panels = above.subplots(rows, columns, squeeze=False)
     for axes in panels.ravel():
         axes.set_axis_off()

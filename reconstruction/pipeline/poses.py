@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import GeometryError
-from reconstruction.initialization.geometry import Geometry
+from reconstruction.pipeline.initialisers import InitOptions, initialise
 from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
 from rigs.rig import Rig
@@ -19,7 +17,6 @@ from rigs.toml import dump_rig, load_rig
 
 FILE, REFINED = "poses/rig.toml", "poses/refined.toml"
 REFINE_SD_DEG = 0.03  # a fifth of a pixel
-Initialiser = Callable[[RunFolder, Recording, Sequence[str], Progress], Geometry]
 
 
 def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
@@ -29,12 +26,12 @@ def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> Non
     where a method that was asked for by name finds no cameras to trust.
     """
     init, holdout = run.plan.init, run.config.holdout
-    if init not in INITIALISERS:
+    if init == "sweep":
         progress(1.0, f"poses of rig {recording.rig.name} as given")
         return
     views = [c for c in recording.rig.ids if c in run.plan.views or c == holdout]
     try:
-        found = INITIALISERS[init](run, recording, views, progress)
+        found = initialise(init, recording, views, InitOptions(run.config.seed, run.config.dust3r_checkpoint), progress)
     except GeometryError as error:
         if run.config.init != "auto":
             raise
@@ -91,23 +88,3 @@ def _write(path: Path, rig: Rig) -> None:
     """The rig without its files of pixels, which lie beside the recording."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_durably(path, dump_rig(replace(rig, cameras=tuple(replace(c, pixels=None) for c in rig.cameras))))
-
-
-def _natural(run: RunFolder, recording: Recording, views: Sequence[str], progress: Progress) -> Geometry:
-    from reconstruction.calibration.features import long_image
-    from reconstruction.calibration.natural import NaturalOptions, calibrate_natural
-
-    images = {view: long_image(recording.stream(view)) for view in views}
-    today = datetime.date.today().isoformat()
-    found = calibrate_natural(recording.rig, images, today, NaturalOptions(seed=run.config.seed), progress)
-    return Geometry(found.rig, report=found.report)
-
-
-def _sfm(run: RunFolder, recording: Recording, views: Sequence[str], progress: Progress) -> Geometry:
-    from reconstruction.calibration.features import long_image
-    from reconstruction.initialization.sfm import sfm
-
-    return sfm(recording.rig, {view: long_image(recording.stream(view)) for view in views}, progress=progress)
-
-
-INITIALISERS: dict[str, Initialiser] = {"natural": _natural, "sfm": _sfm}

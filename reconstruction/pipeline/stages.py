@@ -21,7 +21,7 @@ from reconstruction.images.background import Background, background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
-from reconstruction.images.methods import Method, method_for
+from reconstruction.images.methods import Method
 from reconstruction.initialization.consistency import consistent
 from reconstruction.initialization.holes import filled
 from reconstruction.initialization.points import Points, sample_points
@@ -32,6 +32,7 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
+from reconstruction.pipeline.image_methods import image_method_for
 from reconstruction.training.plan import INSTANTS, Plan, make_plan
 from reconstruction.training.run import RunFolder
 from rigs.camera import Camera
@@ -82,7 +83,7 @@ def composite_sources(run: RunFolder, recording: Recording) -> dict[str, Composi
 
 def short_images(plan: Plan, stream: SpikeStream, moving: NDArray[np.bool_]) -> Method:
     """How the plan sees what moves; where the targets are the truth, how points are found."""
-    return method_for(SWEPT if plan.images == "clean" else plan.images, stream.layout, moving)
+    return image_method_for(SWEPT if plan.images == "clean" else plan.images, stream.layout, moving)
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:

@@ -8,9 +8,20 @@ from typing import Any, Literal, get_args
 from reconstruction.errors import BadRunError
 
 Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
-Init = Literal["auto", "sweep", "natural", "sfm"]
+Init = Literal["auto", "sweep", "natural", "sfm", "dust3r", "msdi"]
 ImageSource = Literal[
-    "auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated", "spk2imgnet", "blindspot", "clean"
+    "auto",
+    "tfi",
+    "tfp",
+    "tfstp",
+    "tvs",
+    "slope",
+    "adaptive",
+    "interpolated",
+    "spk2imgnet",
+    "blindspot",
+    "msdi",
+    "clean",
 ]
 Refine = Literal["auto", "on", "off"]
 Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
@@ -31,7 +42,7 @@ class ReconstructionConfig:
 
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
     images are targets. `refine`: whether poses, gains and lags are learnt beside the Gaussians. Raises BadRunError
-    naming the field.
+    naming the field. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
     """
 
     model: Model = "auto"
@@ -46,6 +57,7 @@ class ReconstructionConfig:
     gaussians: int = 24_000
     tick_stride: int = 4
     refine: Refine = "auto"
+    dust3r_checkpoint: str | None = None
 
     def __post_init__(self) -> None:
         for name, names in CHOICES:

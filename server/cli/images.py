@@ -11,8 +11,9 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.stream import SpikeStream
 from acquisition.spikes.suspicion import suspected_bit_order
-from reconstruction.images.methods import METHODS, Method, method
+from reconstruction.images.methods import Method
 from reconstruction.images.pixels import PixelCalibration, read_pixels
+from reconstruction.pipeline.image_methods import ALL_METHODS, image_method
 from reconstruction.report.pictures import grey, write_png
 from server.cli.options import PLANES, SIZE
 from server.cli.progress import progress_of
@@ -22,7 +23,7 @@ FOLDER = click.Path(path_type=Path)
 
 @click.command("images")
 @click.argument("source", type=FOLDER)
-@click.option("--method", "name", required=True, help=f"One of: {', '.join(METHODS)}.")
+@click.option("--method", "name", required=True, help=f"One of: {', '.join(ALL_METHODS)}.")
 @click.option("--weights", type=FOLDER, help="Weights trained on your own recording, for a learned method.")
 @click.option("--size", type=SIZE, help="WxH of a bare .dat.")
 @click.option("--tick-rate", type=float, help="Planes per second of a bare .dat.")
@@ -43,7 +44,7 @@ def images_command(
 
     Pixels are evened out where the rig of REC has their calibration.
     """
-    estimate = method(name, weights)
+    estimate = image_method(name, weights)
     streams, pixels = _streams(source, size, tick_rate, allow_partial), _pixels(source)
     shortest = min(len(stream) for stream in streams.values())
     planes = ticks if ticks is not None else range(0, shortest, 20)
