@@ -43,7 +43,8 @@ OWN, PRINCIPAL, K1, K2 = LENS_GROUPS = ("own focal lengths", "principal points",
 class Solution:
     """Cameras, the problem they are the solution of, and the observations' noise.
 
-    `covariance` [G, G] of the free values; `found` are the groups of LENS_GROUPS that were significant.
+    `covariance` [G, G] of the free values, for as many poses as are distinct: those nearly alike err alike. `found` are
+    the groups of LENS_GROUPS that were significant.
     """
 
     problem: Problem
@@ -106,6 +107,7 @@ def _reduced(values: _Values, sightings: Sightings, state: State, groups: tuple[
         covariance = plain_covariance(problem, state)
         weakest = _weakest(values, groups, state.steps, covariance, 2 * len(sightings))
         if weakest is None:
+            covariance = covariance * sightings.poses / sightings.distinct()
             return Solution(problem, state, sd_px, covariance, tuple(g for g in groups if g in LENS_GROUPS))
         state, groups = _without(weakest, values, groups, state)
 

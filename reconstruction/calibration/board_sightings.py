@@ -25,7 +25,7 @@ from rigs.transform import Floats
 
 HALF_WINDOW = 8  # planes; more blur a waved board, fewer are noisier: 0.010 px for 8 and 16, 0.013 for 4 and 32
 MOST_INSTANTS = 60
-STILL_PX = 0.15
+STILL_PX, ALIKE_PX = 0.15, 10.0  # how far points move while a board counts as still; as seen in much the same way
 LEAST_FITTING = 0.5  # of the tags seen, as the board says
 
 Pictures = Mapping[tuple[int, str], Sighting]  # by number of the instant and camera id
@@ -54,6 +54,25 @@ class Sightings:
         these, number = kept[self.pose], np.cumsum(kept) - 1
         columns = (self.camera[these], number[self.pose[these]], self.point[these], self.pixels[these])
         return Sightings(self.cameras, int(kept.sum()), self.instants, *columns)
+
+    def distinct(self) -> int:
+        """How many poses differ by ALIKE_PX or more from the one before that counts.
+
+        What is left of a point's error beside noise comes of how pixels sample it, and is shared by poses nearly alike.
+        """
+        views = [self._view(pose) for pose in range(self.poses)]
+        counted = views[:1]
+        for view in views[1:]:
+            common = [key for key in view if key in counted[-1]]
+            shifts = [float(np.linalg.norm(view[key] - counted[-1][key])) for key in common]
+            if not shifts or np.median(shifts) >= ALIKE_PX:
+                counted.append(view)
+        return len(counted)
+
+    def _view(self, pose: int) -> dict[tuple[int, int], Floats]:
+        """Pixels by camera and point."""
+        these = np.flatnonzero(self.pose == pose)
+        return {(int(self.camera[i]), int(self.point[i])): self.pixels[i] for i in these}
 
 
 def sight_board(

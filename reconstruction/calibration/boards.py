@@ -103,6 +103,7 @@ def _report(
         "board": board.text,
         "instants": sightings.instants,
         "poses": sightings.poses,
+        "distinct_poses": sightings.distinct(),
         "observations": len(sightings),
         "corners": {c: int((sightings.camera == i).sum()) for i, c in enumerate(rig.ids)},
         "poses_seen": {c: sum(camera == i for camera, _ in pairs) for i, c in enumerate(rig.ids)},
