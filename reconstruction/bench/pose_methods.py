@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.recording.reader import Recording
+from acquisition.scenes.boards import charuco
+from reconstruction.calibration.board_spec import parse_board
+from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.features import MOST_PLANES, long_image
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.images.tfi import tfi
@@ -67,6 +70,13 @@ def _msdi_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: i
     return sfm(rig, {view: msdi(recording.stream(view), middle).intensity for view in views})
 
 
+def _board(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
+    found = calibrate_board(replace(recording, rig=rig), parse_board(charuco().spec), DATE)
+    return Geometry(found.rig, report=found.report)
+
+
+BOARD_SCENE, BOARD_TICKS = "board_charuco_moving", 2000
+BOARD = PoseMethod("board", f"a ChArUco board waved for {BOARD_TICKS} planes", _board)
 METHODS = {
     method.name: method
     for method in (

@@ -20,7 +20,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.bench.pose_methods import DATE, METHODS, PoseMethod
+from reconstruction.bench.pose_methods import BOARD, DATE, METHODS, PoseMethod
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
 from reconstruction.calibration.features import long_image
 from reconstruction.calibration.natural import NaturalOptions, gather, solve
@@ -28,6 +28,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import Rig, object_distance_m
+from rigs.similarity import align
 
 ERROR = 2.0  # of the nominal rig where nothing else is said
 ERRORS = (0.0, 1.0, 3.0, 5.0)
@@ -71,10 +72,17 @@ class PoseClip:
         return {c: long_image(self.recording.stream(c)) for c in self.recording.camera_ids}
 
 
-def bench_poses(clips: Sequence[PoseClip], progress: Progress, *, quick: bool = False) -> BenchDocument:
-    """Every method on every clip; then what the best of them take of worse rigs, fewer views, shorter recordings."""
+def bench_poses(
+    clips: Sequence[PoseClip], board: PoseClip | None, progress: Progress, *, quick: bool = False
+) -> BenchDocument:
+    """Every method on every clip; then what the best of them take of worse rigs, fewer views, shorter recordings.
+
+    `board` is a recording of the board that the method of that name sees.
+    """
     document = BenchDocument("poses")
     jobs = [(clip, job) for clip in clips for job in _jobs(quick)]
+    if board:
+        jobs.append((board, _Job(BOARD.name, lambda clip: [measured(BOARD, clip)])))
     for number, (clip, job) in enumerate(jobs):
         progress(number / len(jobs), f"{clip.scene}: {job.about}")
         document.rows += job.run(clip)
@@ -127,6 +135,8 @@ def measured(
     except ReconstructionError as refusal:
         return about | {"seconds": time.perf_counter() - began, "refused": str(refusal)}
     row = about | {"seconds": time.perf_counter() - began} | _errors(found.rig.only(ids), clip.rig)
+    if method is BOARD:
+        row |= {"scale_percent": 100 * abs(align(found.rig, clip.rig).scale - 1)}
     for name in ("rotation_sd_deg", "focal_sd_percent"):
         row |= {name: found.report[name]} if name in found.report else {}
     if scored:
@@ -157,7 +167,7 @@ def _trials(clip: PoseClip) -> list[dict]:
 
 def _summarise(document: BenchDocument) -> None:
     """Means over the scenes: of each method as it is; by nominal error, views and planes; and the trials' worst."""
-    for name in METHODS:
+    for name in (*METHODS, BOARD.name):
         rows = [r for r in document.rows if r["method"] == name]
         for key, wanted in (("nominal", ERRORS), ("views", VIEWS), ("planes", PLANES)):
             for value in wanted:

@@ -126,29 +126,31 @@ def _training(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
 
 
 def _poses(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
+    from reconstruction.bench.pose_methods import BOARD_SCENE, BOARD_TICKS
     from reconstruction.bench.poses import PoseClip, bench_poses
 
     named = tuple(scenes.split(",")) if scenes else EVALUATION
     clips = [PoseClip(*found) for found in _recorded(named[:1] if quick else named, work)]
-    return bench_poses(clips, progress_of("poses"), quick=quick)
+    boards = [] if quick else [PoseClip(*found) for found in _recorded((BOARD_SCENE,), work, BOARD_TICKS)]
+    return bench_poses(clips, boards[0] if boards else None, progress_of("poses"), quick=quick)
 
 
-def _recorded(scenes: tuple[str, ...], work: Path) -> list[tuple[str, int, Path]]:
+def _recorded(scenes: tuple[str, ...], work: Path, ticks: int = TICKS) -> list[tuple[str, int, Path]]:
     """A recording of each scene in `work`, simulated where there is none: scene, seed, folder."""
     found = []
     for scene in scenes:
-        seed = EVALUATION_SEEDS[0] if scene in EVALUATION else DEVELOPMENT_SEEDS[1]
+        seed = DEVELOPMENT_SEEDS[1] if scene in DEVELOPMENT else EVALUATION_SEEDS[0]
         recording = work / f"{scene}-{seed}"
         if not recording.exists():
             recording.parent.mkdir(parents=True, exist_ok=True)
-            _simulate_apart(scene, seed, recording)
+            _simulate_apart(scene, seed, ticks, recording)
         found.append((scene, seed, recording))
     return found
 
 
-def _simulate_apart(scene: str, seed: int, recording: Path) -> None:
+def _simulate_apart(scene: str, seed: int, ticks: int, recording: Path) -> None:
     """`simulate` in a process of its own, whose threads wait as many pools should."""
-    options = {"scene": scene, "seed": seed, "ticks": TICKS, "out": recording}
+    options = {"scene": scene, "seed": seed, "ticks": ticks, "out": recording}
     command = [sys.executable, "-m", "server.cli", "simulate"]
     subprocess.run(command + [word for k, v in options.items() for word in (f"--{k}", str(v))], check=True)
 
