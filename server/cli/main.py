@@ -16,7 +16,7 @@ COMMANDS = {  # name: (module, what it does)
     "import": ("server.cli.acquire", "Make a recording of .dat files and their cameras."),
     "verify": ("server.cli.acquire", "Check that a recording is whole."),
     "finalise": ("server.cli.acquire", "Finish what a crash left of a recording."),
-    "calibrate": ("server.cli.calibrate", "Measure the pixels of a rig's cameras."),
+    "calibrate": ("server.cli.calibrate", "Measure where a rig's cameras stand, their lenses or their pixels."),
     "check-rig": ("server.cli.check_rig", "Say whether a stored calibration still fits a recording."),
     "images": ("server.cli.images", "Turn spikes into images."),
     "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),
