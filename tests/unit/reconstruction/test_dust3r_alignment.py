@@ -209,7 +209,7 @@ def test_maps_without_sense_are_refused(views, shape):
                 pair.points[:] = 0.0
             case "behind":
                 pair.points[:] *= -1
-    with pytest.raises(GeometryError, match="found no overlap of cam00|behind their camera"):
+    with pytest.raises(GeometryError, match=r"found no overlap of cam00|behind their camera"):
         aligned(views.rig.ids, views.rays, pairs)
 
 
