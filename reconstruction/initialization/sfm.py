@@ -199,7 +199,13 @@ class _Run:
         how.ceres.loss_function_type = colmap.LossFunctionType.CAUCHY
         how.ceres.loss_function_scale = CAUCHY_PX
         for model in models:
-            colmap.bundle_adjustment(model, how)
+            what = colmap.BundleAdjustmentConfig()
+            for image_id in model.reg_image_ids():
+                what.add_image(image_id)
+            what.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+            colmap.create_default_bundle_adjuster(
+                how, what, model
+            ).solve()  # bundle_adjustment() logs whatever one asks
             colmap.ObservationManager(model).filter_all_points3D(MOST_ERROR_PX, LEAST_ANGLE_DEG)
             model.update_point_3d_errors()
 

@@ -108,15 +108,18 @@ def link(pair: PairMaps, rays: Floats) -> Link | None:
     unit = float(np.median(np.linalg.norm(points[1, chosen], axis=1)))
     if not unit > 0:
         return None
-    found, turn, shift, inliers = cv2.solvePnPRansac(
-        points[1, chosen] / unit,
-        rays[pair.second, chosen],
-        np.eye(3),
-        None,
-        iterationsCount=PNP_TRIALS,
-        reprojectionError=PNP_TOLERANCE,
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
+    try:
+        found, turn, shift, inliers = cv2.solvePnPRansac(
+            points[1, chosen] / unit,
+            rays[pair.second, chosen],
+            np.eye(3),
+            None,
+            iterationsCount=PNP_TRIALS,
+            reprojectionError=PNP_TOLERANCE,
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+    except cv2.error:  # points without any shape
+        return None
     share = 0.0 if not found or inliers is None else len(inliers) / len(chosen)
     if share < LEAST_INLIERS or not np.isfinite([turn, shift]).all():
         return None
@@ -165,6 +168,10 @@ def started(names: Sequence[str], rays: Floats, pairs: Sequence[PairMaps]) -> St
         clouds[views[new]], trust[views[new]] = world.apply(points[new]), weights[new]
     numbers = range(len(names))
     cloud = np.stack([clouds[v] for v in numbers])
+    ahead = [float((poses[v].apply(cloud[v])[:, 2] > 0).mean()) for v in numbers]
+    behind = [name for name, share in zip(names, ahead, strict=True) if share < LEAST_INLIERS]
+    if behind:
+        raise GeometryError(f"found the points of {', '.join(behind)} behind their camera, expected them ahead")
     weight = np.stack([trust[v] for v in numbers])
     similarities = []
     for pair in pairs:

@@ -196,6 +196,23 @@ def test_points_that_are_not_finite_count_for_nothing(views):
     assert shift < 1e-3
 
 
+@pytest.mark.parametrize("shape", ["one place", "a line", "nothing", "behind"])
+def test_maps_without_sense_are_refused(views, shape):
+    pairs = said(views, complete(5))
+    for pair in pairs:
+        match shape:
+            case "one place":
+                pair.points[:] = (0.1, 0.2, 1.0)
+            case "a line":
+                pair.points[..., :2] = 0.0
+            case "nothing":
+                pair.points[:] = 0.0
+            case "behind":
+                pair.points[:] *= -1
+    with pytest.raises(GeometryError, match=r"found no overlap of cam00|behind their camera"):
+        aligned(views.rig.ids, views.rays, pairs)
+
+
 def test_registration_outvotes_outliers():
     rng = np.random.default_rng(4)
     source = rng.normal(size=(300, 3))

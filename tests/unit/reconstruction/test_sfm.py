@@ -42,7 +42,7 @@ def images(corner):
     return seen(corner)
 
 
-def test_four_views_are_placed_the_same_every_time(corner, images):
+def test_four_views_are_placed_the_same_every_time(corner, images, capfd):
     """With the true focal length: four views hardly tell it (2.5% off when estimated)."""
     wrong = misplaced(corner, 2.0, seed=1)
     nominal = replace(wrong, cameras=tuple(replace(c, fx=224.0, fy=224.0) for c in wrong.cameras))
@@ -58,6 +58,7 @@ def test_four_views_are_placed_the_same_every_time(corner, images):
     assert len(one.points) == len(one.confidence) > 300
     assert one.confidence.min() >= 2
     assert one.report["kept_nominal"] == []
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.slow
