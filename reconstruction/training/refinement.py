@@ -6,6 +6,7 @@ turns, moves or scales all cameras together, brightens all views or delays all c
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -102,7 +103,7 @@ class Refinement:
     def state(self) -> dict:
         """Plain tensors and numbers, for a checkpoint."""
         values = {name: getattr(self, name).detach().clone() for name in RATES}
-        return {"values": values, "optimizer": self.optimizer.state_dict()}
+        return {"values": values, "optimizer": copy.deepcopy(self.optimizer.state_dict())}
 
     def restore(self, state: dict) -> None:
         """The inverse of `state`."""
