@@ -110,3 +110,20 @@ def test_recordings_that_do_not_serve_are_refused(spike4dgs, lab, tmp_path, caps
     assert "dark: found no camera cam20" in refusal(scene, "--pixels", flat, tmp_path / "dark", *out)
     assert not (tmp_path / "a.toml").exists()
     assert "exists already" in refusal(scene, "--pixels", flat, dark, "--out", lab / "rigs/lab.toml")
+
+
+def test_a_scene_that_shows_too_little_is_refused_in_one_line(spike4dgs, lab, tmp_path, capsys):
+    pytest.importorskip("cv2", reason="features are OpenCV's", exc_type=ImportError)
+    assert spike4dgs("calibrate", lab / "fan_and_ball", "--natural", "--out", tmp_path / "rig.toml") == 1
+    assert "tracks over 3 or more views, expected 250" in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "rig.toml").exists()
+    assert spike4dgs("check-rig", lab / "fan_and_ball") == 1
+    assert spike4dgs("check-rig", lab / "dark") == 1
+    assert "found no light in cam00" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_one_way_of_calibrating_is_asked_for(spike4dgs, lab, tmp_path, capsys):
+    assert spike4dgs("calibrate", lab / "flat", "--out", tmp_path / "rig.toml") == 2
+    both = ("--natural", "--board", "charuco:6x4:100:67.5:DICT_4X4_50")
+    assert spike4dgs("calibrate", lab / "flat", *both, "--out", tmp_path / "rig.toml") == 2
+    assert "one of --pixels, --board and --natural" in capsys.readouterr().err

@@ -177,15 +177,14 @@ def test_a_rig_of_other_cameras_is_refused(still):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scene", "spec"),
-    [
-        ("board_charuco_moving", "charuco:6x4:100:67.5:DICT_4X4_50"),
-        ("board_april_moving", "apriltag:4x3:96:28.8:36h11"),
-    ],
-)
-def test_a_recording_of_a_waved_board_gives_the_cameras(scene, spec, tmp_path):
-    simulate(Simulation(scene, samples=1, truth_every=2000, rig_error=2.0, seed=1), RIG, 2000, tmp_path / "rec")
+def test_a_recording_of_a_waved_board_gives_the_cameras(tmp_path):
+    spec = "charuco:6x4:100:67.5:DICT_4X4_50"
+    simulate(
+        Simulation("board_charuco_moving", samples=1, truth_every=2000, rig_error=2.0, seed=1),
+        RIG,
+        2000,
+        tmp_path / "rec",
+    )
     recording = Recording.open(tmp_path / "rec")
     true = load_cameras(tmp_path / "rec/truth/cameras.json", 20000.0).only(RIG.ids)
     found = calibrate_board(recording, parse_board(spec), DATE)
