@@ -20,7 +20,7 @@ from rigs.rig import Rig
 from rigs.similarity import align
 from rigs.transform import rotvec_of
 
-DARK = 1e-4  # spikes per tick; below it there is no picture
+DARK = 1e-3  # spikes per tick; twice the dark current of the sensor
 LEAST_VIEWS = 3
 LEAST_TRACKS = 250
 LEAST_OBSERVATIONS = 40  # of one camera
