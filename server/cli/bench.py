@@ -132,7 +132,7 @@ def _poses(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
     named = tuple(scenes.split(",")) if scenes else EVALUATION
     clips = [PoseClip(*found) for found in _recorded(named[:1] if quick else named, work)]
     boards = [] if quick else [PoseClip(*found) for found in _recorded((BOARD_SCENE,), work, BOARD_TICKS)]
-    return bench_poses(clips, boards[0] if boards else None, progress_of("poses"), quick=quick)
+    return bench_poses(clips, boards[0] if boards else None, work / "poses", progress_of("poses"), quick=quick)
 
 
 def _recorded(scenes: tuple[str, ...], work: Path, ticks: int = TICKS) -> list[tuple[str, int, Path]]:

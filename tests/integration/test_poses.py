@@ -162,8 +162,10 @@ def test_the_bench_scores_what_it_is_given(small):
     assert "refused" in measured(METHODS["natural"], clip)
 
 
-def test_the_bench_lists_what_was_refused(small):
-    document = bench_poses([PoseClip("fan_and_ball", 3, small)], None, silent, quick=True)
+def test_the_bench_lists_what_was_refused(small, tmp_path):
+    clip = PoseClip("fan_and_ball", 3, small)
+    document = bench_poses([clip], None, tmp_path, silent, quick=True)
+    assert bench_poses([clip], None, tmp_path, silent, quick=True).rows == document.rows
     assert {r["method"] for r in document.rows} == set(METHODS)
     assert any("natural: refused on 1 of 1" in omission for omission in document.omissions)
     assert any("DUSt3R" in omission for omission in document.omissions)
