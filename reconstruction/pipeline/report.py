@@ -16,6 +16,8 @@ from reconstruction.evaluation.evaluate import (
 )
 from reconstruction.evaluation.truth import Truth, spread
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.metrics.poses import pose_errors
+from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.rendering.view import look
 from reconstruction.report.curve import draw_curve
@@ -25,6 +27,7 @@ from reconstruction.report.pictures import depth_colours, depth_span_m, differen
 from reconstruction.report.table import score_table
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.run import RunFolder
+from rigs.rig import object_distance_m
 
 CURVE_INSTANTS = 4  # truth instants behind each point of the curve
 SHOWN_INSTANTS = 3
@@ -54,6 +57,7 @@ def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, prog
     if run.config.holdout is None:
         return {"note": "no camera was held out: nothing to score"}
     cloud = load_cloud(run.checkpoint)
+    poses = _pose_scores(run, truth)
     held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, truth)
     if truth is None:
         note = "no truth: errors of spike counts over 32-plane windows of the held-out camera"
@@ -63,7 +67,26 @@ def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, prog
         "white": truth.white,
         **score_against_truth(cloud, held_out, truth),
         **score_floors(held_out, truth, composite_sources(run, recording), progress),
+        **poses,
     }
+
+
+def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
+    """How far the training cameras are off the true ones, as drawn, found and refined: `poses.drawn.rotation_deg` ...
+
+    Nothing where the poses were given and left alone.
+    """
+    drawn = Recording.open(run.recording)
+    true = truth.cameras(drawn.tick_rate_hz) if truth else None
+    stages = {"drawn": drawn, "found": posed(run, drawn), "refined": posed(run, drawn, refined=True)}
+    if true is None or stages["refined"] is drawn or not set(run.plan.views) <= set(true.ids):
+        return {}
+    distance_m, scores = object_distance_m(true.cameras), {}
+    for name, recording in stages.items():
+        off = pose_errors(recording.rig.only(run.plan.views), true, distance_m)
+        for score in ("rotation_deg", "translation_percent", "focal_percent"):
+            scores[f"poses.{name}.{score}"] = getattr(off, score)
+    return scores
 
 
 def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, metrics: dict) -> None:

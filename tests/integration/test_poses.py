@@ -118,7 +118,10 @@ def test_what_cannot_be_trusted_is_refused_and_the_nominal_rig_refined(small, tm
     refined = posed(run, recording, refined=True).rig
     assert off(refined, recording.rig).rotation_deg > 1e-4
     assert set(run.document["refinement"]) == set(run.plan.views)
-    assert json.loads((run.path / "metrics.json").read_text())["psnr_db"] > 10
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["psnr_db"] > 10
+    assert metrics["poses.drawn.rotation_deg"] == metrics["poses.found.rotation_deg"]
+    assert metrics["poses.refined.rotation_deg"] != metrics["poses.found.rotation_deg"]
 
 
 def test_by_name_a_refusal_is_an_error(small, tmp_path):
