@@ -20,32 +20,13 @@ def plot_poses(path: Path, document: dict) -> None:
     (by_time, by_error), (by_views, by_planes) = figure.subplots(2, 2)
     rows = [r for r in document["rows"] if "rotation_deg" in r]
     methods = list(dict.fromkeys(r["method"] for r in rows if r["method"] != "natural.trial"))
-    scenes = list(dict.fromkeys(r["scene"] for r in rows))
-    for row in rows:
-        if "abs_rel" not in row:  # the plain runs alone are scored with depths
-            continue
-        by_time.plot(
-            max(row["seconds"], LEAST_S),
-            row["rotation_deg"],
-            MARKS[scenes.index(row["scene"]) % len(MARKS)],
-            color=f"C{methods.index(row['method'])}",
-            markersize=5,
-        )
+    _draw_runs(by_time, rows, methods)
     for number, method in enumerate(methods):
-        by_time.plot([], [], "o", color=f"C{number}", label=method)
         for axes, key in ((by_error, "nominal"), (by_views, "views"), (by_planes, "planes")):
-            _line(axes, document["summary"], method, key, f"C{number}")
+            _draw_means(axes, document["summary"], method, key, f"C{number}")
     trials = [r for r in rows if r["method"] == "natural.trial"]
-    by_error.plot(
-        [r["turn_deg"] for r in trials],
-        [r["rotation_deg"] for r in trials],
-        ".",
-        color="#999",
-        markersize=2,
-        label=f"natural, {len(trials)} random rigs",
-    )
-    by_time.set_xscale("log")
-    by_time.legend(fontsize=7)
+    grey = {"color": "#999", "markersize": 2, "label": f"natural, {len(trials)} random rigs"}
+    by_error.plot([r["turn_deg"] for r in trials], [r["rotation_deg"] for r in trials], ".", **grey)
     by_error.legend(fontsize=7)
     names = ("wall seconds, images included", "error of the nominal rig / degrees, cm, %", "views", "planes recorded")
     for axes, name in zip((by_time, by_error, by_views, by_planes), names, strict=True):
@@ -54,13 +35,27 @@ def plot_poses(path: Path, document: dict) -> None:
         axes.set_ylabel("mean rotation error / degrees")
         axes.grid(True, which="both", alpha=0.3)
     device = document["device"]
-    figure.suptitle(f"{device['processor']}, {device['threads']} threads; revision {document['revision']}", fontsize=8)
+    about = f"{device['processor']}, {device['threads']} threads; revision {document['revision']}"
+    figure.suptitle(about, fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
     write_durably(path, buffer.getvalue())
 
 
-def _line(axes: Axes, summary: dict[str, float], method: str, key: str, colour: str) -> None:
+def _draw_runs(axes: Axes, rows: list[dict], methods: list[str]) -> None:
+    """Error against run time of the plain runs, which alone are scored with depths; boards are a run of their own."""
+    scenes = list(dict.fromkeys(r["scene"] for r in rows))
+    for row in rows:
+        if "abs_rel" in row or "scale_percent" in row:
+            mark, colour = MARKS[scenes.index(row["scene"]) % len(MARKS)], f"C{methods.index(row['method'])}"
+            axes.plot(max(row["seconds"], LEAST_S), row["rotation_deg"], mark, color=colour, markersize=5)
+    for number, method in enumerate(methods):
+        axes.plot([], [], "o", color=f"C{number}", label=method)
+    axes.set_xscale("log")
+    axes.legend(fontsize=7)
+
+
+def _draw_means(axes: Axes, summary: dict[str, float], method: str, key: str, colour: str) -> None:
     """The means of one method over the values of `key`."""
     start, end = f"{method}.{key}", ".rotation_deg"
     found = {
