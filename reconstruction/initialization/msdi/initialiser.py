@@ -20,6 +20,7 @@ from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.estimate import window_around
+from reconstruction.images.learned.inference import MOST_GROUP
 from reconstruction.images.learned.observation import REACH
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.msdi.inference import Inferred, infer_views
@@ -30,7 +31,7 @@ from rigs.similarity import Similarity, align
 from rigs.transform import rotvec_of
 
 FEWEST_VIEWS, MOST_VIEWS = 3, 9
-DARK = 1e-3  # spikes per tick on average: twice the sensor's dark current
+FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
 MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # from the nominal rig; what moves further is taken for a wrong minimum
 FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with the cameras found
 LEAST_CONFIDENCE = 3.0  # of a point; 1 says nothing
@@ -57,9 +58,9 @@ def initialise(
     """
     plane = rig.clock.plane(instant_s)
     _check(streams, rig)
-    rates = {name: _mean_rate(streams[name], plane) for name in rig.ids if name in streams}
-    seeing = [name for name, rate in rates.items() if rate >= DARK]
-    report: dict[str, object] = {"method": "msdi", "plane": plane, "dark": [c for c in rates if c not in seeing]}
+    spikes = {name: _spikes(streams[name], plane) for name in rig.ids if name in streams}
+    seeing = [name for name, count in spikes.items() if count >= FEWEST_SPIKES]
+    report: dict[str, object] = {"method": "msdi", "plane": plane, "dark": [c for c in spikes if c not in seeing]}
     if len(seeing) < FEWEST_VIEWS:
         reason = f"found {len(seeing)} views with light, expected {FEWEST_VIEWS}; the nominal rig stands"
         return Geometry(rig, report=report | {"refused": reason})
@@ -90,9 +91,9 @@ def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:
         raise BadRunError(f"found views of the sizes {sorted(sizes)}, expected one size for rig and streams")
 
 
-def _mean_rate(stream: SpikeStream, plane: int) -> float:
-    first, last = window_around(stream, plane, REACH)
-    return float(stream.counts(first, last).mean()) / (last - first)
+def _spikes(stream: SpikeStream, plane: int) -> float:
+    """Spikes a pixel on average, as far around `plane` as a dim view is looked at."""
+    return float(stream.counts(*window_around(stream, plane, REACH * MOST_GROUP)).mean())
 
 
 def _numbers(inferred: Inferred, seeing: list[str]) -> dict[str, object]:

@@ -102,7 +102,7 @@ def window_cells(chosen: Tensor, columns: int) -> tuple[Tensor, Tensor]:
 
 
 def around_peak(logits: Tensor, centers: Tensor) -> Tensor:
-    """The logits [..., S] with those OUTSIDE that lie more than `PEAK` cells from the highest, at `centers` [..., S, 2].
+    """The logits [..., S] of cells at `centers` [..., S, 2], those more than `PEAK` cells from the highest OUTSIDE.
 
     What little probability lies all over the window would draw the mean towards its middle.
     """
