@@ -22,19 +22,22 @@ from reconstruction.errors import BadRunError
 from reconstruction.images.estimate import window_around
 from reconstruction.images.learned.inference import MOST_GROUP
 from reconstruction.images.learned.observation import REACH
+from reconstruction.initialization.consistency import AGREEING, confirmations
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.msdi.inference import Inferred, infer_views
 from reconstruction.initialization.msdi.shipped import trained
 from reconstruction.initialization.msdi.views import Views
+from reconstruction.initialization.sweep import DepthMap, back_project
 from rigs.rig import Rig
-from rigs.similarity import Similarity, align
+from rigs.similarity import align
 from rigs.transform import rotvec_of
 
 FEWEST_VIEWS, MOST_VIEWS = 3, 9
 FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
 MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # from the nominal rig; what moves further is taken for a wrong minimum
 FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with the cameras found
-LEAST_CONFIDENCE = 3.0  # of a point; 1 says nothing
+LEAST_CONFIDENCE = 1.75  # of a point; 1 says nothing
+AGREEMENT = 0.03  # of the object's inverse distance: how far other views' inverse depths may lie
 BORDER = 2  # px of the working size that are left out
 
 
@@ -75,7 +78,7 @@ def initialise(
     refused = _refused(inferred, moved, nominal)
     if refused:
         return Geometry(rig, images=images, report=report | {"refused": refused.reason})
-    points, confidence = _points(inferred, similarity)
+    points, confidence = _points(inferred, moved, similarity.scale)
     return Geometry(_completed(rig, moved), points, confidence, images, report)
 
 
@@ -125,19 +128,25 @@ def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
     return None
 
 
-def _points(inferred: Inferred, similarity: Similarity) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """The confident pixels of all views as points in the rig frame [N, 3] m, and their confidence [N]."""
+def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """The confident pixels of all views that others confirm, as points in the rig frame [N, 3] m, and their confidence.
+
+    `scale` is that of the similarity which brought the cameras to `moved`.
+    """
+    height, width = inferred.depth.shape[1:]
+    maps, factor = [], inferred.factor
+    for camera, depth in zip(moved.cameras, inferred.depth, strict=True):
+        lens = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
+        small = replace(camera, width=width, height=height, pixels=None, **lens)
+        maps.append(DepthMap(small, np.asarray(scale * depth, np.float32), np.zeros_like(depth)))
+    tolerance = AGREEMENT / (scale * inferred.views.distance)
     points, sure = [], []
-    for v in range(len(inferred.views)):
-        depth, confidence = inferred.depth[v].astype(np.float64), inferred.confidence[v]
-        kept = confidence >= LEAST_CONFIDENCE
+    for number, (reference, confidence) in enumerate(zip(maps, inferred.confidence, strict=True)):
+        others = maps[:number] + maps[number + 1 :]
+        kept = confirmations(reference, others, tolerance) >= min(AGREEING, len(others))
+        kept &= confidence >= LEAST_CONFIDENCE
         kept[:BORDER], kept[-BORDER:], kept[:, :BORDER], kept[:, -BORDER:] = False, False, False, False
-        rows, columns = np.nonzero(kept)
-        pixels = np.stack([columns, rows], axis=1) + 0.5
-        parts = (inferred.views.focal, inferred.views.principal, inferred.views.rotation, inferred.views.center)
-        focal, principal, rotation, center = (part[v].double().numpy() for part in parts)
-        rays = np.concatenate([(pixels - principal) / focal, np.ones((len(pixels), 1))], axis=1)
-        points.append(similarity.apply(rays * depth[kept][:, None] @ rotation + center))
+        points.append(back_project(reference.camera, reference.depth)[kept])
         sure.append(confidence[kept])
     return np.concatenate(points), np.concatenate(sure)
 
