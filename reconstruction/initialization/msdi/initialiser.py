@@ -1,7 +1,7 @@
 """MSDI as an initialiser: spikes of the views of a rig around one instant to cameras, points and images.
 
 Order: a few hundredths of a degree where views share texture, from a rig off by two; bundle adjustment of finer
-features ends what it begins. Cost: about 1.5 s a view and core at 400x250. Not for rigs whose drawing is off by more
+features ends what it begins. Cost: 2 s a view and core at 400x250. Not for rigs whose drawing is off by more
 than its gate (45 px at a focal length of 350). Source: Spike4DGS (NeurIPS 2025), whose form is not public; ours is
 described in `network`.
 """
