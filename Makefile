@@ -36,6 +36,7 @@ check: install
 bench: install
 	for name in images pixels poses rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
 	$(PY) -m reconstruction.images.learned.train curve reconstruction/images/learned/weights/small.json reconstruction/images/learned/weights/blindspot.json --out tests/benchmarks/learned.png
+	$(PY) -m reconstruction.initialization.msdi.train curve reconstruction/initialization/msdi/weights/small.json --out tests/benchmarks/msdi.png
 
 sheets: install
 	$(PY) -m reconstruction.bench.sheets --out runs/sheets

@@ -18,6 +18,7 @@ from reconstruction.initialization.msdi.matching import Matches
 from reconstruction.initialization.msdi.views import FARTHEST, LEAST_Z, NEAREST, Views, homogeneous
 
 DEPTH_SD = 30.0  # of an inverse depth, in object distances: keeps points that nothing holds
+FIT_SD = 3.0  # standard deviations within which a correspondence agrees
 DAMPING = 1e-6  # of the diagonal
 
 
@@ -64,7 +65,7 @@ def adjust(nominal: Views, matches: Matches, schedule: tuple[Stage, ...] = SCHED
             views = moved(nominal, parameters)
             inverse_depth = (inverse_depth + deeper).clamp(*bounds)
     residual, _ = residuals(views, matches, inverse_depth)
-    fits = _square(residual, matches.information) < schedule[-1].robust ** 2
+    fits = _square(residual, matches.information) < FIT_SD**2
     used = matches.information.diagonal(dim1=-2, dim2=-1).sum(-1) > 0
     return Adjusted(views, inverse_depth, fits & used)
 

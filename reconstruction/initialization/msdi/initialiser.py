@@ -1,7 +1,7 @@
 """MSDI as an initialiser: spikes of the views of a rig around one instant to cameras, points and images.
 
 Order: a few hundredths of a degree where views share texture, from a rig off by two; bundle adjustment of finer
-features ends what it begins. Cost: about 1.5 s a view and core at 400x250. Not for rigs whose drawing is off by more
+features ends what it begins. Cost: 2 s a view and core at 400x250. Not for rigs whose drawing is off by more
 than its gate (45 px at a focal length of 350). Source: Spike4DGS (NeurIPS 2025), whose form is not public; ours is
 described in `network`.
 """
@@ -20,20 +20,24 @@ from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.estimate import window_around
+from reconstruction.images.learned.inference import MOST_GROUP
 from reconstruction.images.learned.observation import REACH
+from reconstruction.initialization.consistency import AGREEING, confirmations
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.msdi.inference import Inferred, infer_views
 from reconstruction.initialization.msdi.shipped import trained
 from reconstruction.initialization.msdi.views import Views
+from reconstruction.initialization.sweep import DepthMap, back_project
 from rigs.rig import Rig
-from rigs.similarity import Similarity, align
+from rigs.similarity import align
 from rigs.transform import rotvec_of
 
 FEWEST_VIEWS, MOST_VIEWS = 3, 9
-DARK = 1e-3  # spikes per tick on average: twice the sensor's dark current
+FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
 MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # from the nominal rig; what moves further is taken for a wrong minimum
 FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with the cameras found
-LEAST_CONFIDENCE = 3.0  # of a point; 1 says nothing
+LEAST_CONFIDENCE = 1.75  # of a point; 1 says nothing
+AGREEMENT = 0.03  # of the object's inverse distance: how far other views' inverse depths may lie
 BORDER = 2  # px of the working size that are left out
 
 
@@ -57,9 +61,9 @@ def initialise(
     """
     plane = rig.clock.plane(instant_s)
     _check(streams, rig)
-    rates = {name: _mean_rate(streams[name], plane) for name in rig.ids if name in streams}
-    seeing = [name for name, rate in rates.items() if rate >= DARK]
-    report: dict[str, object] = {"method": "msdi", "plane": plane, "dark": [c for c in rates if c not in seeing]}
+    spikes = {name: _spikes(streams[name], plane) for name in rig.ids if name in streams}
+    seeing = [name for name, count in spikes.items() if count >= FEWEST_SPIKES]
+    report: dict[str, object] = {"method": "msdi", "plane": plane, "dark": [c for c in spikes if c not in seeing]}
     if len(seeing) < FEWEST_VIEWS:
         reason = f"found {len(seeing)} views with light, expected {FEWEST_VIEWS}; the nominal rig stands"
         return Geometry(rig, report=report | {"refused": reason})
@@ -74,7 +78,7 @@ def initialise(
     refused = _refused(inferred, moved, nominal)
     if refused:
         return Geometry(rig, images=images, report=report | {"refused": refused.reason})
-    points, confidence = _points(inferred, similarity)
+    points, confidence = _points(inferred, moved, similarity.scale)
     return Geometry(_completed(rig, moved), points, confidence, images, report)
 
 
@@ -90,9 +94,9 @@ def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:
         raise BadRunError(f"found views of the sizes {sorted(sizes)}, expected one size for rig and streams")
 
 
-def _mean_rate(stream: SpikeStream, plane: int) -> float:
-    first, last = window_around(stream, plane, REACH)
-    return float(stream.counts(first, last).mean()) / (last - first)
+def _spikes(stream: SpikeStream, plane: int) -> float:
+    """Spikes a pixel on average, as far around `plane` as a dim view is looked at."""
+    return float(stream.counts(*window_around(stream, plane, REACH * MOST_GROUP)).mean())
 
 
 def _numbers(inferred: Inferred, seeing: list[str]) -> dict[str, object]:
@@ -124,19 +128,25 @@ def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
     return None
 
 
-def _points(inferred: Inferred, similarity: Similarity) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """The confident pixels of all views as points in the rig frame [N, 3] m, and their confidence [N]."""
+def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """The confident pixels of all views that others confirm, as points in the rig frame [N, 3] m, and their confidence.
+
+    `scale` is that of the similarity which brought the cameras to `moved`.
+    """
+    height, width = inferred.depth.shape[1:]
+    maps, factor = [], inferred.factor
+    for camera, depth in zip(moved.cameras, inferred.depth, strict=True):
+        lens = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
+        small = replace(camera, width=width, height=height, pixels=None, **lens)
+        maps.append(DepthMap(small, np.asarray(scale * depth, np.float32), np.zeros_like(depth)))
+    tolerance = AGREEMENT / (scale * inferred.views.distance)
     points, sure = [], []
-    for v in range(len(inferred.views)):
-        depth, confidence = inferred.depth[v].astype(np.float64), inferred.confidence[v]
-        kept = confidence >= LEAST_CONFIDENCE
+    for number, (reference, confidence) in enumerate(zip(maps, inferred.confidence, strict=True)):
+        others = maps[:number] + maps[number + 1 :]
+        kept = confirmations(reference, others, tolerance) >= min(AGREEING, len(others))
+        kept &= confidence >= LEAST_CONFIDENCE
         kept[:BORDER], kept[-BORDER:], kept[:, :BORDER], kept[:, -BORDER:] = False, False, False, False
-        rows, columns = np.nonzero(kept)
-        pixels = np.stack([columns, rows], axis=1) + 0.5
-        parts = (inferred.views.focal, inferred.views.principal, inferred.views.rotation, inferred.views.center)
-        focal, principal, rotation, center = (part[v].double().numpy() for part in parts)
-        rays = np.concatenate([(pixels - principal) / focal, np.ones((len(pixels), 1))], axis=1)
-        points.append(similarity.apply(rays * depth[kept][:, None] @ rotation + center))
+        points.append(back_project(reference.camera, reference.depth)[kept])
         sure.append(confidence[kept])
     return np.concatenate(points), np.concatenate(sure)
 

@@ -16,6 +16,7 @@ from torch.nn import functional
 from reconstruction.initialization.msdi.encoder import FINE_WIDTH, TOKEN_WIDTH, Encoded
 from reconstruction.initialization.msdi.features import FINE, PATCH
 
+PEAK = 1  # fine cells to either side of the likeliest that a correspondence is the mean of
 WINDOW = 9  # fine cells a side around a token's middle
 LEAST_CONFIDENCE = 0.1
 OUTSIDE = -1e4  # logit of what may not be chosen
@@ -78,7 +79,7 @@ class Matcher(nn.Module):
         found, information = [], []
         for v in range(len(pixels)):
             logits, centers = self.window_logits(encoded.fine, pixels[v], chosen[v], v)
-            mean, covariance = moments(logits, centers)
+            mean, covariance = moments(around_peak(logits, centers), centers)
             found.append(mean)
             information.append(torch.linalg.inv(covariance))
         sure = best.exp()
@@ -98,6 +99,16 @@ def window_cells(chosen: Tensor, columns: int) -> tuple[Tensor, Tensor]:
     x = (chosen % tokens)[..., None] * per_patch + middle + across
     y = torch.div(chosen, tokens, rounding_mode="floor")[..., None] * per_patch + middle + down
     return x, y
+
+
+def around_peak(logits: Tensor, centers: Tensor) -> Tensor:
+    """The logits [..., S] of cells at `centers` [..., S, 2], those more than `PEAK` cells from the highest OUTSIDE.
+
+    What little probability lies all over the window would draw the mean towards its middle.
+    """
+    best = logits.argmax(dim=-1)[..., None, None].expand(*logits.shape[:-1], 1, 2)
+    far = ((centers - centers.gather(-2, best)).abs() > (PEAK + 0.5) * FINE).any(dim=-1)
+    return logits.masked_fill(far, OUTSIDE)
 
 
 def moments(logits: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:

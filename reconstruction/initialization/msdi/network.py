@@ -24,7 +24,7 @@ from reconstruction.initialization.msdi.views import GATE, Views, gate
 
 IMAGE_SHARE = 0.1  # of the learning rate
 CLOSER_GATE = 0.035  # of the focal length, once the poses have been adjusted
-CLOSER = (Stage(3, 5.0, 0.02, 0.02), Stage(8, 2.0, 0.02, 0.02))
+CLOSER = tuple(Stage(8, robust, 0.02, 0.02) for robust in (5.0, 2.0, 1.0, 0.5))
 
 
 @dataclass(frozen=True, eq=False)

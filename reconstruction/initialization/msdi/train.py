@@ -60,10 +60,10 @@ def network_command(
     try:
         config = MsdiConfig(**settings)
         report = _report(config.name)
-        scored = [*random_views(), *(recorded_views(folder) for folder in development)] if ranks.first() else []
         validation = {"random_seeds": list(RANDOM.seeds), "random_error": RANDOM_ERROR}
         notes = {"validation": validation | {"development": [folder.name for folder in development]}}
         training = MsdiTraining(out, config, clips, own, notes, backbone=backbone)
+        scored = [*random_views(), *(recorded_views(folder) for folder in development)] if ranks.first() else []
         training.run(lambda module: scores(module, scored), report)
     finally:
         ranks.stop()

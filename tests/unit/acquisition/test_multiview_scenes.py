@@ -4,7 +4,7 @@ import pytest
 from acquisition.errors import AcquisitionError
 from acquisition.scenes.multiview import DISTANCE_M, SPACING_M, multiview_scene, random_rig
 
-SEEDS = range(12)
+SEEDS = range(6)
 
 
 def test_the_same_seed_is_the_same_rig_and_scene():
@@ -46,10 +46,10 @@ def test_every_view_is_filled_by_the_scene():
 
 
 def test_most_scenes_stand_still_and_some_have_a_floor():
-    scenes = [multiview_scene(seed, 170.0) for seed in range(30)]
-    assert 0.6 < np.mean([not scene.movers for scene in scenes]) < 1
+    scenes = [multiview_scene(seed, 170.0) for seed in range(16)]
+    assert 0.5 < np.mean([not scene.movers for scene in scenes]) < 1
     floors = np.mean([any(body.name == "floor" for body in scene.bodies) for scene in scenes])
-    assert 0.3 < floors < 0.9
+    assert 0.2 < floors < 0.95
 
 
 def test_a_rig_of_one_or_ten_views_is_refused():
