@@ -31,6 +31,7 @@ IMAGE_S = {
     "adaptive": 0.031,
     "interpolated": 0.0030,
     "spk2imgnet": 0.48,
+    "msdi": 0.48,
     "blindspot": 0.72,
     "clean": 0.0,  # read once
 }

@@ -54,7 +54,7 @@ def test_what_cannot_be_used_is_refused_in_a_line(spike4dgs, still, tmp_path, ca
         assert not (tmp_path / "a.toml").exists()
         return capsys.readouterr().err.strip().splitlines()[-1]
 
-    assert "give one of --pixels and --board" in refusal()
-    assert "give one of --pixels and --board" in refusal("--board", SPEC, "--pixels", still, still)
+    assert "give one of --pixels, --board and --natural" in refusal()
+    assert "give one of --pixels, --board and --natural" in refusal("--board", SPEC, "--pixels", still, still)
     assert "found the board 'nonsense', expected charuco:COLS" in refusal("--board", "nonsense")
     assert "found tags of DICT_4X4_50, expected" in refusal("--board", "apriltag:4x3:96:28.8:36h11")

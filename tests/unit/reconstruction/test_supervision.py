@@ -92,7 +92,7 @@ def test_the_integral_over_a_window_is_that_of_many_instants():
     part = supervision._part(view, (WIDTH, HEIGHT), np.random.default_rng(0))
     term = SpikeTerm(ImageTerm(CLOCK, 0.6), "counts")
     with torch.no_grad():
-        light, _ = term._integral(truth, part, (8, 32, 4))
+        light, _ = term._integral(truth, view, part, (8, 32, 4))
         dense = torch.stack(
             [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0] for k in range(8, 40)]
         ).mean(dim=0)
