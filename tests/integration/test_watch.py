@@ -42,7 +42,7 @@ def blind(recording, tmp_path_factory):
         run.write_array(f"plan/moving_{view}", np.zeros_like(run.read_array(f"plan/moving_{view}")))
     run.document["plan"] |= {"model": "static", "still_gaussians": CONFIG.gaussians, "moving_gaussians": 0}
     run.save()
-    for stage in ("images", "points"):
+    for stage in ("poses", "images", "points"):
         reconstruct(recording, path, CONFIG, quiet, stage=stage)
     return path
 
