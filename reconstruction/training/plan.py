@@ -24,7 +24,7 @@ LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 INSTANTS = 8  # at which movers are swept
 HALF_UNTIL = 0.1  # share of the training at half resolution
 GAUSSIAN_FLOATS = 12  # of a still one
-UNADJUSTED = ("sfm", "dust3r", "msdi")  # poses that no covariance vouches for are refined in training
+UNADJUSTED = ("sfm", "dust3r")  # poses that no covariance vouches for are refined in training
 POSES_S = 5.0  # nine views of 400x250, on two cores
 BEST_METHOD = "adaptive"  # of those without a network, on single images
 
