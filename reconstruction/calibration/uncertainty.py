@@ -13,7 +13,7 @@ from reconstruction.calibration.projection import PARAMETERS, Cameras
 from rigs.transform import Floats, cross_matrices
 
 POSE = 6
-OPTIMISM = 2.0  # variances are larger than the sandwich says by so much (measured on development scenes)
+OPTIMISM = 2.0  # variances are taken for so much larger than the sandwich says; on some scenes that is too much
 
 
 def camera_sds(covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric: bool) -> list[CameraSd]:
