@@ -1,4 +1,4 @@
-"""The web application: REST under /v1 and one page. It queues work and never does any."""
+"""The web application: REST under /v1 and the pages. It queues work and never does any."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from fastapi import FastAPI
 from server import errors
 from server.guard import LoopbackGuard
 from server.routes import captures, jobs, page, rigs, system
-from server.service import Service
+from server.services.services import Services
 from server.settings import ServiceSettings
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
-    """The application over a data folder. Raises RigError for a rig that cannot be loaded."""
-    service = Service(settings)
+    """The application over a data folder. Raises RigError for a rig that cannot be loaded, and DatabaseError."""
+    services = Services(settings)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        services.start()
         yield
-        service.close()
+        services.close()
 
     # The interactive pages of the framework load scripts from elsewhere; the document itself stays at /openapi.json.
     app = FastAPI(title="spike4dgs", version=version("spike4dgs"), docs_url=None, redoc_url=None, lifespan=lifespan)
-    app.state.service = service
+    app.state.services = services
     for module in (system, rigs, captures, jobs):
         app.include_router(module.router, prefix="/v1")
     app.include_router(page.router)

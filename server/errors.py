@@ -10,6 +10,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from acquisition.errors import DiskError
@@ -40,11 +41,27 @@ class ForeignRequestError(ServiceError):
     """The request came through a host name or from a page that is not this service's."""
 
 
+class IdempotencyError(ServiceError):
+    """An Idempotency-Key came again with another request."""
+
+
+class PreconditionError(ServiceError):
+    """What was to be changed is no longer what the client saw."""
+
+
+class WorkerRunningError(ServiceError):
+    """Another worker has this name."""
+
+    exit_code = 2
+
+
 STATUS: dict[type[Exception], int] = {
     NotFoundError: 404,
     RigBusyError: 409,
     StateError: 409,
     UnknownReferenceError: 422,
+    IdempotencyError: 422,
+    PreconditionError: 412,
     RigError: 422,
     ForeignRequestError: 403,
     DiskError: 507,
@@ -98,6 +115,13 @@ def install(app: FastAPI) -> None:
         return problem(
             422, f"{first['where']}: found {first['found']}; {first['message']}", "invalid-request", errors=faults
         )
+
+    @app.exception_handler(SQLAlchemyError)
+    def database(request: Request, error: SQLAlchemyError) -> JSONResponse:
+        reason = str(getattr(error, "orig", error)).splitlines()[0]
+        if "disk is full" in reason:
+            return problem(507, "No space left for the database; free some", "disk-full")
+        return problem(503, f"the database refused: {reason[:200]}", "database")
 
     @app.exception_handler(OSError)
     def system(request: Request, error: OSError) -> JSONResponse:

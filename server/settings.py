@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import sys
+import tempfile
 from pathlib import Path
 
 from pydantic import BaseModel, ValidationError, field_validator
@@ -39,17 +40,21 @@ class RigSource(BaseModel):
 class ServiceSettings(BaseSettings):
     """What the web process and the worker share: the data folder, the rigs, and how a stage is run.
 
+    `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
     """
 
     model_config = SettingsConfigDict(env_prefix="SPIKE4DGS_", frozen=True)
 
     data: Path = Path(".spike4dgs")
+    database: str | None = None
     host: str = "127.0.0.1"
     port: int = 8000
     rigs: dict[str, RigSource] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
     stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
+    gpu: int | None = None
+    locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 
     @field_validator("data")
     @classmethod
@@ -69,15 +74,29 @@ class ServiceSettings(BaseSettings):
             raise ValueError(f"found {host}, expected a loopback address such as 127.0.0.1: the service has no login")
         return host
 
-    @property
-    def database_path(self) -> Path:
-        """The job engine's database."""
-        return self.data / "dbos.sqlite"
+    @field_validator("database")
+    @classmethod
+    def _postgresql(cls, database: str | None) -> str | None:
+        if database is not None and not database.startswith("postgresql://"):
+            raise ValueError("found another scheme, expected postgresql://USER@HOST/NAME or nothing for SQLite")
+        return database
 
     @property
-    def database_url(self) -> str:
-        """Its address."""
-        return f"sqlite:///{self.database_path}"
+    def engine_url(self) -> str:
+        """Where the job engine keeps its tables."""
+        return self.database or f"sqlite:///{self.data / 'dbos.sqlite'}"
+
+    @property
+    def catalogue_url(self) -> str:
+        """Where the service keeps its own."""
+        if self.database is None:
+            return f"sqlite:///{self.data / 'catalogue.sqlite'}"
+        return self.database.replace("postgresql://", "postgresql+psycopg://", 1)
+
+    @property
+    def database_name(self) -> str:
+        """The database as a message may name it: without a password."""
+        return str(self.data) if self.database is None else self.database.rsplit("@", 1)[-1]
 
 
 def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> ServiceSettings:

@@ -26,19 +26,23 @@ def reconstruct(
     progress_of: Callable[[str], Progress],
     *,
     stage: str | None = None,
+    again: int | None = None,
     last: str = STAGES[-1],
     started: float | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> RunFolder:
     """Run every stage up to `last` that is still due, or just `stage`.
 
-    `started` is the process's start on the monotonic clock.
+    `started` is the process's start on the monotonic clock. With `again` (a number that grows from time to time)
+    `stage` and those after it are forgotten first, also in a finished run.
     Raises BadRunError for a finished run, another configuration, or a stage whose predecessors are missing.
     """
     began = time.monotonic() if started is None else started
     recording = Recording.open(recording_path)
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
+    if again is not None and stage is not None:
+        RunFolder.open(out).forget(STAGES[STAGES.index(stage) :], again)
     run = RunFolder.start(out, config, recording_path, {"revision": code_revision(), "backend": "native"})
 
     def stoppable(progress: Progress) -> Progress:

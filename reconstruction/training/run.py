@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -100,6 +100,22 @@ class RunFolder:
     def finish_stage(self, stage: str, seconds: float) -> None:
         """Record a stage as complete."""
         self.document["seconds"][stage] = round(seconds, 3)
+        self.save()
+
+    def forget(self, stages: Sequence[str], attempt: int) -> None:
+        """Undo `stages`, so that they are run anew; once for each number of `attempt`, which grows.
+
+        Later stages write over what earlier attempts left; only what they would resume from is removed.
+        """
+        if self.document.get("attempt", 0) >= attempt:
+            return
+        self.document["status"] = "unfinished"
+        self.document["seconds"] = {k: v for k, v in self.document["seconds"].items() if k not in stages}
+        self.save()
+        if "train" in stages:
+            for path in [self.checkpoint, *self.snapshots()]:
+                path.unlink(missing_ok=True)
+        self.document["attempt"] = attempt
         self.save()
 
     def save(self) -> None:

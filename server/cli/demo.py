@@ -19,7 +19,8 @@ from reconstruction.report.table import score_table
 from server.cli.progress import progress_of
 from server.cli.serve import stop_process
 from server.errors import ServiceError
-from server.schemas import Capture, CaptureRequest, Images, Init, Job, JobRequest, Model, Supervision
+from server.schemas.captures import Capture, CaptureRequest
+from server.schemas.jobs import Images, Init, Job, Model, ReconstructRequest, Supervision
 
 if TYPE_CHECKING:
     from server.client import ServiceClient
@@ -80,7 +81,7 @@ def _run(client: ServiceClient, ticks: int, options: dict[str, Any]) -> Job:
     (rig,) = client.rigs()
     capture = client.start_capture(rig.id, CaptureRequest(ticks=ticks, name="demo"))
     capture = _follow(lambda: client.capture(capture.id))
-    job = client.submit(JobRequest(capture=capture.id, **options))
+    job = client.submit(ReconstructRequest(capture=capture.id, **options))
     return _follow(lambda: client.job(job.id))
 
 
@@ -107,7 +108,7 @@ def _follow(look: Callable[[], _W]) -> _W:
 def _service(folder: Path, devices: str) -> Iterator[ServiceClient]:
     """A service with its worker over `folder` on a free port, stopped on the way out."""
     from server.client import ServiceClient
-    from server.leash import leashed
+    from server.work.leash import leashed
 
     flags = ["--port", "0", "--data", str(folder), "--rig", "lab3x3", "--devices", devices, "--with-worker"]
     command = leashed([sys.executable, "-P", "-m", "server.cli", "serve", *flags], "SIGTERM")

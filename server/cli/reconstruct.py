@@ -45,6 +45,9 @@ FOLDER = click.Path(path_type=Path)
     help="auto is cpu: the only one yet.",
 )
 @click.option("--stage", type=click.Choice(STAGES), help="Run this stage alone.")
+@click.option(
+    "--again", type=int, metavar="N", help="With --stage, first forget it and those after it, for the Nth time."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the metrics as one JSON document.")
 @click.pass_obj
 def reconstruct_command(
@@ -55,6 +58,7 @@ def reconstruct_command(
     budget_s: float | None,
     steps: int | None,
     stage: str | None,
+    again: int | None,
     as_json: bool,
     **choices: str,
 ) -> None:
@@ -63,7 +67,10 @@ def reconstruct_command(
         budget_s = DEFAULT_BUDGET_S
     named = tuple(v.strip() for v in views.split(",") if v.strip())
     config = ReconstructionConfig(views=named, budget_s=budget_s, steps=steps, **choices)  # type: ignore[arg-type]
-    run = reconstruct(recording, out, config, progress_of, stage=stage, started=started, should_stop=_stop_on_signals())
+    if again is not None and stage is None:
+        raise click.UsageError("found --again without --stage, expected the stage to begin with")
+    stop = _stop_on_signals()
+    run = reconstruct(recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop)
     if run.has("report"):
         metrics = json.loads((run.path / "metrics.json").read_text())
         click.echo(json.dumps(metrics) if as_json else _lines(metrics) + f"\nreport: {run.path / 'report.html'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import socket
 import subprocess
@@ -20,6 +21,35 @@ class PortError(Spike4dgsError):
     """An address the service cannot listen on."""
 
     exit_code = 2
+
+
+KINDS = ("captures", "reconstructions", "tasks")
+
+
+class NameType(click.ParamType):
+    """A worker's name."""
+
+    name = "NAME"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}", str(value)):
+            self.fail(f"found {str(value)[:70]!r}, expected letters, digits, dots and dashes, at most 63", param, ctx)
+        return str(value)
+
+
+class QueuesType(click.ParamType):
+    """Kinds of queues, comma-separated."""
+
+    name = "KIND,..."
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        kinds = value if isinstance(value, tuple) else tuple(part.strip() for part in str(value).split(","))
+        if not set(kinds) <= set(KINDS):
+            self.fail(f"found {','.join(kinds)[:70]!r}, expected some of {','.join(KINDS)}", param, ctx)
+        return kinds
+
+
+NAME, QUEUES = NameType(), QueuesType()
 
 
 def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -64,15 +94,20 @@ def serve_command(
 
 @click.command()
 @_rig_options
-def worker_command(data: Path | None, rig: str | None, devices: str | None) -> None:
+@click.option("--name", type=NAME, default="worker-0", show_default=True, help="Unique among the workers of a service.")
+@click.option("--queues", type=QUEUES, default=",".join(KINDS), show_default=True, help="What this worker does.")
+@click.option("--gpu", type=click.IntRange(min=0), help="The accelerator it trains on, one job at a time on this host.")
+def worker_command(
+    data: Path | None, rig: str | None, devices: str | None, name: str, queues: tuple[str, ...], gpu: int | None
+) -> None:
     """Run captures and jobs of a data folder until stopped."""
     from server.settings import settings_of
-    from server.worker import run_worker
+    from server.work.worker import run_worker
 
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    run_worker(settings_of(rig=rig, devices=devices, data=data), stop)
+    run_worker(settings_of(rig=rig, devices=devices, data=data, gpu=gpu), name, queues, stop)
 
 
 @contextmanager
@@ -95,7 +130,7 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
 
 @contextmanager
 def _worker(arguments: list[str], grace_s: float) -> Iterator[None]:
-    from server.leash import leashed
+    from server.work.leash import leashed
 
     command = [sys.executable, "-P", "-m", "server.cli", "worker", *arguments]
     # Its own session: Ctrl-C reaches this process alone, which then stops the worker in order.

@@ -2,19 +2,34 @@
 
 from fastapi import APIRouter
 
-from server.routes.service import TheService
-from server.schemas import Capture, Captures
+from server.routes.services import Cursor, Limit, TheServices
+from server.schemas.captures import Capture, Captures
+from server.schemas.progress import Status
+from server.store.entries import Filter
 
 router = APIRouter(prefix="/captures", tags=["captures"])
 
 
 @router.get("")
-def captures(service: TheService) -> Captures:
-    """All captures, newest first."""
-    return Captures(items=service.captures())
+def captures(
+    services: TheServices,
+    rig: str | None = None,
+    name: str | None = None,
+    status: Status | None = None,
+    cursor: Cursor = None,
+    limit: Limit = 100,
+) -> Captures:
+    """Captures, newest first."""
+    return services.captures.list(Filter("capture", rig=rig, name=name, before=cursor), status, limit)
 
 
 @router.get("/{capture_id}")
-def capture(capture_id: str, service: TheService) -> Capture:
+def capture(capture_id: str, services: TheServices) -> Capture:
     """One capture."""
-    return service.capture(capture_id)
+    return services.captures.get(capture_id)
+
+
+@router.delete("/{capture_id}", status_code=204)
+def delete_capture(capture_id: str, services: TheServices) -> None:
+    """Delete a capture with its recording; 409 while it is being made or a job works on it."""
+    services.captures.delete(capture_id)

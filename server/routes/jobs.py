@@ -1,62 +1,116 @@
-"""Reconstruction jobs and what they leave."""
+"""Jobs and what they leave."""
 
-from fastapi import APIRouter, Response
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, PlainTextResponse
 
-from server.routes.service import TheService
-from server.schemas import Artefacts, Job, JobRequest, Jobs
+from server.routes.services import Cursor, IdempotencyKey, Limit, TheServices
+from server.schemas.jobs import (
+    Artefacts,
+    BatchRequest,
+    Job,
+    JobRequest,
+    Jobs,
+    PriorityRequest,
+    RestartRequest,
+    Steps,
+)
+from server.schemas.progress import Status
+from server.store.entries import Filter
 
-router = APIRouter(prefix="/jobs", tags=["jobs"])
-
-
-@router.post("", status_code=202)
-def submit(request: JobRequest, response: Response, service: TheService) -> Job:
-    """Reconstruct a capture."""
-    job = service.submit(request)
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job
-
-
-@router.get("")
-def jobs(service: TheService) -> Jobs:
-    """All jobs, newest first."""
-    return Jobs(items=service.jobs())
+router = APIRouter(tags=["jobs"])
 
 
-@router.get("/{job_id}")
-def job(job_id: str, service: TheService) -> Job:
+@router.post("/jobs", status_code=202)
+def submit(request: JobRequest, response: Response, services: TheServices, key: IdempotencyKey = None) -> Job:
+    """Queue a job: a reconstruction unless its `type` says otherwise."""
+    (job_id,) = services.jobs.submit([request], key)
+    response.headers["Location"] = f"/v1/jobs/{job_id}"
+    return services.jobs.get(job_id)
+
+
+@router.post("/jobs:batch", status_code=202)
+def submit_batch(request: BatchRequest, services: TheServices, key: IdempotencyKey = None) -> Jobs:
+    """Queue many jobs, in their order: all of them or, where one is refused, none."""
+    ids = services.jobs.submit(request.jobs, key)
+    return Jobs(items=[services.jobs.get(job_id) for job_id in ids])
+
+
+@router.get("/jobs")
+def jobs(
+    services: TheServices,
+    type: str | None = None,
+    rig: str | None = None,
+    capture: str | None = None,
+    name: str | None = None,
+    status: Status | None = None,
+    cursor: Cursor = None,
+    limit: Limit = 100,
+) -> Jobs:
+    """Jobs, newest first."""
+    return services.jobs.list(Filter("job", type, rig, capture, name, cursor), status, limit)
+
+
+@router.get("/jobs/{job_id}")
+def job(job_id: str, services: TheServices) -> Job:
     """One job: its state, stage, progress, seconds by stage, and error."""
-    return service.job(job_id)
+    return services.jobs.get(job_id)
 
 
-@router.post("/{job_id}/cancel")
-def cancel(job_id: str, service: TheService) -> Job:
+@router.delete("/jobs/{job_id}", status_code=204)
+def delete_job(job_id: str, services: TheServices) -> None:
+    """Delete an ended job and what it made."""
+    services.jobs.delete(job_id)
+
+
+@router.get("/jobs/{job_id}/steps")
+def steps(job_id: str, services: TheServices) -> Steps:
+    """The stages of a job, in order."""
+    return services.jobs.steps(job_id)
+
+
+@router.post("/jobs/{job_id}/cancel")
+def cancel(job_id: str, services: TheServices) -> Job:
     """Stop a queued or running job; what it has made so far stays."""
-    return service.cancel(job_id)
+    return services.jobs.cancel(job_id)
 
 
-@router.post("/{job_id}/resume", status_code=202)
-def resume(job_id: str, response: Response, service: TheService) -> Job:
+@router.post("/jobs/{job_id}/resume", status_code=202)
+def resume(job_id: str, response: Response, services: TheServices) -> Job:
     """Take a failed or cancelled job up again where it stopped."""
-    job = service.resume(job_id)
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job
+    response.headers["Location"] = f"/v1/jobs/{job_id}"
+    return services.jobs.resume(job_id)
 
 
-@router.get("/{job_id}/log", response_class=PlainTextResponse)
-def log(job_id: str, service: TheService) -> str:
-    """What the stages wrote, as text."""
-    return service.log(job_id)
+@router.post("/jobs/{job_id}/restart", status_code=202)
+def restart(job_id: str, request: RestartRequest, response: Response, services: TheServices) -> Job:
+    """Do an ended reconstruction again from a stage on."""
+    response.headers["Location"] = f"/v1/jobs/{job_id}"
+    return services.jobs.restart(job_id, request.stage)
 
 
-@router.get("/{job_id}/artefacts")
-def artefacts(job_id: str, service: TheService) -> Artefacts:
+@router.put("/jobs/{job_id}/priority")
+def prioritise(job_id: str, request: PriorityRequest, services: TheServices) -> Job:
+    """Move a queued job forward or back."""
+    return services.jobs.prioritise(job_id, request.priority)
+
+
+@router.get("/jobs/{job_id}/log", response_class=PlainTextResponse)
+def log(job_id: str, services: TheServices, line: Annotated[int, Query(ge=0)] = 0) -> str:
+    """What the stages wrote, as text, from a line on."""
+    return services.jobs.log(job_id, line)
+
+
+@router.get("/jobs/{job_id}/artefacts")
+def artefacts(job_id: str, services: TheServices) -> Artefacts:
     """What the job has made so far."""
-    return Artefacts(items=service.artefacts(job_id))
+    return Artefacts(items=services.artefacts.list(job_id))
 
 
-@router.get("/{job_id}/artefacts/{name}", response_class=FileResponse)
-def artefact(job_id: str, name: str, service: TheService) -> FileResponse:
+@router.get("/jobs/{job_id}/artefacts/{name:path}", response_class=FileResponse)
+def artefact(job_id: str, name: str, services: TheServices) -> FileResponse:
     """One artefact; a Range is honoured."""
-    path, media_type = service.artefact(job_id, name)
-    return FileResponse(path, media_type=media_type, headers={"X-Content-Type-Options": "nosniff"})
+    path, found = services.artefacts.find(job_id, name)
+    headers = {"X-Content-Type-Options": "nosniff", "ETag": f'"{found.sha256}"'}
+    return FileResponse(path, media_type=found.media_type, headers=headers)

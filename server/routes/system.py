@@ -5,10 +5,11 @@ from importlib.metadata import version
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 
+from server.engine import stages_of
 from server.errors import problem
-from server.jobs import RECONSTRUCTION_STAGES
-from server.routes.service import TheService
-from server.schemas import Check, Info
+from server.routes.services import TheServices
+from server.schemas.jobs import JOB_TYPES
+from server.schemas.system import Check, Info, Workers
 
 router = APIRouter(tags=["system"])
 
@@ -16,7 +17,19 @@ router = APIRouter(tags=["system"])
 @router.get("/info")
 def info() -> Info:
     """Name, version, and the stages of a reconstruction."""
-    return Info(name="spike4dgs", version=version("spike4dgs"), stages=RECONSTRUCTION_STAGES)
+    return Info(name="spike4dgs", version=version("spike4dgs"), stages=stages_of("reconstruct"))
+
+
+@router.get("/options")
+def options() -> dict[str, dict[str, object]]:
+    """The JSON Schema of every type of job."""
+    return {name: model.model_json_schema() for name, model in JOB_TYPES.items()}
+
+
+@router.get("/workers")
+def workers(services: TheServices) -> Workers:
+    """The workers that are alive."""
+    return services.health.workers()
 
 
 @router.get("/healthz")
@@ -26,9 +39,9 @@ def healthz() -> dict[str, bool]:
 
 
 @router.get("/readyz", response_model=dict[str, Check])
-def readyz(service: TheService) -> dict[str, Check] | JSONResponse:
+def readyz(services: TheServices) -> dict[str, Check] | JSONResponse:
     """Work would be done: database, disk and worker. 503 where one is not."""
-    checks = service.checks()
+    checks = services.health.checks()
     faults = [f"{name}: {check.found}" for name, check in checks.items() if not check.ok]
     if faults:
         found = {name: check.model_dump() for name, check in checks.items()}

@@ -29,4 +29,4 @@ def test_the_web_process_never_loads_torch(tmp_path: Path) -> None:
     loaded = {name.split(".")[0] for name in found["modules"]}
     assert "dbos" in loaded
     assert loaded.isdisjoint(FORBIDDEN)
-    assert "server.worker" not in found["modules"]
+    assert "server.work.worker" not in found["modules"]

@@ -1,6 +1,5 @@
 """The service over REST, with a real worker whose stages are played by fake_stage.py."""
 
-import errno
 import json
 import os
 import signal
@@ -10,16 +9,20 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 from fastapi.testclient import TestClient
+from sqlalchemy import event
 
 from server.app import create_app
 from server.client import RefusedError, ServiceClient
-from server.schemas import Capture, CaptureRequest, JobRequest
+from server.schemas.captures import Capture, CaptureRequest
+from server.schemas.jobs import ReconstructRequest
 from server.settings import ServiceSettings
-from server.supervisor import is_locked
+from server.store.files import is_locked
+from server.store.workers import Workers
 
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
 LOOPBACK = "http://127.0.0.1"
@@ -52,7 +55,6 @@ def client(http: TestClient, data: Path) -> Iterator[ServiceClient]:
     worker.terminate()
     assert "Traceback" not in worker.communicate(timeout=20)[1]
     assert worker.returncode == 0
-    assert not (data / "worker.json").exists()
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +107,7 @@ def test_what_is_not_there_is_a_problem(http: TestClient, method: str, path: str
         ("/v1/rigs/lab3x3/captures", {"ticks": 5, "out": "/etc"}, ["body.out"]),
         ("/v1/rigs/lab3x3/captures", {"ticks": 5, "name": "a\nb"}, ["body.name"]),
         ("/v1/rigs/lab3x3/captures", "{", ["body"]),
-        ("/v1/jobs", {"capture": "c", "model": "crystal"}, ["body.model", "crystal", "linear"]),
+        ("/v1/jobs", {"capture": "c", "model": "crystal"}, ["body.reconstruct.model", "crystal", "linear"]),
         ("/v1/jobs", {"capture": "c", "budget_s": 1, "steps": 1}, ["at most one"]),
         ("/v1/jobs", {"capture": "../../etc"}, ["../../etc"]),
     ],
@@ -151,8 +153,10 @@ def test_ready_tells_a_missing_worker(tmp_path: Path) -> None:
     with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url=LOOPBACK) as http:
         assert_problem(http.get("/v1/readyz"), 503, "no worker")
         assert http.get("/v1/healthz").json() == {"ok": True}
-        (tmp_path / "worker.json").write_text(json.dumps({"pid": 1, "beat_s": time.time() - 60}))
-        assert_problem(http.get("/v1/readyz"), 503, "60 s old")
+        late = Workers(http.app.state.services.store.database, clock=lambda: time.time() - 60)  # type: ignore[attr-defined]
+        late.enter("slow", ["tasks"])
+        assert_problem(http.get("/v1/readyz"), 503, "no worker")
+        assert http.get("/v1/workers").json() == {"items": []}
 
 
 def test_a_rig_records_one_capture_at_a_time(tmp_path: Path) -> None:
@@ -165,14 +169,21 @@ def test_a_rig_records_one_capture_at_a_time(tmp_path: Path) -> None:
         assert_problem(http.post("/v1/jobs", json={"capture": first.json()["id"]}), 409, "queued")
 
 
-def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(descriptor: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+def test_a_full_disk_is_said(tmp_path: Path) -> None:
     with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url=LOOPBACK) as http:
-        monkeypatch.setattr(os, "fsync", full)
-        assert_problem(http.post("/v1/rigs/lab3x3/captures", json={"ticks": 5}), 507, "No space left")
-        assert http.get("/v1/captures").json() == {"items": []}
+        with http.app.state.services.store.database.connect() as connection:  # type: ignore[attr-defined]
+            pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
+
+        def full(connection: Any, record: object, proxy: object) -> None:
+            connection.execute(f"PRAGMA max_page_count={pages}")
+
+        event.listen(http.app.state.services.store.database, "checkout", full)  # type: ignore[attr-defined]
+        wordy = {"ticks": 5, "name": "n" * 80}
+        keys = [{"Idempotency-Key": f"{n:0200}"} for n in range(40)]
+        answers = [http.post("/v1/rigs/lab3x3/captures", json=wordy, headers=key) for key in keys]
+        refused = next(answer for answer in answers if answer.status_code not in (202, 409))
+        assert_problem(refused, 507, "No space left")
+        assert http.get("/v1/captures").status_code == 200
 
 
 # With a worker
@@ -180,7 +191,7 @@ def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_capture_becomes_a_reconstruction(client: ServiceClient, http: TestClient, capture: Capture) -> None:
     assert (capture.name, capture.fraction, capture.error) == ("forty", 1.0, None)
-    job = client.submit(JobRequest(capture=capture.id, holdout="cam11", steps=5))
+    job = client.submit(ReconstructRequest(capture=capture.id, holdout="cam11", steps=5))
     wait_for(lambda: client.job(job.id).status == "done")
     job = client.job(job.id)
     assert list(job.seconds) == ["plan", "poses", "images", "points", "train", "report"]
@@ -194,7 +205,7 @@ def test_a_capture_becomes_a_reconstruction(client: ServiceClient, http: TestCli
 
 
 def test_artefacts_are_named_and_never_links(client: ServiceClient, data: Path, capture: Capture) -> None:
-    job = client.submit(JobRequest(capture=capture.id))
+    job = client.submit(ReconstructRequest(capture=capture.id))
     wait_for(lambda: client.job(job.id).status == "done")
     run = data / "jobs" / job.id / "run"
     for name in ("checkpoint.json", "..%2f..%2f..%2fworker.json", "orbit.mp4", "nothing"):
@@ -213,19 +224,19 @@ def test_a_failed_capture_says_why(client: ServiceClient, capture: Capture) -> N
     assert client.capture(failed.id).error == "cam11: found no answer, expected a camera; plug it in"
     assert client.rig("lab3x3").busy is None
     with pytest.raises(RefusedError, match="failed, expected it done"):
-        client.submit(JobRequest(capture=failed.id))
+        client.submit(ReconstructRequest(capture=failed.id))
 
 
 def test_a_holdout_must_be_a_camera_of_the_rig(client: ServiceClient, capture: Capture) -> None:
     with pytest.raises(RefusedError, match=r"camera cam77.*expected one of cam00") as caught:
-        client.submit(JobRequest(capture=capture.id, holdout="cam77"))
+        client.submit(ReconstructRequest(capture=capture.id, holdout="cam77"))
     assert caught.value.status == 422
 
 
 def test_a_failed_job_goes_on_where_it_stopped(client: ServiceClient, data: Path, capture: Capture) -> None:
     fault = data / "jobs" / "fail-points"
     fault.touch()
-    job = client.submit(JobRequest(capture=capture.id))
+    job = client.submit(ReconstructRequest(capture=capture.id))
     wait_for(lambda: client.job(job.id).status == "failed")
     found = client.job(job.id)
     assert (found.stage, found.error) == ("points", "points: found a fault, expected none; mend it")
@@ -240,10 +251,10 @@ def test_a_failed_job_goes_on_where_it_stopped(client: ServiceClient, data: Path
 def test_a_cancelled_job_stops_and_resumes_from_its_checkpoint(
     client: ServiceClient, data: Path, capture: Capture
 ) -> None:
-    job = client.submit(JobRequest(capture=capture.id))
+    job = client.submit(ReconstructRequest(capture=capture.id))
     wait_for(lambda: (data / "jobs" / job.id / "run" / "checkpoint.json").exists())
     assert client.cancel(job.id).status == "cancelled"
-    wait_for(lambda: not is_locked(data / "catalogue" / job.id))
+    wait_for(lambda: not is_locked(data / "entries" / job.id))
     run = data / "jobs" / job.id / "run"
     pid, start = map(int, (run / "attempts.txt").read_text().split())
     assert start == 0
@@ -261,7 +272,9 @@ def test_a_second_worker_is_refused(client: ServiceClient, data: Path) -> None:
         [sys.executable, "-m", "server.cli", "worker", "--data", data], capture_output=True, text=True, check=False
     )
     assert second.returncode == 2
-    assert second.stderr.strip() == f"spike4dgs: found another worker on {data}, expected none; stop it first"
+    assert second.stderr.strip() == (
+        f"spike4dgs: found another worker worker-0 on {data}, expected none; stop it or choose another --name"
+    )
 
 
 def spike4dgs(*arguments: object, **environment: str) -> subprocess.Popen[str]:
@@ -281,7 +294,7 @@ def test_a_data_folder_that_cannot_be_used_is_one_line(tmp_path: Path, command: 
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (2, "")
     assert err.count("\n") == 1
-    assert f"{tmp_path / 'dbos.sqlite'}: found file is not a database" in err
+    assert f"{tmp_path}: found file is not a database" in err
 
 
 def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:

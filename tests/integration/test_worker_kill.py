@@ -15,7 +15,8 @@ from fastapi.testclient import TestClient
 
 from server.app import create_app
 from server.client import ServiceClient
-from server.schemas import CaptureRequest, JobRequest
+from server.schemas.captures import CaptureRequest
+from server.schemas.jobs import ReconstructRequest
 from server.settings import ServiceSettings
 
 FAKE = json.dumps([sys.executable, str(Path(__file__).with_name("fake_stage.py"))])
@@ -62,7 +63,7 @@ def attempts(run: Path) -> list[tuple[int, int]]:
 def start_job(client: ServiceClient) -> str:
     capture = client.start_capture("lab3x3", CaptureRequest(ticks=40))
     wait_for(lambda: client.capture(capture.id).status == "done")
-    return client.submit(JobRequest(capture=capture.id)).id
+    return client.submit(ReconstructRequest(capture=capture.id)).id
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

@@ -1,66 +1,90 @@
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 from pydantic import ValidationError
 
 from rigs.errors import RigError
-from server.catalogue import Catalogue
 from server.cli.main import cli
 from server.cli.serve import PortError, listening
-from server.errors import NotFoundError
-from server.jobs import reconstruct_arguments, record_arguments
-from server.schemas import CaptureRequest, JobRequest, Progress
+from server.schemas.captures import CaptureRequest
+from server.schemas.jobs import JOB_TYPES, ReconstructRequest
 from server.settings import RigSource, ServiceSettings, SettingsError, settings_of
+from server.work.commands import reconstruct_arguments, record_arguments, task_arguments
 
 
 def test_arguments_of_the_stages() -> None:
-    rig = RigSource(rig="lab3x3", devices="usb:")
-    assert record_arguments(CaptureRequest(ticks=5), rig, Path("rec")) == [
+    request = CaptureRequest(ticks=5).model_dump(exclude={"name"})
+    assert record_arguments(request, "lab3x3", "usb:", Path("rec")) == [
         *("record", "--rig", "lab3x3", "--devices", "usb:", "--ticks", "5", "--out", "rec")
     ]
-    request = JobRequest(capture="c", model="linear", holdout="cam11", steps=7, seed=0)
-    assert reconstruct_arguments(request, "train", Path("rec"), Path("run")) == [
-        *("reconstruct", "rec", "--out", "run", "--stage", "train"),
-        *("--model", "linear", "--images", "auto", "--init", "auto", "--supervision", "auto"),
-        *("--holdout", "cam11", "--steps", "7", "--seed", "0"),
+    request = CaptureRequest(until_stopped=True, pre_trigger_ms=5, rejoin_s=0, threshold=900).model_dump()
+    assert record_arguments(request, "lab3x3", "usb:", Path("rec"))[5:-2] == [
+        *("--threshold", "900", "--pre-trigger", "5.0", "--rejoin", "0.0", "--until-stopped")
     ]
+
+
+def test_arguments_of_a_reconstruction() -> None:
+    asked = ReconstructRequest(capture="c", model="linear", holdout="cam11", steps=7, seed=0, views=["cam00", "cam02"])
+    request = asked.model_dump(exclude={"name", "priority"})
+    restart = {"stage": "train", "attempt": 2}
+    found = reconstruct_arguments(request, "train", Path("rec"), Path("run"), restart)
+    assert found == [
+        *("reconstruct", "rec", "--out", "run", "--stage", "train", "--again", "2"),
+        *("--model", "linear", "--images", "auto", "--init", "auto", "--supervision", "auto", "--refine", "auto"),
+        *("--holdout", "cam11", "--steps", "7", "--seed", "0", "--views", "cam00,cam02"),
+    ]
+    assert "--again" not in reconstruct_arguments(request, "report", Path("rec"), Path("run"), restart)
+
+
+@pytest.mark.parametrize(
+    ("request_", "arguments"),
+    [
+        ({"type": "images", "method": "tfi", "ticks": None}, "images rec --method tfi --out out"),
+        ({"type": "calibrate", "board": None}, "calibrate rec --natural --out out/rig.toml --json"),
+        ({"type": "verify"}, "verify rec --json"),
+        ({"type": "evaluate"}, "evaluate run --json"),
+        (
+            {"type": "export", "format": "spz", "at_s": 0.25, "frames": None, "camera": None},
+            "export run --format spz --at 0.25 --out out/scene.spz",
+        ),
+    ],
+    ids=lambda value: value["type"] if isinstance(value, dict) else "",
+)
+def test_arguments_of_the_tasks(request_: dict[str, object], arguments: str) -> None:
+    assert task_arguments(request_, Path("rec"), Path("run"), Path("out")) == arguments.split()
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"type": "images", "capture": "c", "method": "tfi", "ticks": "1:20:3"},
+        {"type": "calibrate", "capture": "c"},
+        {"type": "calibrate", "capture": "c", "board": "charuco:6x4:100:67.5:DICT_4X4_50"},
+        {"type": "check-rig", "capture": "c"},
+        {"type": "verify", "capture": "c"},
+        {"type": "evaluate", "job": "j"},
+    ],
+    ids=str,
+)
+def test_every_task_is_a_command_line_of_the_program(fields: dict[str, str]) -> None:
+    request = JOB_TYPES[fields["type"]].model_validate(fields).model_dump()
+    command, *arguments = task_arguments(request, Path("rec"), Path("run"), Path("out"))
+    known = cli.get_command(click.Context(cli), command)
+    assert known is not None
+    flags = {flag for parameter in known.params for flag in parameter.opts}
+    assert {argument for argument in arguments if argument.startswith("--")} <= flags
 
 
 @pytest.mark.parametrize(
     "change", [{"budget_s": 5, "steps": 5}, {"model": "crystal"}, {"holdout": "../x"}, {"seed": -1}, {"path": "/etc"}]
 )
 def test_a_request_that_does_not_fit_is_refused(change: dict[str, object]) -> None:
-    JobRequest.model_validate({"capture": "c"})
+    ReconstructRequest.model_validate({"capture": "c"})
     with pytest.raises(ValidationError):
-        JobRequest.model_validate({"capture": "c"} | change)
-
-
-def test_the_catalogue_keeps_entries_and_progress(tmp_path: Path) -> None:
-    times = iter([datetime(2024, 5, 6, 7, 8, 9, tzinfo=UTC), datetime(2024, 5, 6, 7, 8, 10, tzinfo=UTC)])
-    catalogue = Catalogue(tmp_path, clock=lambda: next(times), token=lambda: "beef")
-    first, second = (catalogue.add("capture", {"rig": "r", "ticks": n}) for n in (1, 2))
-    assert first.id == "c20240506-070809-beef"
-    assert catalogue.entries("capture") == [second, first]
-    assert catalogue.entries("job") == []
-    assert catalogue.progress(first.id) == Progress()
-    catalogue.write_progress(first.id, Progress(stage="record", seconds={"record": 1.5}))
-    assert catalogue.progress(first.id).seconds == {"record": 1.5}
-    catalogue.remove(second.id)
-    assert catalogue.entries("capture") == [first]
-    assert [path.name for path in catalogue.folder(first.id).iterdir() if path.name.startswith(".")] == []
-
-
-@pytest.mark.parametrize(
-    "name", ["", "..", "../../etc", "c20240506-070809-beef/..", "j20240506-070809-beef", "c" * 500]
-)
-def test_the_catalogue_knows_nothing_else(tmp_path: Path, name: str) -> None:
-    catalogue = Catalogue(tmp_path, clock=lambda: datetime(2024, 5, 6, 7, 8, 9, tzinfo=UTC), token=lambda: "beef")
-    catalogue.add("capture", {})
-    with pytest.raises(NotFoundError):
-        catalogue.entry("capture", name)
+        ReconstructRequest.model_validate({"capture": "c"} | change)
 
 
 def test_settings_come_from_flags_then_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

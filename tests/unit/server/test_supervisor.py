@@ -6,7 +6,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from server.supervisor import StageError, is_locked, supervise
+from server.store.files import is_locked
+from server.work.supervisor import StageError, supervise
 
 
 def run(code: str, folder: Path, *, grace_s: float = 5.0, cancel_when: str | None = None) -> list[tuple[float, str]]:
@@ -102,7 +103,7 @@ def test_the_process_holds_the_lock_and_dies_with_its_parent(tmp_path: Path) -> 
     parent = f"""
 import asyncio, os, signal, sys, time
 from pathlib import Path
-from server.supervisor import supervise
+from server.work.supervisor import supervise
 os.chdir({str(tmp_path)!r})
 here = Path({str(tmp_path)!r})
 def die(fraction, message):

@@ -9,15 +9,17 @@ import json
 import os
 import signal
 from asyncio.subprocess import DEVNULL, PIPE
-from collections.abc import AsyncIterator, Coroutine, Sequence
+from collections.abc import AsyncIterator, Coroutine, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 from acquisition.progress import Progress
 from server.errors import ServiceError
-from server.leash import leashed
+from server.work.leash import leashed
 
 _LOCK_POLL_S = 0.1
+_CONTROL_POLL_S = 0.05
 _LONGEST_LINE = 65536
 _LAST_WORDS_S = 1.0
 
@@ -26,50 +28,76 @@ class StageError(ServiceError):
     """A stage ended badly; the message is the last line it wrote."""
 
 
+@dataclass(frozen=True)
+class Control:
+    """Files by which a running stage is told something: `stop` becomes SIGTERM, `save` a line on standard input."""
+
+    stop: Path
+    save: Path
+
+
 async def supervise(
-    command: Sequence[str], *, folders: Sequence[Path], log: Path, on_progress: Progress, grace_s: float
+    command: Sequence[str],
+    *,
+    folders: Sequence[Path],
+    log: Path,
+    on_progress: Progress,
+    grace_s: float,
+    control: Control | None = None,
+    stdout: Path | None = None,
+    answers: bool = False,
+    environment: Mapping[str, str] | None = None,
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
 
     The process inherits the locks, so they last until it is gone even where this process dies first. Cancelling sends
-    SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone.
+    SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone. What it prints goes to `log`, or to
+    `stdout`. Where it `answers`, an exit code of 1 with an answer is no failure.
     """
     async with _locked(folders) as locks:
-        with log.open("a") as text:
+        with log.open("a") as text, stdout.open("w") if stdout else contextlib.nullcontext(text) as printed:
             relay = _Relay(text, on_progress)
             transport, _ = await asyncio.get_running_loop().subprocess_exec(
                 lambda: relay,
                 *leashed(list(command), "SIGKILL"),
-                stdin=DEVNULL,
-                stdout=text,
+                stdin=PIPE if control else DEVNULL,
+                stdout=printed,
                 stderr=PIPE,
-                env=os.environ | {"SPIKE4DGS_PROGRESS": "json"},
+                env=os.environ | {"SPIKE4DGS_PROGRESS": "json"} | dict(environment or {}),
                 start_new_session=True,
                 pass_fds=locks,
             )
+            teller = asyncio.ensure_future(_tell(transport, control)) if control else None
             try:
                 await relay.over.wait()
             finally:
+                if teller:
+                    teller.cancel()
                 await _insist(_stop(transport, relay, grace_s))
                 transport.close()
     if relay.fault is not None:
         raise relay.fault
     code = transport.get_returncode() or 0
+    if code == 1 and answers and stdout and stdout.stat().st_size:
+        return
     if code != 0:
         ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         raise StageError(relay.last.removeprefix("spike4dgs: ") or f"the stage ended with {ended} and no message")
 
 
-def is_locked(folder: Path) -> bool:
-    """Whether some process holds the folder's flock."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
+async def _tell(transport: asyncio.SubprocessTransport, control: Control) -> None:
+    """Pass on what the files say, each once."""
+    line = transport.get_pipe_transport(0)
+    assert isinstance(line, asyncio.WriteTransport)
+    saved = False
+    while True:
+        if control.save.exists() and not saved:
+            saved = True
+            line.write(b"\n")
+        if control.stop.exists():
+            os.killpg(transport.get_pid(), signal.SIGTERM)
+            return
+        await asyncio.sleep(_CONTROL_POLL_S)
 
 
 @contextlib.asynccontextmanager

@@ -1,4 +1,4 @@
-"""Runs a command that cannot outlive its parent: `python -m server.leash SIGNAL PARENT_PID COMMAND...`.
+"""Runs a command that cannot outlive its parent: `python -m server.work.leash SIGNAL PARENT_PID COMMAND...`.
 
 The kernel sends SIGNAL when the parent dies, even by kill -9. The setting survives the exec below, and asking for it
 here rather than between fork and exec keeps the parent free of code that is unsafe beside its threads.
@@ -14,7 +14,7 @@ _PR_SET_PDEATHSIG = 1
 
 def leashed(command: list[str], signal_name: str) -> list[str]:
     """`command`, to be started by this very process, which then takes it along when it dies."""
-    return [sys.executable, "-P", "-m", "server.leash", signal_name, str(os.getpid()), *command]
+    return [sys.executable, "-P", "-m", "server.work.leash", signal_name, str(os.getpid()), *command]
 
 
 def main() -> None:

@@ -1,0 +1,122 @@
+"""The job engine as the service uses it: names, queues, and what a client may ask of a workflow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
+
+from server.schemas.progress import Status
+from server.settings import ServiceSettings
+from server.store.entries import Entry
+
+APPLICATION = "spike4dgs"
+# Workflows replay their steps by position: change this when, and only when, the order of stages changes.
+APPLICATION_VERSION = "3"
+WORKFLOW = "entry"
+
+RECONSTRUCTIONS = "reconstructions"  # what trains: one at a time a worker
+TASKS = "tasks"  # what takes a processor for seconds or minutes
+
+STAGES: dict[str, tuple[str, ...]] = {"reconstruct": ("plan", "poses", "images", "points", "train", "report")}
+
+_STATUS: dict[str, Status] = {
+    "ENQUEUED": "queued",
+    "DELAYED": "queued",
+    "PENDING": "running",
+    "SUCCESS": "done",
+    "CANCELLED": "cancelled",
+}
+
+
+def stages_of(entry_type: str) -> tuple[str, ...]:
+    """The stages of a kind of work, in order."""
+    return STAGES.get(entry_type, (entry_type,))
+
+
+def capture_queue(rig_id: str) -> str:
+    """The queue of what records with a rig."""
+    return f"captures-{rig_id}"
+
+
+class Engine:
+    """A client of the job engine; entries are workflows of the same id."""
+
+    def __init__(self, settings: ServiceSettings) -> None:
+        self._client = DBOSClient(
+            system_database_url=settings.engine_url,
+            serializer=DBOSPortableJSONSerializer(),
+            application_name=APPLICATION,
+        )
+
+    def close(self) -> None:
+        """Let go of the database."""
+        self._client.destroy()
+
+    def check(self) -> None:
+        """Raises where the database does not answer."""
+        self._client.check_connection()
+
+    def enqueue(self, entry: Entry) -> None:
+        """Queue an entry; one that is queued already stays as it is."""
+        assert entry.queue is not None
+        options: EnqueueOptions = {
+            "workflow_name": WORKFLOW,
+            "queue_name": entry.queue,
+            "workflow_id": entry.id,
+            "app_version": APPLICATION_VERSION,
+            "priority": max(entry.priority, 1),
+        }
+        self._client.enqueue(options, entry.id, list(stages_of(entry.type)))
+
+    def statuses(self, entries: Sequence[Entry]) -> dict[str, Status]:
+        """The status of each entry; one without work is done, one that is yet to be queued is queued."""
+        ids = [entry.id for entry in entries if entry.queue is not None]
+        found = self._client.list_workflows(workflow_ids=ids, load_input=False, load_output=False) if ids else []
+        known: dict[str, Status] = {one.workflow_id: _STATUS.get(one.status, "failed") for one in found}
+        return {entry.id: known.get(entry.id, "queued") if entry.queue else "done" for entry in entries}
+
+    def active(self, queue: str) -> str | None:
+        """An entry of the queue that is queued or running, if any."""
+        found = self._client.list_workflows(
+            queue_name=queue, status=["ENQUEUED", "PENDING"], limit=1, load_input=False, load_output=False
+        )
+        return found[0].workflow_id if found else None
+
+    def count(self) -> dict[tuple[str, Status], int]:
+        """How many entries of each queue are queued or running."""
+        found = self._client.list_workflows(status=["ENQUEUED", "PENDING"], load_input=False, load_output=False)
+        counts: dict[tuple[str, Status], int] = {}
+        for one in found:
+            key = (one.queue_name or "", _STATUS[one.status])
+            counts[key] = counts.get(key, 0) + 1
+        return counts
+
+    def orphans(self, alive: Sequence[str]) -> list[str]:
+        """Running entries of workers that are not among the living."""
+        found = self._client.list_workflows(status="PENDING", load_input=False, load_output=False)
+        return [one.workflow_id for one in found if one.executor_id not in alive]
+
+    def cancel(self, entry_id: str) -> None:
+        """Stop an entry that is queued or running."""
+        self._client.cancel_workflow(entry_id)
+
+    def adopt(self, entry: Entry) -> None:
+        """Take a running entry from its worker and queue it again where it stopped."""
+        self._client.cancel_workflow(entry.id)
+        self._client.resume_workflow(entry.id, queue_name=entry.queue)
+
+    def rewind(self, entry: Entry, stage: str | None = None) -> None:
+        """Queue an ended entry again, from `stage` on or from the one it stopped in."""
+        if stage is None:
+            steps = self._client.list_workflow_steps(entry.id)
+            start = next((step["function_id"] for step in steps if step["error"]), len(steps) + 1)
+        else:
+            start = stages_of(entry.type).index(stage) + 1
+        self._client.rewind_workflow(
+            entry.id, start_step=start, application_version=APPLICATION_VERSION, queue_name=entry.queue
+        )
+
+    def forget(self, entry_id: str) -> None:
+        """Delete what the engine knows of an entry."""
+        self._client.delete_workflow(entry_id)

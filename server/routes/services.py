@@ -1,0 +1,20 @@
+"""How a route reaches the services, and the parameters that several routes take."""
+
+from typing import Annotated
+
+from fastapi import Depends, Header, Query, Request
+
+from server.services.services import Services
+
+
+def _services(request: Request) -> Services:
+    return request.app.state.services
+
+
+TheServices = Annotated[Services, Depends(_services)]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(alias="Idempotency-Key", min_length=1, max_length=200, description="Sent again, it makes nothing twice."),
+]
+Limit = Annotated[int, Query(ge=1, le=1000, description="Entries of a page.")]
+Cursor = Annotated[str | None, Query(max_length=40, description="`next` of the page before.")]

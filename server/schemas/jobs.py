@@ -1,0 +1,204 @@
+"""Jobs: what is done with a capture, or with what another job made."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Discriminator, Field, Tag, model_validator
+
+from server.schemas.captures import Name
+from server.schemas.progress import Progress, Request, Status
+
+Images = Literal["auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot", "msdi"]
+ImageMethod = Literal["tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot", "msdi"]
+Init = Literal["auto", "sweep", "natural", "sfm", "msdi"]
+Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
+Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
+Refine = Literal["auto", "on", "off"]
+Stage = Literal["plan", "poses", "images", "points", "train", "report"]
+ExportFormat = Literal["ply", "ply-sequence", "splat", "spz", "glb", "video", "depth", "colmap", "nerfstudio"]
+
+CameraId = Annotated[str, Field(pattern=r"^cam\d\d$")]
+EntryId = Annotated[str, Field(max_length=40)]
+Planes = Annotated[str, Field(pattern=r"^\d{1,8}:\d{1,8}(:\d{1,8})?$")]
+BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5,80}$")]
+
+
+class JobBase(Request):
+    """What every job may be given: a name, and a priority: the lower is done the earlier."""
+
+    name: Name | None = None
+    priority: Annotated[int, Field(ge=1, le=1000)] = 100
+
+
+class OfCapture(JobBase):
+    """A job that works on a capture."""
+
+    capture: EntryId
+
+
+class OfJob(JobBase):
+    """A job that works on what a finished reconstruction left."""
+
+    job: EntryId
+
+
+class ReconstructRequest(OfCapture):
+    """A reconstruction of a capture; what is not given is decided by the plan.
+
+    `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one.
+    """
+
+    type: Literal["reconstruct"] = "reconstruct"
+    model: Model = "auto"
+    images: Images = "auto"
+    init: Init = "auto"
+    supervision: Supervision = "auto"
+    refine: Refine = "auto"
+    holdout: CameraId | None = None
+    views: Annotated[list[CameraId] | None, Field(min_length=2, max_length=100)] = None
+    tick_stride: Annotated[int | None, Field(ge=1, le=10_000)] = None
+    budget_s: Annotated[float | None, Field(gt=0, le=7 * 24 * 3600, allow_inf_nan=False)] = None
+    steps: Annotated[int | None, Field(ge=1, le=10_000_000)] = None
+    seed: Annotated[int | None, Field(ge=0, lt=2**31)] = None
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> ReconstructRequest:
+        if self.budget_s is not None and self.steps is not None:
+            raise ValueError("found both budget_s and steps, expected at most one")
+        return self
+
+
+class ImagesRequest(OfCapture):
+    """Intensity images of every camera at the planes A:B:STEP."""
+
+    type: Literal["images"]
+    method: ImageMethod
+    ticks: Planes | None = None
+
+
+class CalibrateRequest(OfCapture):
+    """A calibration of the rig from a capture: from a board that is waved before it, or from whatever it sees."""
+
+    type: Literal["calibrate"]
+    board: BoardSpec | None = None
+
+
+class CheckRigRequest(OfCapture):
+    """Whether the stored calibration still fits a capture."""
+
+    type: Literal["check-rig"]
+
+
+class VerifyRequest(OfCapture):
+    """Whether every byte of a capture is as it was written."""
+
+    type: Literal["verify"]
+
+
+class EvaluateRequest(OfJob):
+    """Scores of a reconstruction on its held-out camera."""
+
+    type: Literal["evaluate"]
+
+
+class ExportRequest(OfJob):
+    """A reconstruction in another program's format; `at_s` and `frames` are as of `spike4dgs export`."""
+
+    type: Literal["export"]
+    format: ExportFormat
+    at_s: Annotated[float | None, Field(ge=0, le=1e6, allow_inf_nan=False)] = None
+    frames: Annotated[int | None, Field(ge=1, le=1000)] = None
+    camera: CameraId | None = None
+
+
+def _type_of(value: Any) -> str:
+    found = value.get("type", "reconstruct") if isinstance(value, dict) else getattr(value, "type", None)
+    return found if isinstance(found, str) else "reconstruct"
+
+
+JobRequest = Annotated[
+    Annotated[ReconstructRequest, Tag("reconstruct")]
+    | Annotated[ImagesRequest, Tag("images")]
+    | Annotated[CalibrateRequest, Tag("calibrate")]
+    | Annotated[CheckRigRequest, Tag("check-rig")]
+    | Annotated[VerifyRequest, Tag("verify")]
+    | Annotated[EvaluateRequest, Tag("evaluate")]
+    | Annotated[ExportRequest, Tag("export")],
+    Discriminator(_type_of),
+]
+JOB_TYPES: dict[str, type[JobBase]] = {
+    "reconstruct": ReconstructRequest,
+    "images": ImagesRequest,
+    "calibrate": CalibrateRequest,
+    "check-rig": CheckRigRequest,
+    "verify": VerifyRequest,
+    "evaluate": EvaluateRequest,
+    "export": ExportRequest,
+}
+
+
+class BatchRequest(Request):
+    """Jobs to queue together: all of them or, where one is refused, none."""
+
+    jobs: Annotated[list[JobRequest], Field(min_length=1, max_length=1000)]
+
+
+class PriorityRequest(Request):
+    """A new priority of a queued job: the lower is done the earlier."""
+
+    priority: Annotated[int, Field(ge=1, le=1000)]
+
+
+class RestartRequest(Request):
+    """The stage from which on an ended reconstruction is done again."""
+
+    stage: Stage
+
+
+class Job(Progress):
+    """A job, done or to be done."""
+
+    id: str
+    type: str
+    created: str
+    status: Status
+    priority: int
+    name: str | None
+    request: JobRequest
+
+
+class Jobs(BaseModel):
+    """Jobs, newest first; `next` is the cursor of the next page."""
+
+    items: list[Job]
+    next: str | None = None
+
+
+class Step(BaseModel):
+    """A stage of a job: whether it is finished, and the seconds it has taken in all attempts."""
+
+    stage: str
+    status: Literal["waiting", "running", "done", "failed"]
+    seconds: float | None
+
+
+class Steps(BaseModel):
+    """The stages of a job, in order."""
+
+    items: list[Step]
+
+
+class Artefact(BaseModel):
+    """A file a job has made; its size in bytes."""
+
+    name: str
+    media_type: str
+    bytes: int
+    sha256: str
+
+
+class Artefacts(BaseModel):
+    """What a job has made so far."""
+
+    items: list[Artefact]

@@ -1,0 +1,66 @@
+"""Tells of every change of status, once and durably, whoever caused it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from datetime import datetime
+
+from dbos import error as engine_errors
+from sqlalchemy.exc import SQLAlchemyError
+
+from server.engine import Engine
+from server.services.queue import Queue
+from server.store.entries import Entry
+from server.store.store import Store
+
+_LOOK_S = 0.5
+_LOST_S = 5.0
+_LOG = logging.getLogger(__name__)
+
+
+class Announcer:
+    """Compares what was told of entries with what the engine knows, twice a second, in a thread of its own."""
+
+    def __init__(self, store: Store, engine: Engine, queue: Queue) -> None:
+        self._store = store
+        self._engine = engine
+        self._queue = queue
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="announcer", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, when the look under way is over."""
+        self._stop.set()
+        self._thread.join()
+
+    def look(self) -> None:
+        """Tell what has changed since the last look, and queue what was never queued."""
+        open_entries = self._store.entries.unfinished()
+        status = self._engine.statuses(open_entries)
+        for entry in open_entries:
+            now = status[entry.id]
+            if entry.told == "new":
+                continue
+            if now != entry.told:
+                (latest,) = self._store.entries.find([entry.id]) or [entry]
+                self._store.events.tell(entry.id, entry.told, now, {"error": latest.progress.get("error")})
+            if now in ("done", "failed", "cancelled"):
+                self._store.events.thin(entry.id)
+        self._queue.requeue(_is_old)
+
+    def _run(self) -> None:
+        while not self._stop.wait(_LOOK_S):
+            try:
+                self.look()
+            except (engine_errors.DBOSException, SQLAlchemyError):
+                _LOG.exception("the announcer goes on after an error")
+
+
+def _is_old(entry: Entry) -> bool:
+    return time.time() - datetime.fromisoformat(entry.created).timestamp() > _LOST_S

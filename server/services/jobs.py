@@ -1,0 +1,203 @@
+"""Jobs: queued one by one or together, cancelled, resumed, restarted, listed and deleted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rigs.toml import load_rig
+from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
+from server.errors import NotFoundError, StateError, UnknownReferenceError
+from server.schemas.jobs import (
+    JOB_TYPES,
+    ExportRequest,
+    Job,
+    JobBase,
+    Jobs,
+    OfCapture,
+    OfJob,
+    ReconstructRequest,
+    Steps,
+)
+from server.schemas.progress import ACTIVE, Status
+from server.services.listing import page_of
+from server.services.queue import Key, Queue
+from server.store.entries import Entry, Filter
+from server.store.files import is_locked
+from server.store.store import Store
+
+
+class JobService:
+    """The jobs of a service."""
+
+    def __init__(self, store: Store, engine: Engine, queue: Queue) -> None:
+        self._store = store
+        self._engine = engine
+        self._queue = queue
+
+    def submit(self, requests: Sequence[JobBase], key: Key = None) -> list[str]:
+        """Queue jobs, all of them or none; their ids.
+
+        Raises UnknownReferenceError, StateError before what they work on is done, RigError for a camera it lacks, and
+        IdempotencyError.
+        """
+        ids = self._queue.ids("job", requests, key, "jobs")
+        fresh = [(i, request) for i, request in zip(ids, requests, strict=True) if not self._queue.known(i)]
+        entries = [self._entry(job_id, request) for job_id, request in fresh]
+        for entry in entries:
+            self._store.folder.job(entry.id).mkdir(exist_ok=True)
+            self._queue.add(entry)
+        return ids
+
+    def get(self, job_id: str) -> Job:
+        """One job; raises NotFoundError."""
+        return self._shown([self._store.entries.get("job", job_id)])[0]
+
+    def list(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> Jobs:
+        """A page of jobs, newest first."""
+        items, cursor = page_of(self._store, self._engine, wanted, status, limit)
+        return Jobs(items=self._shown(items), next=cursor)
+
+    def steps(self, job_id: str) -> Steps:
+        """The stages of a job and how far each is; raises NotFoundError."""
+        job = self.get(job_id)
+        names = stages_of(job.type)
+        at = len(names) if job.status == "done" else names.index(job.stage) if job.stage in names else 0
+        here = {"running": "running", "failed": "failed"}.get(job.status, "waiting")
+        words = ["done" if i < at else here if i == at else "waiting" for i in range(len(names))]
+        rows = zip(names, words, strict=True)
+        return Steps.model_validate(
+            {"items": [{"stage": name, "status": word, "seconds": job.seconds.get(name)} for name, word in rows]}
+        )
+
+    def cancel(self, job_id: str) -> Job:
+        """Stop a job that is queued or running; raises NotFoundError, StateError."""
+        self._expect(self.get(job_id), *ACTIVE)
+        self._engine.cancel(job_id)
+        return self.get(job_id)
+
+    def resume(self, job_id: str) -> Job:
+        """Queue a failed or cancelled job again from the stage it stopped in; raises NotFoundError, StateError."""
+        self._rewind(self._ended(job_id, "failed", "cancelled"), None)
+        return self.get(job_id)
+
+    def restart(self, job_id: str, stage: str) -> Job:
+        """Queue an ended job again from `stage` on, whose results and later ones are forgotten.
+
+        Raises NotFoundError, StateError, UnknownReferenceError where the job has no such stage or never reached it.
+        """
+        entry = self._ended(job_id, "done", "failed", "cancelled")
+        stages = stages_of(entry.type)
+        reached = self.get(job_id).stage
+        begun = stages[: stages.index(reached) + 1] if reached in stages else ()
+        if stage not in begun:
+            raise UnknownReferenceError(
+                f"found the stage {stage}, expected one that {job_id} has begun: {', '.join(begun) or 'none yet'}"
+            )
+        attempt = (entry.restart or {}).get("attempt", 0) + 1
+        self._store.entries.change(job_id, restart={"stage": stage, "attempt": attempt})
+        self._rewind(entry, stage)
+        return self.get(job_id)
+
+    def prioritise(self, job_id: str, priority: int) -> Job:
+        """Give a queued job another priority; raises NotFoundError, StateError."""
+        self._expect(self.get(job_id), "queued")
+        self._engine.cancel(job_id)  # nobody can take it from the queue now
+        self._store.entries.change(job_id, priority=priority)
+        self._engine.forget(job_id)
+        self._engine.enqueue(self._store.entries.get("job", job_id))
+        return self.get(job_id)
+
+    def delete(self, job_id: str) -> None:
+        """Delete a job and what it made; raises NotFoundError, and StateError while it is at work."""
+        self._ended(job_id, "done", "failed", "cancelled")
+        self._engine.forget(job_id)
+        self._store.entries.remove(job_id)
+        folder = self._store.folder
+        folder.remove(folder.job(job_id))
+        folder.remove(folder.entry(job_id))
+
+    def log(self, job_id: str, first_line: int = 0) -> str:
+        """What the job's stages wrote, from a line on; raises NotFoundError."""
+        path = self._store.folder.log(self._store.entries.get("job", job_id).id)
+        text = path.read_text(errors="replace") if path.exists() else ""
+        return "".join(text.splitlines(keepends=True)[first_line:])
+
+    def _rewind(self, entry: Entry, stage: str | None) -> None:
+        self._engine.rewind(entry, stage)
+        self._store.events.tell(entry.id, self._store.entries.get("job", entry.id).told, "queued", {})
+
+    def _ended(self, job_id: str, *states: Status) -> Entry:
+        self._expect(self.get(job_id), *states)
+        if is_locked(self._store.folder.entry(job_id)):
+            raise StateError(f"found {job_id} still stopping, expected it stopped; try again in a few seconds")
+        return self._store.entries.get("job", job_id)
+
+    @staticmethod
+    def _expect(job: Job, *states: Status) -> None:
+        if job.status not in states:
+            raise StateError(f"found {job.id} {job.status}, expected it {' or '.join(states)}")
+
+    def _entry(self, job_id: str, request: JobBase) -> Entry:
+        target = self._target(request)
+        kind = request.model_dump()["type"]
+        return Entry(
+            id=job_id,
+            kind="job",
+            type=kind,
+            created=self._store.entries.created(),
+            request=request.model_dump(exclude={"name", "priority"}),
+            rig=target.rig,
+            capture=target.id if target.kind == "capture" else target.capture,
+            name=request.name,
+            queue=RECONSTRUCTIONS if kind == "reconstruct" else TASKS,
+            priority=request.priority,
+        )
+
+    def _target(self, request: JobBase) -> Entry:
+        """What a job works on, done and fit for it."""
+        try:
+            if isinstance(request, OfJob):
+                target = self._store.entries.get("job", request.job)
+                if target.type != "reconstruct":
+                    raise UnknownReferenceError(
+                        f"found the job {target.id} of type {target.type}, expected reconstruct"
+                    )
+            else:
+                assert isinstance(request, OfCapture)
+                target = self._store.entries.get("capture", request.capture)
+        except NotFoundError as error:
+            raise UnknownReferenceError(str(error)) from error
+        status = self._engine.statuses([target])[target.id]
+        if status != "done":
+            raise StateError(f"found {target.kind} {target.id} {status}, expected it done; wait for it")
+        self._check_cameras(request, target)
+        return target
+
+    def _check_cameras(self, request: JobBase, target: Entry) -> None:
+        named: list[str | None] = []
+        if isinstance(request, ReconstructRequest):
+            named = [request.holdout, *(request.views or [])]
+        elif isinstance(request, ExportRequest):
+            named = [request.camera]
+        wanted = [camera for camera in named if camera is not None]
+        capture = target.id if target.kind == "capture" else target.capture
+        if wanted and capture is not None:
+            rig = load_rig(self._store.folder.recording(capture) / "rig.toml")
+            for camera in wanted:
+                rig.camera(camera)
+
+    def _shown(self, entries: Sequence[Entry]) -> list[Job]:
+        status = self._engine.statuses(entries)
+        return [
+            Job(
+                id=entry.id,
+                type=entry.type,
+                created=entry.created,
+                status=status[entry.id],
+                priority=entry.priority,
+                name=entry.name,
+                request=JOB_TYPES[entry.type].model_validate(entry.request),  # type: ignore[arg-type]
+                **entry.progress,
+            )
+            for entry in entries
+        ]

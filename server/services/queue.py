@@ -1,0 +1,56 @@
+"""How entries come into being: kept first, queued second, so that none is lost in between."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from pydantic import BaseModel
+
+from server.engine import Engine
+from server.store.entries import Entry, Kind
+from server.store.store import Store
+
+_R = TypeVar("_R", bound=BaseModel)
+Key = str | None
+
+
+class Queue:
+    """Adds entries and queues them; a key that comes again finds the entries of its first use."""
+
+    def __init__(self, store: Store, engine: Engine) -> None:
+        self._store = store
+        self._engine = engine
+
+    def ids(self, kind: Kind, asked: Sequence[_R], key: Key, scope: str) -> list[str]:
+        """An id for each request; raises IdempotencyError where `key` came with other ones before."""
+
+        def new() -> list[str]:
+            return [self._store.entries.new_id(kind) for _ in asked]
+
+        if key is None:
+            return new()
+        document = json.dumps([scope, *(request.model_dump(mode="json") for request in asked)], sort_keys=True)
+        return self._store.idempotency.claim(key, document, new)
+
+    def known(self, entry_id: str) -> bool:
+        """Whether the entry is there already: the request came again."""
+        return bool(self._store.entries.find([entry_id]))
+
+    def add(self, entry: Entry) -> None:
+        """Keep an entry and queue it. A crash in between is mended by `requeue`."""
+        if self._store.entries.add(entry):
+            self.start(entry)
+
+    def start(self, entry: Entry) -> None:
+        """Queue a new entry."""
+        if entry.queue is not None:
+            self._engine.enqueue(entry)
+        self._store.events.tell(entry.id, "new", "queued" if entry.queue else "done", {})
+
+    def requeue(self, is_old: Callable[[Entry], bool]) -> None:
+        """Queue what was kept but never queued, because the process that kept it died."""
+        for entry in self._store.entries.unfinished():
+            if entry.told == "new" and is_old(entry):
+                self.start(entry)

@@ -1,0 +1,42 @@
+"""All services of one web process."""
+
+from __future__ import annotations
+
+from server.engine import Engine
+from server.services.announcer import Announcer
+from server.services.artefacts import ArtefactService
+from server.services.captures import CaptureService, RigService
+from server.services.health import HealthService
+from server.services.jobs import JobService
+from server.services.queue import Queue
+from server.settings import ServiceSettings
+from server.store.store import Store
+
+
+class Services:
+    """Built once from the settings. Raises RigError for a rig that cannot be loaded, and DatabaseError."""
+
+    def __init__(self, settings: ServiceSettings) -> None:
+        sources = settings.rigs
+        for source in sources.values():
+            source.load()  # before anything is written
+        self.settings = settings
+        self.store = Store.open(settings)
+        self.engine = Engine(settings)
+        queue = Queue(self.store, self.engine)
+        self.rigs = RigService(self.store, self.engine, queue, sources)
+        self.captures = CaptureService(self.store, self.engine)
+        self.jobs = JobService(self.store, self.engine, queue)
+        self.artefacts = ArtefactService(self.store)
+        self.health = HealthService(self.store, self.engine)
+        self.announcer = Announcer(self.store, self.engine, queue)
+
+    def start(self) -> None:
+        """Begin what runs beside the requests."""
+        self.announcer.start()
+
+    def close(self) -> None:
+        """End it, and let go of the databases."""
+        self.announcer.stop()
+        self.engine.close()
+        self.store.close()

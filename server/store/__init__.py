@@ -1,0 +1,1 @@
+"""What the service remembers: tables, folders and locks."""

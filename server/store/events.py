@@ -1,0 +1,73 @@
+"""What happened to captures and jobs: numbered, so that a reader can go on where it stopped."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import sqlalchemy as sa
+
+from server.store.database import lock_writers
+from server.store.tables import entries, events
+
+EventKind = Literal["status", "progress"]
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happened to an entry, at a time in seconds since 1970."""
+
+    seq: int
+    entry: str
+    at: float
+    kind: EventKind
+    data: dict[str, Any]
+
+
+class Events:
+    """The table of events, and the two columns of an entry that change with them."""
+
+    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
+        self._engine = engine
+        self._clock = clock
+
+    def progress(self, entry_id: str, progress: dict[str, Any]) -> None:
+        """Say how far an entry is."""
+        with self._engine.begin() as connection:
+            lock_writers(connection)
+            connection.execute(entries.update().where(entries.c.id == entry_id).values(progress=progress))
+            self._add(connection, entry_id, "progress", progress)
+
+    def tell(self, entry_id: str, before: str, status: str, data: dict[str, Any]) -> int | None:
+        """Announce a new status, once: None where another process has announced something since `before`."""
+        with self._engine.begin() as connection:
+            lock_writers(connection)
+            mine = sa.and_(entries.c.id == entry_id, entries.c.told == before)
+            if not connection.execute(entries.update().where(mine).values(told=status)).rowcount:
+                return None
+            return self._add(connection, entry_id, "status", {"status": status} | data)
+
+    def after(self, seq: int, entry_id: str | None = None, limit: int = 500) -> list[Event]:
+        """The next events, oldest first, of one entry or of all."""
+        query = sa.select(events).where(events.c.seq > seq).order_by(events.c.seq).limit(limit)
+        if entry_id is not None:
+            query = query.where(events.c.entry == entry_id)
+        with self._engine.connect() as connection:
+            return [Event(**row) for row in connection.execute(query).mappings()]
+
+    def last(self) -> int:
+        """The number of the newest event, 0 before the first."""
+        with self._engine.connect() as connection:
+            return connection.scalar(sa.select(sa.func.max(events.c.seq))) or 0
+
+    def thin(self, entry_id: str) -> None:
+        """Forget all but every tenth progress report of an entry that has ended."""
+        with self._engine.begin() as connection:
+            old = sa.and_(events.c.entry == entry_id, events.c.kind == "progress", events.c.seq % 10 != 0)
+            connection.execute(events.delete().where(old))
+
+    def _add(self, connection: sa.Connection, entry_id: str, kind: EventKind, data: dict[str, Any]) -> int:
+        row = {"entry": entry_id, "at": self._clock(), "kind": kind, "data": data}
+        return connection.execute(events.insert().values(row).returning(events.c.seq)).scalar_one()

@@ -1,0 +1,84 @@
+"""The data folder: where recordings, runs, logs and locks lie.
+
+DATA/dbos.sqlite, DATA/catalogue.sqlite   the databases, unless PostgreSQL has them
+DATA/captures/CID/                        a recording
+DATA/jobs/JID/run/, DATA/jobs/JID/out/    the run folder of a reconstruction; what any other job made
+DATA/entries/ID/log.txt                   what the stages of a capture or job wrote; its flock is held while one runs
+DATA/rigs/RIG/                            held by flock while the rig records; its calibrations as files
+DATA/uploads/UID/                         what was uploaded so far
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+
+class DataFolder:
+    """Paths under a data folder, which processes on several hosts may share."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        for name in ("captures", "jobs", "entries", "rigs", "uploads"):
+            (path / name).mkdir(parents=True, exist_ok=True)
+
+    def entry(self, entry_id: str) -> Path:
+        """The folder of an entry's log, made where it is missing."""
+        folder = self.path / "entries" / entry_id
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    def log(self, entry_id: str) -> Path:
+        """What the stages of an entry wrote."""
+        return self.path / "entries" / entry_id / "log.txt"
+
+    def recording(self, capture_id: str) -> Path:
+        """The recording folder of a capture."""
+        return self.path / "captures" / capture_id
+
+    def job(self, job_id: str) -> Path:
+        """The folder of a job."""
+        return self.path / "jobs" / job_id
+
+    def run(self, job_id: str) -> Path:
+        """The run folder of a reconstruction."""
+        return self.job(job_id) / "run"
+
+    def out(self, job_id: str) -> Path:
+        """The folder of what any other job makes."""
+        return self.job(job_id) / "out"
+
+    def rig(self, rig_id: str) -> Path:
+        """The folder whose flock is held while a rig records."""
+        folder = self.path / "rigs" / rig_id
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    def upload(self, upload_id: str) -> Path:
+        """The folder of an upload."""
+        return self.path / "uploads" / upload_id
+
+    def remove(self, folder: Path) -> None:
+        """Delete a folder: it is gone from its place at once, whatever its size."""
+        if not folder.exists():
+            return
+        aside = Path(tempfile.mkdtemp(prefix=".removed-", dir=self.path))
+        folder.rename(aside / folder.name)
+        shutil.rmtree(aside)
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether some process holds the folder's flock."""
+    if not folder.exists():
+        return False
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False

@@ -1,0 +1,47 @@
+"""Everything that is remembered, opened once by each process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from server.settings import ServiceSettings
+from server.store.artefacts import Artefacts
+from server.store.database import prepare_database
+from server.store.entries import Entries
+from server.store.events import Events
+from server.store.files import DataFolder
+from server.store.idempotency import Idempotency
+from server.store.workers import Workers
+
+
+@dataclass(frozen=True)
+class Store:
+    """The tables and folders of one service."""
+
+    database: sa.Engine
+    folder: DataFolder
+    entries: Entries
+    events: Events
+    artefacts: Artefacts
+    idempotency: Idempotency
+    workers: Workers
+
+    @classmethod
+    def open(cls, settings: ServiceSettings) -> Store:
+        """Open, create or bring up to date; raises DatabaseError."""
+        database = prepare_database(settings)
+        return cls(
+            database,
+            DataFolder(settings.data),
+            Entries(database),
+            Events(database),
+            Artefacts(database),
+            Idempotency(database),
+            Workers(database),
+        )
+
+    def close(self) -> None:
+        """Let go of the database."""
+        self.database.dispose()

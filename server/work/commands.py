@@ -1,0 +1,72 @@
+"""The command line of every stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from server.settings import RigSource
+
+
+def record_arguments(request: dict[str, Any], rig: str, devices: str, recording: Path) -> list[str]:
+    """Arguments of `spike4dgs` that make a recording; `rig` is a name in the catalogue or a RIG.toml."""
+    given = {
+        name: value for name, value in request.items() if name not in ("until_stopped", "pre_trigger_ms", "rejoin_s")
+    }
+    given |= {"pre_trigger": request.get("pre_trigger_ms"), "rejoin": request.get("rejoin_s")}
+    flags = ["--until-stopped"] if request.get("until_stopped") else []
+    return ["record", "--rig", rig, "--devices", devices, *_flags(given), *flags, "--out", str(recording)]
+
+
+def reconstruct_arguments(
+    request: dict[str, Any], stage: str, recording: Path, run: Path, restart: dict[str, Any] | None
+) -> list[str]:
+    """Arguments of `spike4dgs` that run one stage of a reconstruction."""
+    options = {name: value for name, value in request.items() if name not in ("type", "capture", "views")}
+    if request.get("views"):
+        options["views"] = ",".join(request["views"])
+    again = ["--again", str(restart["attempt"])] if restart is not None and restart["stage"] == stage else []
+    return ["reconstruct", str(recording), "--out", str(run), "--stage", stage, *again, *_flags(options)]
+
+
+def task_arguments(request: dict[str, Any], recording: Path, run: Path | None, out: Path) -> list[str]:
+    """Arguments of `spike4dgs` that do any other job; what it prints is its result."""
+    match request["type"]:
+        case "images":
+            return ["images", str(recording), *_flags({k: request[k] for k in ("method", "ticks")}), "--out", str(out)]
+        case "calibrate":
+            how = ["--board", request["board"]] if request["board"] else ["--natural"]
+            return ["calibrate", str(recording), *how, "--out", str(out / "rig.toml"), "--json"]
+        case "check-rig" | "verify":
+            return [request["type"], str(recording), "--json"]
+        case "evaluate":
+            truth = recording / "truth"
+            return ["evaluate", str(run), *(["--truth", str(truth)] if truth.is_dir() else []), "--json"]
+        case "export":
+            options = {"at": request["at_s"], "frames": request["frames"], "camera": request["camera"]}
+            name = EXPORT_NAMES[request["format"]]
+            return ["export", str(run), "--format", request["format"], *_flags(options), "--out", str(out / name)]
+    raise ValueError(request["type"])
+
+
+EXPORT_NAMES = {
+    "ply": "scene.ply",
+    "ply-sequence": "ply",
+    "splat": "scene.splat",
+    "spz": "scene.spz",
+    "glb": "scene.glb",
+    "video": "scene.mp4",
+    "depth": "depth",
+    "colmap": "colmap",
+    "nerfstudio": "nerfstudio",
+}
+
+
+def rig_argument(source: RigSource, calibrated: Path) -> str:
+    """The rig file of the current calibration, or the rig as it was drawn where there is none."""
+    return str(calibrated) if calibrated.exists() else source.rig
+
+
+def _flags(options: dict[str, Any]) -> list[str]:
+    given = {name: value for name, value in options.items() if value is not None}
+    return [text for name, value in given.items() for text in (f"--{name.replace('_', '-')}", str(value))]
