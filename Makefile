@@ -2,30 +2,34 @@
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
+EXTRAS ?= reconstruction,server,otel,dev
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
-.PHONY: install demo test test-slow fuzz usbvm check bench sheets serve clean
+.PHONY: install demo test test-slow fuzz usbvm images check bench sheets serve clean
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(PY) || python3 -m venv $(VENV)
-	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[reconstruction,server,dev]'
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
 	touch $@
 
 demo: install
 	$(VENV)/bin/spike4dgs demo
 
 test: install
-	$(PY) -m pytest -m "not slow"
+	$(PY) -m pytest -m "not slow and not images"
 
 test-slow: install
-	$(PY) -m pytest -m slow
+	$(PY) -m pytest -m "slow and not images"
 
 fuzz: install
 	$(PY) -m pytest --hypothesis-profile fresh -k "fuzz or ten_thousand" -m "not usbvm"
 
 usbvm: install
 	SPIKE4DGS_USBVM=tests/contract/qemu.sh $(PY) -m pytest -m usbvm
+
+images: install
+	$(PY) -m pytest -m images
 
 check: install
 	$(VENV)/bin/ruff check .

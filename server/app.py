@@ -13,6 +13,7 @@ from server.guard import LoopbackGuard
 from server.routes import captures, jobs, page, rigs, system
 from server.services.services import Services
 from server.settings import ServiceSettings
+from server.telemetry import trace_requests
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
@@ -33,4 +34,5 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.include_router(page.router)
     errors.install(app)
     app.add_middleware(LoopbackGuard)
+    trace_requests(app, settings)
     return app

@@ -6,6 +6,7 @@ import ipaddress
 import sys
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -54,12 +55,21 @@ class ServiceSettings(BaseSettings):
     stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
     gpu: int | None = None
+    log: Literal["text", "json"] = "text"
+    otel: str | None = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 
     @field_validator("data")
     @classmethod
     def _absolute(cls, data: Path) -> Path:
         return data.absolute()
+
+    @field_validator("otel")
+    @classmethod
+    def _collector(cls, otel: str | None) -> str | None:
+        if otel is not None and not otel.startswith(("http://", "https://")):
+            raise ValueError(f"found {otel}, expected a collector's address such as http://127.0.0.1:4318")
+        return otel and otel.rstrip("/")
 
     @field_validator("host")
     @classmethod

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -58,6 +59,8 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--data", type=click.Path(path_type=Path), help="Data folder.  [default: .spike4dgs]"),
         click.option("--rig", help="A rig's name in the catalogue or a RIG.toml.  [default: lab3x3]"),
         click.option("--devices", help="Where the cameras are, such as usb: or mock:SCENE.  [default: usb:]"),
+        click.option("--log", type=click.Choice(["text", "json"]), help="Logs, on standard error.  [default: text]"),
+        click.option("--otel", metavar="URL", help="Send traces to this OpenTelemetry collector (OTLP over HTTP)."),
     )
     for option in reversed(options):
         command = option(command)
@@ -69,27 +72,29 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes any free one.  [default: 8000]")
 @_rig_options
 @click.option("--with-worker", is_flag=True, help="Run a worker too, and stop it with the service.")
-def serve_command(
-    host: str | None, port: int | None, data: Path | None, rig: str | None, devices: str | None, with_worker: bool
-) -> None:
+def serve_command(host: str | None, port: int | None, with_worker: bool, **shared: Any) -> None:
     """Serve the page and REST on loopback; the address is printed first."""
     import uvicorn
 
     from server.app import create_app
     from server.settings import settings_of
+    from server.telemetry import configure_logs
 
-    settings = settings_of(rig=rig, devices=devices, host=host, port=port, data=data)
+    settings = settings_of(host=host, port=port, **shared)
     with listening(settings.host, settings.port) as listener:
         app = create_app(settings)
-        flags = [("--data", str(settings.data)), ("--rig", rig), ("--devices", devices)]
-        arguments = [text for name, value in flags if value is not None for text in (name, value)]
+        flags = shared | {"data": settings.data}
+        arguments = [text for name, value in flags.items() if value is not None for text in (f"--{name}", str(value))]
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
         with _worker(arguments, settings.grace_s) if with_worker else nullcontext():
             address = f"[{settings.host}]" if ":" in settings.host else settings.host
             click.echo(f"http://{address}:{listener.getsockname()[1]}")
             sys.stdout.flush()
             with suppress(KeyboardInterrupt):  # the usual way to stop it
-                uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
+                text = settings.log == "text"
+                config = uvicorn.Config(app, log_level="warning" if text else None, access_log=not text)
+                configure_logs(settings)  # after uvicorn has set up its own
+                uvicorn.Server(config).run(sockets=[listener])
 
 
 @click.command()
@@ -97,9 +102,7 @@ def serve_command(
 @click.option("--name", type=NAME, default="worker-0", show_default=True, help="Unique among the workers of a service.")
 @click.option("--queues", type=QUEUES, default=",".join(KINDS), show_default=True, help="What this worker does.")
 @click.option("--gpu", type=click.IntRange(min=0), help="The accelerator it trains on, one job at a time on this host.")
-def worker_command(
-    data: Path | None, rig: str | None, devices: str | None, name: str, queues: tuple[str, ...], gpu: int | None
-) -> None:
+def worker_command(name: str, queues: tuple[str, ...], gpu: int | None, **shared: Any) -> None:
     """Run captures and jobs of a data folder until stopped."""
     from server.settings import settings_of
     from server.work.worker import run_worker
@@ -107,7 +110,7 @@ def worker_command(
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    run_worker(settings_of(rig=rig, devices=devices, data=data, gpu=gpu), name, queues, stop)
+    run_worker(settings_of(gpu=gpu, **shared), name, queues, stop)
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from server.errors import WorkerRunningError
 from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.workers import BEAT_S, Worker
+from server.telemetry import configure_logs, engine_tracing
 from server.work.stages import Stages
 
 _POLL_S = 0.5
@@ -87,7 +88,9 @@ def _launch(settings: ServiceSettings, store: Store, name: str, queues: Sequence
         "serializer": DBOSPortableJSONSerializer(),
         "log_level": "WARNING",
     }
+    config.update(engine_tracing(settings))
     DBOS(config=config)
+    configure_logs(settings)  # after the engine has set up its own
     logging.getLogger("dbos").addFilter(_one_line)
     stages = Stages(settings, store)
 
