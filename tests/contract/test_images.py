@@ -21,6 +21,7 @@ pytestmark = [
     pytest.mark.images,
     pytest.mark.skipif(bool(MISSING) or os.geteuid() != 0, reason=f"needs root and {', '.join(MISSING) or 'nothing'}"),
 ]
+NETWORK = ("/etc/resolv.conf", "/etc/hosts", "/etc/ssl/certs/ca-certificates.crt")
 SYSTEM_PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 KEPT = {name: value for name, value in os.environ.items() if re.match(r"(PIP_|npm_config_|https?_proxy|SSL_)", name)}
 
@@ -64,8 +65,7 @@ def clean_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def image(clean_root: Path, request: pytest.FixtureRequest) -> Iterator[tuple[Path, str]]:
     root = clean_root.with_name(request.param)
     subprocess.run(["cp", "-a", clean_root, root], check=True)
-    for path in ("/etc/resolv.conf", "/etc/hosts", "/etc/ssl/certs", "/etc/apt"):
-        subprocess.run(["cp", "-aLT", path, f"{root}{path}"], check=False, stderr=subprocess.DEVNULL)
+    subprocess.run(["cp", "-aLT", "/etc/apt", root / "etc/apt"], check=True)
     for folder in local_indexes():
         subprocess.run(["cp", "-a", "--parents", folder, root], check=True)
     yield root, request.param
@@ -73,6 +73,8 @@ def image(clean_root: Path, request: pytest.FixtureRequest) -> Iterator[tuple[Pa
 
 
 def inside(root: Path, command: str, where: str = "/", **settings: str) -> str:
+    for path in NETWORK:  # the network as this machine reaches it; packages write over some of these
+        subprocess.run(["cp", "-L", "--parents", path, root], check=False, stderr=subprocess.DEVNULL)
     index = re.search(r"extra-index-url='([^']*)'", pip_configuration())
     environment = {
         "PATH": SYSTEM_PATH,
