@@ -13,12 +13,12 @@ from acquisition.progress import Progress, silent
 from reconstruction.errors import BadRunError
 from reconstruction.export.colmap import write_colmap
 from reconstruction.export.depth import write_depth
-from reconstruction.export.glb import write_glb
+from reconstruction.export.glb import glb_bytes
 from reconstruction.export.nerfstudio import write_nerfstudio
-from reconstruction.export.ply import write_ply, write_ply_sequence
-from reconstruction.export.scene import Choices, Scene
-from reconstruction.export.splat import write_splat
-from reconstruction.export.spz import write_spz
+from reconstruction.export.ply import ply_bytes, write_ply_sequence
+from reconstruction.export.scene import Choices, Scene, Splats, splats_at
+from reconstruction.export.splat import splat_bytes
+from reconstruction.export.spz import spz_bytes
 from reconstruction.export.video import write_video
 from reconstruction.export.viewer import export_viewer
 
@@ -39,6 +39,18 @@ class Format:
     takes: frozenset[str]
 
 
+def _splats(encode: Callable[[Splats], bytes]) -> Format:
+    """A file of the Gaussians at one instant."""
+
+    def write(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
+        splats = splats_at(scene, scene.instant_s(choices))
+        path.write_bytes(encode(splats))
+        progress(1.0, f"{len(splats)} Gaussians")
+        return {}
+
+    return Format(write, folder=False, takes=frozenset({"at_s"}))
+
+
 def _file(write: Writer, *takes: str) -> Format:
     return Format(write, folder=False, takes=frozenset(takes))
 
@@ -49,11 +61,11 @@ def _folder(write: Writer, *takes: str) -> Format:
 
 FORMATS: Mapping[str, Format] = MappingProxyType(
     {
-        "ply": _file(write_ply, "at_s"),
+        "ply": _splats(ply_bytes),
         "ply-sequence": _folder(write_ply_sequence, "frames"),
-        "splat": _file(write_splat, "at_s"),
-        "spz": _file(write_spz, "at_s"),
-        "glb": _file(write_glb, "at_s"),
+        "splat": _splats(splat_bytes),
+        "spz": _splats(spz_bytes),
+        "glb": _splats(glb_bytes),
         "video": _file(write_video, "frames", "camera"),
         "depth": _folder(write_depth, "frames", "camera"),
         "colmap": _folder(write_colmap, "at_s"),

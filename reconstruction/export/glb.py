@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import json
 import struct
-from pathlib import Path
 
 import numpy as np
 
-from acquisition.durable import write_durably
-from acquisition.progress import Progress
-from reconstruction.export.scene import SH_0, Choices, Scene, Splats, splats_at, up_and_back
+from reconstruction.export.scene import SH_0, Splats, up_and_back
 
 EXTENSION = "KHR_gaussian_splatting"
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0
@@ -25,15 +22,8 @@ TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 MAGIC, JSON_CHUNK, BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
-def write_glb(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """The Gaussians at one instant."""
-    write_durably(path, glb_bytes(splats_at(scene, scene.instant_s(choices))))
-    progress(1.0, path.name)
-    return {}
-
-
 def glb_bytes(splats: Splats) -> bytes:
-    """The file's bytes."""
+    """The file's bytes, of Gaussians at one instant."""
     document = {"asset": {"version": "2.0", "generator": "spike4dgs"}, "scene": 0, "scenes": [{"nodes": [0]}]}
     if not len(splats):
         return _container({**document, "nodes": [{"name": "no Gaussians"}]}, b"")

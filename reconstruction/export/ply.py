@@ -24,13 +24,6 @@ NAMES = (
 MOST = 1 - 1e-6  # opacity whose logit is still finite
 
 
-def write_ply(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """The Gaussians at one instant."""
-    write_durably(path, ply_bytes(splats_at(scene, scene.instant_s(choices))))
-    progress(1.0, path.name)
-    return {}
-
-
 def write_ply_sequence(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
     """NNNNNN.ply at even instants; the manifest has the seconds of each."""
     folder.mkdir()
@@ -44,7 +37,7 @@ def write_ply_sequence(folder: Path, scene: Scene, choices: Choices, progress: P
 
 
 def ply_bytes(splats: Splats) -> bytes:
-    """The file's bytes."""
+    """The file's bytes, of Gaussians at one instant."""
     rows = np.zeros((len(splats), len(NAMES)), "<f4")
     opacities = np.clip(splats.opacities.astype(np.float64), 1 - MOST, MOST)
     rows[:, :3] = splats.means

@@ -7,26 +7,15 @@ Source: antimatter15/splat, `convert.py` (the format's reference).
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from acquisition.durable import write_durably
-from acquisition.progress import Progress
-from reconstruction.export.scene import Choices, Scene, Splats, splats_at
+from reconstruction.export.scene import Splats
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("colour", "u1", 4), ("quat_wxyz", "u1", 4)])
 
 
-def write_splat(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """The Gaussians at one instant."""
-    write_durably(path, splat_bytes(splats_at(scene, scene.instant_s(choices))))
-    progress(1.0, path.name)
-    return {}
-
-
 def splat_bytes(splats: Splats) -> bytes:
-    """The file's bytes."""
+    """The file's bytes, of Gaussians at one instant."""
     importance = splats.opacities * splats.scales.astype(np.float64).prod(axis=1)
     splats = splats.select(np.argsort(-importance, kind="stable"))
     rows = np.zeros(len(splats), ROW)

@@ -14,26 +14,16 @@ from __future__ import annotations
 import gzip
 import math
 import struct
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durable import write_durably
-from acquisition.progress import Progress
-from reconstruction.export.scene import SH_0, Choices, Floats, Scene, Splats, splats_at, up_and_back
+from reconstruction.export.scene import SH_0, Floats, Splats, up_and_back
 
 MAGIC, VERSION, ANTIALIASED = 0x5053474E, 3, 1
 COLOUR_SCALE = 0.15
 MOST_FRACTIONAL_BITS = 20  # a micrometre; beyond it nothing is gained
 HALF_SQRT_2 = math.sqrt(0.5)  # the most that any but the largest component of a unit quaternion can be
-
-
-def write_spz(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """The Gaussians at one instant."""
-    write_durably(path, spz_bytes(splats_at(scene, scene.instant_s(choices))))
-    progress(1.0, path.name)
-    return {}
 
 
 def spz_bytes(splats: Splats) -> bytes:

@@ -37,7 +37,7 @@ def export_viewer(folder: Path, scene: Scene, choices: Choices, progress: Progre
     """Both files in a folder of their own."""
     folder.mkdir()
     write_viewer(folder, scene)
-    progress(1.0, folder.name)
+    progress(1.0, f"{len(scene.cloud)} Gaussians")
     return {}
 
 
