@@ -19,6 +19,7 @@ from torch import Tensor
 from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress
 from reconstruction.export.scene import Choices, Floats, Scene, linear_scales
+from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.motion import Motion
 from reconstruction.rendering.reference import ALPHA_MIN, unit_quats
@@ -99,7 +100,8 @@ def _moving(cloud: DynamicCloud) -> Arrays:
 
 
 def _polynomial(cloud: DynamicCloud, motion: Motion) -> Arrays:
-    moving, opacities, durations = cloud.moving, cloud.moving.opacity_logits.sigmoid(), motion.log_durations.exp()
+    moving, opacities = cloud.moving, cloud.moving.opacity_logits.sigmoid()
+    durations = motion.log_durations.exp().clamp(LEAST_DURATION, MOST_DURATION)
     away = (motion.instants - motion.instants.clamp(0, 1)) / durations  # from the clip, where an instant is beyond it
     kept = opacities * torch.exp(-away.square() / 2) >= ALPHA_MIN
     arrays = _base(moving.means, moving.quats_wxyz, moving.log_scales, opacities, moving.intensities)
