@@ -88,7 +88,7 @@ def empty_scene():
 @pytest.fixture
 def one_scene():
     """One bright, round Gaussian off every axis."""
-    log_scale = float(np.log(0.02))
+    log_scale = float(np.log(0.06))
     one = GaussianCloud(
         torch.tensor([[0.2, -0.1, 2.2]]),
         torch.tensor([[1.0, 0, 0, 0]]),

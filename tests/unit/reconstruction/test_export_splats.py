@@ -121,7 +121,7 @@ def picture(decoded, camera, light):
         return render(tuple(torch.from_numpy(np.array(a, np.float32)) for a in arrays), camera).intensity[..., 0]
 
 
-# format: reader, whether its axes are y up, tolerance of a pixel in parts of white (worst measured: 4e-7, .0093, .0127, 4e-7)
+# format: reader, whether its axes are y up, tolerance of a pixel in parts of white; worst 4e-7, .0093, .0127, 4e-7
 READERS = {
     "ply": (decoded_ply, False, 2e-6),
     "splat": (decoded_splat, False, 0.012),
