@@ -1,9 +1,10 @@
 """`.glb`: binary glTF 2.0 with KHR_gaussian_splatting; who does not know the extension shows a cloud of points.
 
-Scales are linear and opacities as drawn. Colours are LINEAR light over white (`lin_rec709_display`): the extension has
-viewers blend before they encode for the screen, so its picture is ours. Axes are glTF's, y up; half a turn about x
-takes the rig's there, on means and quaternions, and what the cameras saw then faces +z, a glTF asset's front. An empty
-cloud is a scene with an empty node, since glTF has no empty accessors.
+Scales are linear, opacities as drawn, greys those of `ply`. The extension also knows linear light
+(`lin_rec709_display`), whose picture would be ours exactly, but today's viewers (PlayCanvas 2, three.js) show it
+undecoded, far too dark. The points of the fallback (`COLOR_0`) are linear, as glTF has it. Axes are glTF's, y up; half a
+turn about x takes the rig's there, on means and quaternions, and what the cameras saw then faces +z, a glTF asset's
+front. An empty cloud is a scene with an empty node, since glTF has no empty accessors.
 Source: Khronos, glTF 2.0 specification 4.4 (GLB) and KHR_gaussian_splatting (ratified).
 """
 
@@ -39,7 +40,7 @@ def glb_bytes(splats: Splats) -> bytes:
     primitive = {
         "mode": POINTS,
         "attributes": {name: i for i, name in enumerate(attributes)},
-        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "lin_rec709_display"}},
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
     return _container(
         {
@@ -57,14 +58,14 @@ def glb_bytes(splats: Splats) -> bytes:
 
 def _attributes(splats: Splats) -> dict[str, np.ndarray]:
     """The primitive's attributes by name, in glTF's axes; quaternions are (x, y, z, w)."""
-    light = np.repeat(splats.intensities[:, None], 3, axis=1)
+    light, grey = (np.repeat(values[:, None], 3, axis=1) for values in (splats.intensities, splats.display()))
     seen = np.concatenate([light, splats.opacities[:, None]], axis=1)
     return {
         "POSITION": splats.means.astype("<f4"),
         f"{EXTENSION}:ROTATION": np.roll(splats.quats_wxyz, -1, axis=1).astype("<f4"),
         f"{EXTENSION}:SCALE": splats.scales.astype("<f4"),
         f"{EXTENSION}:OPACITY": np.clip(splats.opacities, 0, 1).astype("<f4"),
-        f"{EXTENSION}:SH_DEGREE_0_COEF_0": ((light - 0.5) / SH_0).astype("<f4"),
+        f"{EXTENSION}:SH_DEGREE_0_COEF_0": ((grey - 0.5) / SH_0).astype("<f4"),
         "COLOR_0": np.round(np.clip(seen, 0, 1) * 255).astype(np.uint8),
     }
 

@@ -2,7 +2,7 @@
 
 Axes are the rig's, OpenCV's, as in 3DGS. `scale_*` are logs, `opacity` is a logit, `rot_*` is (w, x, y, z); `f_dc_*`
 are coefficients of degree 0, so that a colour is 0.5 + 0.282 f_dc. Splat viewers blend what a screen shows, not light,
-so the grey is intensity / white with gamma 2.2, and where Gaussians overlap the picture is near ours, not equal.
+so the grey is intensity / white with gamma 2.2; where Gaussians overlap the picture then is darker than ours.
 Source: Kerbl et al., "3D Gaussian splatting", SIGGRAPH 2023, and its reference code's `save_ply`.
 """
 
