@@ -50,6 +50,7 @@ def made_aside(path: Path) -> Iterator[Path]:
     What was at `path` is replaced then, a folder whole; it stays as it was when the block raises. Raises DiskError when
     the disk refuses.
     """
+    path = path.resolve()
     aside, old = (path.with_name(f".{path.name}.{os.getpid()}.{kind}") for kind in ("partial", "old"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,5 +78,5 @@ def _flush(file: Path) -> None:
 def _remove(path: Path) -> None:
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
+    elif path.exists():
+        path.unlink()

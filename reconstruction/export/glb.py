@@ -2,8 +2,8 @@
 
 Scales are linear, opacities as drawn, greys those of `ply`. The extension also knows linear light
 (`lin_rec709_display`), whose picture would be ours exactly, but today's viewers (PlayCanvas 2, three.js) show it
-undecoded, far too dark. The points of the fallback (`COLOR_0`) are linear, as glTF has it. Axes are glTF's, y up; half a
-turn about x takes the rig's there, on means and quaternions, and what the cameras saw then faces +z, a glTF asset's
+undecoded, far too dark. The points of the fallback (`COLOR_0`) are linear, as glTF has it. Axes are glTF's, y up; half
+a turn about x takes the rig's there, on means and quaternions, and what the cameras saw then faces +z, a glTF asset's
 front. An empty cloud is a scene with an empty node, since glTF has no empty accessors.
 Source: Khronos, glTF 2.0 specification 4.4 (GLB) and KHR_gaussian_splatting (ratified).
 """

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 
 import pytest
@@ -54,6 +55,20 @@ def test_an_empty_folder_may_be_filled_and_parents_are_made(one_scene, tmp_path)
     export_scene(one_scene, "ply", tmp_path / "a" / "b" / "scene.ply")
     assert json.loads((tmp_path / "empty" / "manifest.json").read_text())["format"] == "colmap"
     assert (tmp_path / "a" / "b" / "scene.ply").exists()
+
+
+def test_the_folder_one_stands_in_may_be_filled(one_scene, tmp_path, monkeypatch):
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    export_scene(one_scene, "viewer", Path())
+    assert "viewer.bin" in names(tmp_path / "empty")
+    assert names(tmp_path) == ["empty"]
+
+
+def test_a_parent_that_is_a_file_is_one_line(one_scene, tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(DiskError, match="cannot be written"):
+        export_scene(one_scene, "ply", tmp_path / "file" / "scene.ply")
 
 
 def test_files_and_folders_do_not_take_each_others_place(one_scene, tmp_path):
