@@ -3,6 +3,9 @@
 import io
 import json
 import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -38,3 +41,42 @@ def write_array(path: Path, array: NDArray) -> None:
     buffer = io.BytesIO()
     np.save(buffer, array)
     write_durably(path, buffer.getvalue())
+
+
+@contextmanager
+def made_aside(path: Path) -> Iterator[Path]:
+    """A name to make a file or a folder under; when the block ends well, that is flushed to disk and takes `path`.
+
+    What was at `path` is replaced then, a folder whole; it stays as it was when the block raises. Raises DiskError when
+    the disk refuses.
+    """
+    path = path.resolve()
+    aside, old = (path.with_name(f".{path.name}.{os.getpid()}.{kind}") for kind in ("partial", "old"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield aside
+        for file in aside.rglob("*") if aside.is_dir() else [aside]:
+            if file.is_file():
+                _flush(file)
+        if path.is_dir():
+            path.rename(old)
+        aside.replace(path)
+    except OSError as error:
+        if old.exists():
+            old.rename(path)
+        raise DiskError(f"{path}: cannot be written ({error.strerror}), expected room and permission") from error
+    finally:
+        _remove(aside)
+        _remove(old)
+
+
+def _flush(file: Path) -> None:
+    with file.open("rb") as opened:
+        os.fsync(opened.fileno())
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    elif path.exists():
+        path.unlink()

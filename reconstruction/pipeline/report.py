@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
@@ -15,8 +13,10 @@ from reconstruction.evaluation.evaluate import (
     score_floors,
 )
 from reconstruction.evaluation.truth import Truth, spread
+from reconstruction.export.viewer import write_viewer
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
+from reconstruction.pipeline.export import scene_of
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.rendering.view import look
@@ -46,8 +46,9 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     progress(0.4, "error against run time")
     _write_curve(run, held_out, truth, metrics)
     centre = held_out.camera if held_out else recording.rig.cameras[len(recording.rig.cameras) // 2]
-    white = truth.white if truth else _white(run)
+    white = truth.white if truth else run.white()
     write_orbit(run.path / "orbit.mp4", cloud, recording.rig, centre, white, lambda f, m: progress(0.5 + 0.4 * f, m))
+    write_viewer(run.path, scene_of(run, recording, cloud))
     _write_page(run, recording, cloud, truth, metrics)
     progress(1.0, f"{run.path / 'report.html'}")
 
@@ -109,13 +110,9 @@ def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, 
         draw_curve(run.path / "error_vs_time.png", rows, metric, floors, caption)
 
 
-def _white(run: RunFolder) -> float:
-    return float(np.mean([np.percentile(run.read_array(f"images/image_{v}"), 99.9) for v in run.plan.views]))
-
-
 def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None, metrics: dict) -> None:
     curve = run.path / "error_vs_time.png"
-    white = truth.white if truth else _white(run)
+    white = truth.white if truth else run.white()
     document = {
         "title": f"Reconstruction of {recording.path.name}",
         "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at "
@@ -140,7 +137,7 @@ def _pictures(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: 
         held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, truth)
         camera = held_out.camera
     planes = truth.planes(camera.id) if truth else list(range(recording.planes))
-    white = truth.white if truth else _white(run)
+    white = truth.white if truth else run.white()
     (run.path / "thumbnails").mkdir(exist_ok=True)
     rows = []
     for plane in spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]:

@@ -2,7 +2,7 @@
 
 plan -> plan/moving_camRC.npy, plan/light.npy; images -> images/{image,trusted,stuck}_camRC.npy; points ->
 points/{still,moving}_*.npy, and points/bodies_*.npy for the model `bases`; train -> checkpoint.pt, snapshots/;
-report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/.
+report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
 """
 
 from __future__ import annotations

@@ -89,6 +89,14 @@ class RunFolder:
         """The newest state of training."""
         return self.path / "checkpoint.pt"
 
+    def white(self) -> float:
+        """What is shown as white, in spikes per tick: the 99.9th percentile of the still images, mean over the views.
+
+        Raises BadRunError before the images stage.
+        """
+        stills = (self.read_array(f"images/image_{view}") for view in self.plan.views)
+        return float(np.mean([np.percentile(image, 99.9) for image in stills]))
+
     def snapshots(self) -> list[Path]:
         """States kept along the way, oldest first, for the error-against-time curve."""
         return sorted((self.path / "snapshots").glob("*.pt"))

@@ -8,6 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rigs.camera import Camera
 from rigs.errors import RigError
 from rigs.fields import located
@@ -48,11 +51,20 @@ def dump_model(cameras: Sequence[Camera]) -> dict[str, str]:
     """The text files of a COLMAP model by file name: cameras.txt, images.txt and an empty points3D.txt."""
     lenses, images = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS"], ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"]
     for number, camera in enumerate(cameras, start=1):
-        parameters = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
-        lenses.append(f"{number} OPENCV {camera.width} {camera.height} {_digits(parameters)}")
+        lens, bent = (camera.fx, camera.fy, camera.cx, camera.cy), any(camera.distortion)
+        model, parameters = ("OPENCV", (*lens, *camera.distortion)) if bent else ("PINHOLE", lens)
+        lenses.append(f"{number} {model} {camera.width} {camera.height} {_digits(parameters)}")
         pose = (*camera.cam_from_rig.quat_wxyz, *camera.cam_from_rig.translation)
         images += [f"{number} {_digits(pose)} {number} {camera.id}.png", ""]
     return {"cameras.txt": "\n".join(lenses) + "\n", "images.txt": "\n".join(images) + "\n", "points3D.txt": ""}
+
+
+def dump_points(points: NDArray[np.floating], greys: NDArray[np.uint8]) -> str:
+    """The text of a points3D.txt: points [N, 3] with greys [N], no error known (-1), no tracks."""
+    lines = ["# POINT3D_ID X Y Z R G B ERROR TRACK[]"]
+    for number, (point, grey) in enumerate(zip(points.tolist(), greys.tolist(), strict=True), start=1):
+        lines.append(f"{number} {_digits(point)} {grey} {grey} {grey} -1")
+    return "\n".join(lines) + "\n"
 
 
 def _read(path: Path, parse: Callable[[bytes], dict[int, Parsed]]) -> dict[int, Parsed]:

@@ -63,6 +63,16 @@ def dump_transforms(cameras: Sequence[Camera]) -> str:
     )
 
 
+def dump_frames(frames: Sequence[Frame], pictures: Sequence[str], points: str | None = None) -> str:
+    """Frames with the picture of each and a cloud of points, files relative to the `transforms.json` of this text."""
+    tables = [
+        {"file_path": picture, "time": frame.instant_s, **_frame_table(frame.camera)}
+        for frame, picture in zip(frames, pictures, strict=True)
+    ]
+    cloud = {"ply_file_path": points} if points else {}
+    return json.dumps({"camera_model": "OPENCV", **cloud, "frames": tables}, indent=1) + "\n"
+
+
 def _frames(path: Path) -> list[Fields]:
     """Each frame over the file's own defaults: intrinsics in a frame win over those at the top."""
     try:

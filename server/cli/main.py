@@ -21,6 +21,7 @@ COMMANDS = {  # name: (module, what it does)
     "images": ("server.cli.images", "Turn spikes into images."),
     "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),
     "render": ("server.cli.reconstruct", "Render a run from any camera at any time."),
+    "export": ("server.cli.export", "Write a run in the formats of other tools."),
     "evaluate": ("server.cli.reconstruct", "Compare a run with the truth."),
     "bench": ("server.cli.bench", "Measure speed and quality."),
     "stability": ("server.cli.stability", "Run the stress catalogue on every backend of this machine."),

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import get_args
 
 import click
-import numpy as np
 
 from acquisition.durable import write_array
 from acquisition.recording.reader import Recording
@@ -89,8 +88,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     run = RunFolder.open(run_folder)
     cloud = load_cloud(run.checkpoint)
     frames = load_frames(cameras)
-    still = [run.read_array(f"images/image_{view}") for view in run.plan.views]
-    white = float(np.mean([np.percentile(image, 99.9) for image in still]))
+    white = run.white()
     out.mkdir(parents=True, exist_ok=True)
     progress = progress_of("render")
     for i, frame in enumerate(frames):

@@ -45,7 +45,8 @@ def test_it_beats_the_nearest_view_and_writes_every_artefact(run):
     metrics = json.loads((run.path / "metrics.json").read_text())
     assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"] + 3
     assert metrics["abs_rel"] < 0.15
-    for name in ("run.json", "error_vs_time.json", "error_vs_time.png", "report.html", "orbit.mp4", "checkpoint.pt"):
+    written = ("run.json", "error_vs_time.json", "error_vs_time.png", "report.html", "orbit.mp4", "checkpoint.pt")
+    for name in (*written, "viewer.json", "viewer.bin"):
         assert (run.path / name).stat().st_size > 0
     document = json.loads((run.path / "run.json").read_text())
     assert document["status"] == "finished"

@@ -1,0 +1,46 @@
+"""`export`: a run in the formats of other tools."""
+
+from pathlib import Path
+
+import click
+
+from server.cli.progress import progress_of
+
+FOLDER = click.Path(path_type=Path)
+NAMES = "ply, ply-sequence, splat, spz, glb, video, depth, colmap, nerfstudio or viewer"
+
+
+@click.command("export")
+@click.argument("run_folder", metavar="RUN", type=FOLDER)
+@click.option("--format", "name", required=True, help=f"{NAMES}.")
+@click.option("--out", type=FOLDER, required=True, help="The file, or the folder of a format that has several.")
+@click.option(
+    "--at", "at_s", metavar="SECONDS", type=float, help="Instant on the rig clock [default: the clip's middle]."
+)
+@click.option("--frames", type=int, help="How many, for a format over time [default: 30; an orbit's 120].")
+@click.option("--camera", help="For video and depth [default: video orbits; depth is the held-out or centre camera's].")
+@click.option("--overwrite", is_flag=True, help="Replace a file, or a folder that an export made.")
+def export_command(
+    run_folder: Path,
+    name: str,
+    out: Path,
+    at_s: float | None,
+    frames: int | None,
+    camera: str | None,
+    overwrite: bool,
+) -> None:
+    """Write RUN for other tools.
+
+    Splats (ply, splat, spz, glb) at one instant, ply-sequence over the clip; a video; depth maps; datasets (colmap,
+    nerfstudio) with cameras, images and points; viewer, what the browser's viewer plays.
+    """
+    from reconstruction.export.formats import check_target, checked_format, export_scene
+    from reconstruction.export.scene import Choices
+    from reconstruction.pipeline.export import trained_scene
+    from reconstruction.training.run import RunFolder
+
+    choices = Choices(at_s, frames, camera)
+    check_target(out, folder=checked_format(name, choices).folder, overwrite=overwrite)
+    scene = trained_scene(RunFolder.open(run_folder))
+    export_scene(scene, name, out, choices, overwrite=overwrite, progress=progress_of("export"))
+    click.echo(f"{name} of {run_folder} in {out}")

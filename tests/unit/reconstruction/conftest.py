@@ -1,0 +1,102 @@
+"""Scenes to export: a small cloud with every motion model before a converging row of cameras."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from reconstruction.export.scene import Scene
+from reconstruction.gaussians import hexplane
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.rigid import RigidMotion
+from rigs.camera import Camera
+from rigs.rig import Rig
+from rigs.transform import Transform
+
+WHITE = 0.4  # spikes per tick
+CLIP = Clip(0.002, 0.012)
+
+
+def needles(count: int, seed: int) -> GaussianCloud:
+    """Long, thin Gaussians in every direction, 1.6 to 2.4 m before the rig: a wrong quaternion shows."""
+    generator = torch.Generator().manual_seed(seed)
+    draw = lambda *shape: torch.rand(*shape, generator=generator)  # noqa: E731
+    means = (draw(count, 3) - 0.5) * torch.tensor([1.2, 0.8, 0.8]) + torch.tensor([0.0, 0.0, 2.0])
+    log_scales = torch.log(torch.tensor([0.12, 0.03, 0.01])).repeat(count, 1) + 0.2 * draw(count, 3)
+    quats = 3 * torch.randn(count, 4, generator=generator)
+    return GaussianCloud(means, quats, log_scales, 3 * draw(count) - 1, WHITE * draw(count, 1))
+
+
+def motion_of(kind: str, moving: GaussianCloud):
+    """A motion of M Gaussians that changes all that its model can change."""
+    count, generator = len(moving), torch.Generator().manual_seed(5)
+    draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
+    instants, logs = torch.linspace(-0.2, 1.2, count), torch.full((count,), math.log(0.4))
+    if kind == "cubic":
+        return Motion(0.3 * draw(count, 3), 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs)
+    if kind == "bases":
+        riders, angles = count // 2, torch.linspace(0, 3, 5)
+        zero = torch.zeros(5)
+        quats = torch.stack([(angles / 2).cos(), zero, zero, (angles / 2).sin()], -1)[None]
+        moving.means[:riders] -= torch.tensor([0.0, 0.0, 2.0])
+        centers = torch.stack([0.1 * angles, zero, zero + 2], -1)[None]
+        bodies = torch.zeros(riders, dtype=torch.int64)
+        return RigidMotion(bodies, quats, centers, 0.3 * draw(count - riders, 3), instants, logs)
+    if kind == "4dgs":
+        field = HexPlaneMotion.around(moving.means, 0.1, generator)
+        for name, tensor in field.tensors():
+            if name != "box":
+                tensor += 0.1 * draw(*tensor.shape)
+        return field
+    return Motion(0.3 * draw(count, 3), torch.zeros(0, 3), torch.zeros(0, 3), instants, logs)
+
+
+@pytest.fixture
+def scene_with(monkeypatch):
+    """A scene of some still Gaussians and some that move, by the model named."""
+    for name, value in {"SPACE_CELLS": (4, 6), "TIME_CELLS": 5, "FEATURES": 2, "WIDTH": 6}.items():
+        monkeypatch.setattr(hexplane, name, value)
+
+    def make(kind: str = "linear", still: int = 40, moving: int = 20) -> Scene:
+        movers = needles(moving, 2)
+        cloud = DynamicCloud(needles(still, 1), movers, motion_of(kind, movers), CLIP)
+        return Scene(cloud, row_of_cameras(), WHITE, kind, "cam01", dict)
+
+    return make
+
+
+def row_of_cameras() -> Rig:
+    """Three cameras that look at (0, 0, 2), turned and shifted against the rig's frame."""
+    spots = ((-0.3, 0.1, 0.0), (0.05, -0.02, 0.1), (0.3, 0.05, -0.1))
+    poses = [Transform.looking_at(spot, (0, 0, 2.0), (0.2, 1.0, 0)) for spot in spots]
+    cameras = (Camera(f"cam0{i}", 64, 41, 55.0, 54.0, 33.0, 20.0, pose) for i, pose in enumerate(poses))
+    return Rig("row", 20000.0, tuple(cameras))
+
+
+@pytest.fixture
+def empty_scene():
+    """No Gaussians at all."""
+    none = needles(0, 0)
+    still = DynamicCloud(none, needles(0, 0), motion_of("linear", none), CLIP)
+    return Scene(still, row_of_cameras(), WHITE, "static", None, dict)
+
+
+@pytest.fixture
+def one_scene():
+    """One bright, round Gaussian off every axis."""
+    log_scale = float(np.log(0.06))
+    one = GaussianCloud(
+        torch.tensor([[0.2, -0.1, 2.2]]),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.full((1, 3), log_scale),
+        torch.tensor([4.0]),
+        torch.tensor([[WHITE]]),
+    )
+    none = needles(0, 0)
+    return Scene(
+        DynamicCloud(one, none, motion_of("linear", none), CLIP), row_of_cameras(), WHITE, "static", None, dict
+    )
