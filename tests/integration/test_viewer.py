@@ -1,5 +1,6 @@
 """The viewer in a real browser: what it draws is what the renderer draws, and it answers mouse, keys and bad files."""
 
+import base64
 import json
 import shutil
 import socket
@@ -83,7 +84,7 @@ def path(rng: np.random.Generator, means: NDArray[np.float64]) -> dict[str, NDAr
         "velocities": ones * (0.5, 0.2, 0.3) + rng.normal(0, 0.01, (MOVING, 3)),
         "accelerations": ones * (0.3, -0.4, 0.1),
         "jerks": ones * (-0.6, 0.2, 0.4),
-        "instants": rng.uniform(0.3, 0.7, MOVING),
+        "instants": rng.uniform(0.48, 0.52, MOVING),
         "durations": rng.uniform(1.5, 3.0, MOVING),
     }
 
@@ -170,3 +171,254 @@ def address(jobs: Path) -> Iterator[str]:
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
         server.should_exit = True
         thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield running
+        running.close()
+
+
+# A canvas forgets what it shows once it is shown; here it keeps it, to be read.
+KEEP_DRAWN = """
+const getContext = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, options) {
+  return getContext.call(this, kind, { ...options, preserveDrawingBuffer: true });
+};
+"""
+
+
+@pytest.fixture
+def open_page(browser: Any, address: str) -> Iterator[Callable[..., Any]]:
+    """Opens /viewer.html; in the end nothing was asked of another host and nothing was complained of."""
+    pages, asked, faults = [], [], []
+
+    def open_at(query: str = "?job=polynomial", *, width: int = 900, height: int = 700, script: str = "") -> Any:
+        made = browser.new_page(viewport={"width": width, "height": height})
+        pages.append(made)
+        made.set_default_timeout(30_000)
+        made.add_init_script(KEEP_DRAWN + script)
+        made.on("request", lambda request: asked.append(request.url))
+        made.on("console", lambda message: faults.append(message.text) if message.type in ("error", "warning") else None)
+        made.on("pageerror", lambda error: faults.append(str(error)))
+        made.goto(f"{address}/viewer.html{query}")
+        return made
+
+    open_at.faults = faults
+    yield open_at
+    for made in pages:
+        made.close()
+    assert [url for url in asked if not url.startswith((f"{address}/", "data:", f"blob:{address}/"))] == []
+    assert faults == []
+
+
+def settle(view: Any) -> None:
+    view.wait_for_selector("#picture[data-settled=yes]")
+
+
+def seek(view: Any, u: float) -> None:
+    view.eval_on_selector("#time", "(range, u) => { range.value = u; range.dispatchEvent(new Event('input')); }", u)
+    settle(view)
+
+
+def pixels(view: Any) -> NDArray[np.uint8]:
+    """What was drawn on the canvas [H, W, 3], in BGR."""
+    settle(view)
+    url = view.eval_on_selector("#picture", "canvas => canvas.toDataURL()")
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image, np.uint8)
+
+
+def through(view: Any, index: int) -> Camera:
+    """Enter a camera's own view; gives that camera with the canvas for a sensor."""
+    entry = CAMERAS[index]
+    view.select_option("#from", entry["id"])
+    settle(view)
+    width, height = view.eval_on_selector("#picture", "canvas => [canvas.width, canvas.height]")
+    scale = min(width / WIDE, height / TALL)
+    left, top = (width - scale * WIDE) / 2, (height - scale * TALL) / 2
+    lens = (scale * entry["fx"], scale * entry["fy"], left + scale * entry["cx"], top + scale * entry["cy"])
+    return Camera(entry["id"], width, height, *lens, Transform.from_matrix(np.reshape(entry["cam_from_rig"], (4, 4))))
+
+
+def drawn(arrays: Arrays, u: float, camera: Camera):
+    """What our renderer draws of the scene at u."""
+    now = at(arrays, u)
+    given = (now["means"], now["quats_wxyz"], np.log(now["scales"]), now["opacities"], now["intensities"][:, None])
+    return render(tuple(torch.tensor(array, dtype=torch.float32) for array in given), camera)
+
+
+@pytest.mark.parametrize("motion", ["polynomial", "keyframes"])
+def test_the_page_moves_gaussians_as_the_formulas_do(open_page, address: str, motion: str) -> None:
+    view = open_page(f"?job={motion}")
+    settle(view)
+    script = """async ([job, u]) => {
+      const [{ loadScene }, { moveRows, storedRows }] = await Promise.all([import('/viewer/scene.js'), import('/viewer/motion.js')]);
+      const scene = await loadScene(job);
+      const { still, moving } = scene.manifest;
+      return Array.from(moveRows(scene, u, storedRows(scene, still, moving)));
+    }"""
+    arrays = scene_arrays(motion)
+    for u in (0.0, 0.13, 0.5, 0.77, 1.0):
+        rows = np.reshape(view.evaluate(script, [motion, u]), (MOVING, 12))
+        now = at(arrays, u)
+        expected = np.hstack(
+            [
+                now["means"][STILL:],
+                now["opacities"][STILL:, None],
+                np.roll(now["quats_wxyz"][STILL:], -1, axis=1),
+                now["scales"][STILL:],
+                now["intensities"][STILL:, None],
+            ]
+        )
+        np.testing.assert_allclose(rows, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("u", [0.0, 1.0])
+def test_a_camera_sees_what_the_renderer_draws(open_page, u: float) -> None:
+    view = open_page()
+    camera = through(view, 2)
+    seek(view, u)
+    found = pixels(view)
+    rendering = drawn(scene_arrays("polynomial"), u, camera)
+    expected = grey(rendering.intensity[..., 0].numpy(), 1.0)
+    off = np.abs(found[..., 0].astype(int) - expected)
+    print("off", off.mean(), np.percentile(off, 99), off.max())
+    assert off.mean() < 0.5
+
+
+def centroid(weights: NDArray) -> NDArray[np.float64]:
+    rows, columns = np.nonzero(weights)
+    return np.array([columns.mean() + 0.5, rows.mean() + 0.5])
+
+
+@pytest.mark.parametrize("index", [0, 3])
+def test_the_ball_is_where_its_mean_projects(open_page, index: int) -> None:
+    view = open_page()
+    camera = through(view, index)
+    for u in (0.0, 1.0):
+        seek(view, u)
+        mean = at(scene_arrays("polynomial"), u)["means"][STILL:].mean(0)
+        x, y, z = camera.cam_from_rig.apply(mean)
+        projected = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+        ball = centroid(pixels(view)[..., 0] > 235)
+        print("ball", ball, projected)
+        assert np.abs(ball - projected).max() < 2
+
+
+def test_depth_is_coloured_as_in_the_report(open_page) -> None:
+    view = open_page()
+    camera = through(view, 1)
+    light = pixels(view)
+    view.click("#depth")
+    assert view.get_attribute("#depth", "aria-pressed") == "true"
+    assert view.inner_text("#legend").split() == ["1.20", "m", "3.50", "m"]
+    found = pixels(view)
+    rendering = drawn(scene_arrays("polynomial"), 0.0, camera)
+    mean = (rendering.depth / rendering.alpha).numpy()
+    covered = rendering.alpha.numpy() > 0.6
+    off = np.abs(found.astype(int) - depth_colours(mean, 1.2, 3.5))[covered]
+    print("depth off", off.mean(), np.percentile(off, 99))
+    assert off.mean() < 4
+    assert np.abs(found.astype(int) - light).mean() > 20
+    assert not found[rendering.alpha.numpy() < 0.4].any()
+
+
+def test_keys_turn_zoom_play_and_pause(open_page) -> None:
+    view = open_page()
+    settle(view)
+    for _ in range(2):  # the link to the first page, then the picture
+        view.keyboard.press("Tab")
+    assert view.evaluate("document.activeElement.id") == "picture"
+    seen = [pixels(view)]
+    for key in ("ArrowLeft", "ArrowUp", "+", "Shift+ArrowDown"):
+        view.keyboard.press(key)
+        seen.append(pixels(view))
+        assert np.abs(seen[-1].astype(int) - seen[-2]).mean() > 0.5, key
+    view.keyboard.press(" ")
+    view.wait_for_function("Number(document.getElementById('time').value) > 0.05")
+    assert view.inner_text("#play") == "Pause"
+    view.keyboard.press(" ")
+    assert view.inner_text("#play") == "Play"
+    settle(view)
+    stopped = view.input_value("#time")
+    assert view.get_attribute("#time", "aria-valuetext") == f"{view.inner_text('#instant')}"
+    view.focus("#time")
+    view.keyboard.press("ArrowRight")
+    assert float(view.input_value("#time")) == pytest.approx(float(stopped) + 0.001)
+    outline = view.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline != "none"
+
+
+def test_the_mouse_turns_and_reset_turns_back(open_page) -> None:
+    view = open_page()
+    through(view, 2)
+    view.click("#reset")
+    first = pixels(view)
+    box = view.locator("#picture").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 60, y + 20, steps=3)
+    view.mouse.up()
+    assert np.abs(pixels(view).astype(int) - first).mean() > 2
+    view.mouse.wheel(0, 300)
+    assert np.abs(pixels(view).astype(int) - first).mean() > 2
+    view.click("#reset")
+    assert np.abs(pixels(view).astype(int) - first).max() <= 1
+
+
+def test_cameras_are_named_and_the_held_out_one_is_marked(open_page) -> None:
+    view = open_page()
+    settle(view)
+    names = view.eval_on_selector_all("#names span:not([hidden])", "spans => spans.map(span => span.textContent)")
+    assert names == ["cam00", "cam01", "cam10 held out", "cam11"]
+    colours = view.eval_on_selector_all("#names span", "spans => spans.map(span => getComputedStyle(span).color)")
+    assert len(set(colours)) == 2
+    assert colours[2] not in (colours[0], colours[1], colours[3])
+    with_lines = pixels(view)
+    assert (with_lines.max(-1).astype(int) - with_lines.min(-1) > 60).sum() > 300
+    view.click("#cameras")
+    without = pixels(view)
+    assert (without.max(-1) == without.min(-1)).all()
+    assert view.locator("#names span:not([hidden])").count() == 0
+
+
+def test_nothing_scrolls_sideways_on_a_telephone(open_page) -> None:
+    view = open_page(width=400, height=800)
+    settle(view)
+    assert view.evaluate("document.documentElement.scrollWidth") == 400
+    assert view.locator("#picture").bounding_box()["height"] >= 280
+
+
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+
+
+@pytest.mark.parametrize(
+    ("query", "script", "words"),
+    [
+        ("", "", "found no job in the address"),
+        ("?job=none", "", "Job none has no viewer.json to show: found no artefact viewer.json"),
+        ("?job=damaged", "", "viewer.bin: found"),
+        ("?job=polynomial", NO_WEBGL, "found no WebGL 2"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(open_page, query: str, script: str, words: str) -> None:
+    view = open_page(query, script=script)
+    message = view.locator("#message[role=alert]")
+    message.wait_for()
+    assert words in message.inner_text()
+    assert view.locator("#controls").get_attribute("disabled") is not None
+    open_page.faults[:] = [fault for fault in open_page.faults if "404" not in fault]
+
+
+def test_a_missing_renderer_says_what_to_run(open_page, browser: Any, address: str) -> None:
+    view = browser.new_page()
+    view.route("**/vendor/spark.js", lambda route: route.fulfill(status=404, body=""))
+    view.goto(f"{address}/viewer.html?job=polynomial")
+    view.locator("#message[role=alert]").wait_for()
+    assert 'run "make viewer"' in view.inner_text("#message")
+    view.close()

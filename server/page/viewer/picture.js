@@ -104,11 +104,11 @@ export class Picture {
   /** True when the last frame was drawn with its Gaussians in order. */
   get settled() { return this.spark.activeSplats > 0 && !this.spark.sorting && !this.spark.sortDirty; }
 
-  /** Fits the pictures to the canvas on the page; returns its size in CSS pixels. */
+  /** Fits the pictures to the element around the canvas, in whole CSS pixels; returns their size in those. */
   resize() {
-    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    this.renderer.setSize(width, height, false);
+    this.renderer.setSize(width, height);
     this.target.setSize(this.canvas.width, this.canvas.height);
     return { width, height };
   }

@@ -2,6 +2,8 @@
 import { Matrix4, Quaternion, Vector3 } from './vendor/spark.js';
 
 const OPENGL_FROM_OPENCV = new Quaternion(1, 0, 0, 0); // half a turn about x
+const STAND_BACK = 1.4;
+const ASIDE = [0.12, 0.1]; // radians
 const STEEPEST = 0.05; // radians between the line of sight and straight up or down
 
 /** {centre, turn}: the camera's centre (m) and rig_from_cam rotation, from cam_from_rig (row-major). */
@@ -33,12 +35,13 @@ export class View {
     this.reset();
   }
 
-  /** From the camera in the middle of the rig, looking at the middle of the scene. */
+  /** From behind the camera in the middle of the rig and to its side, looking at the middle of the scene. */
   reset() {
     this.enter(this.home);
-    this.camera = null;
     this.target.copy(this.middle);
+    this.zoom(STAND_BACK);
     this.#look();
+    this.orbit(...ASIDE);
   }
 
   /** A camera's own view, exactly. */

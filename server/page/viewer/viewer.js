@@ -66,7 +66,7 @@ class Player {
     this.clock = new Clock(scene.manifest.clip_s, () => { this.moved = true; this.request(); });
     this.due = false;
     this.frames = 0;
-    new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe(canvas);
+    new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe($('stage'));
     this.size = this.picture.resize();
     parts.steer(canvas, this.view, () => this.size, () => { $('from').value = ''; this.request(); });
     canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone, expected it; reload the page', true));
