@@ -2,7 +2,7 @@
 import { Matrix4, Quaternion, Vector3 } from './vendor/spark.js';
 
 const OPENGL_FROM_OPENCV = new Quaternion(1, 0, 0, 0); // half a turn about x
-const STAND_BACK = 1.4;
+const STAND_BACK = [1.3, 1.5, 1.75, 2]; // times the distance to the scene
 const ASIDE = [0.12, 0.1]; // radians
 const STEEPEST = 0.05; // radians between the line of sight and straight up or down
 
@@ -35,13 +35,21 @@ export class View {
     this.reset();
   }
 
-  /** From behind the camera in the middle of the rig and to its side, looking at the middle of the scene. */
+  /** From behind the rig's middle camera and to its side, with the scene in the middle and, where it can be, all cameras in sight. */
   reset() {
-    this.enter(this.home);
-    this.target.copy(this.middle);
-    this.zoom(STAND_BACK);
-    this.#look();
-    this.orbit(...ASIDE);
+    for (const back of STAND_BACK) {
+      this.enter(this.home);
+      this.target.copy(this.middle);
+      this.zoom(back);
+      this.#look();
+      this.orbit(...ASIDE);
+      if (this.cameras.every((camera) => this.#sees(poseOf(camera).centre))) return;
+    }
+  }
+
+  #sees(point) {
+    const at = this.project(point, this.lens);
+    return at !== null && at.x > 0 && at.y > 0 && at.x < this.lens.width && at.y < this.lens.height;
   }
 
   /** A camera's own view, exactly. */
