@@ -166,7 +166,7 @@ def address(jobs: Path) -> Iterator[str]:
         return FileResponse(jobs / job / name)
 
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="none"))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="none", timeout_graceful_shutdown=1))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
@@ -202,7 +202,9 @@ def open_page(browser: Any, address: str) -> Iterator[Callable[..., Any]]:
         made.set_default_timeout(30_000)
         made.add_init_script(KEEP_DRAWN + script)
         made.on("request", lambda request: asked.append(request.url))
-        made.on("console", lambda message: faults.append(message.text) if message.type in ("error", "warning") else None)
+        made.on(
+            "console", lambda message: faults.append(message.text) if message.type in ("error", "warning") else None
+        )
         made.on("pageerror", lambda error: faults.append(str(error)))
         made.goto(f"{address}/viewer.html{query}")
         return made
@@ -287,8 +289,9 @@ def test_a_camera_sees_what_the_renderer_draws(open_page, u: float) -> None:
     rendering = drawn(scene_arrays("polynomial"), u, camera)
     expected = grey(rendering.intensity[..., 0].numpy(), 1.0)
     off = np.abs(found[..., 0].astype(int) - expected)
-    print("off", off.mean(), np.percentile(off, 99), off.max())
-    assert off.mean() < 0.5
+    # Measured: 0.033 and 1 grey level; equal depths may be sorted otherwise.
+    assert off.mean() < 0.1
+    assert np.percentile(off, 99) <= 2
 
 
 def centroid(weights: NDArray) -> NDArray[np.float64]:
@@ -306,8 +309,7 @@ def test_the_ball_is_where_its_mean_projects(open_page, index: int) -> None:
         x, y, z = camera.cam_from_rig.apply(mean)
         projected = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
         ball = centroid(pixels(view)[..., 0] > 235)
-        print("ball", ball, projected)
-        assert np.abs(ball - projected).max() < 2
+        assert np.abs(ball - projected).max() < 2  # measured: 1.1, as the ball's Gaussians differ in brightness
 
 
 def test_depth_is_coloured_as_in_the_report(open_page) -> None:
@@ -322,8 +324,7 @@ def test_depth_is_coloured_as_in_the_report(open_page) -> None:
     mean = (rendering.depth / rendering.alpha).numpy()
     covered = rendering.alpha.numpy() > 0.6
     off = np.abs(found.astype(int) - depth_colours(mean, 1.2, 3.5))[covered]
-    print("depth off", off.mean(), np.percentile(off, 99))
-    assert off.mean() < 4
+    assert off.mean() < 4  # measured: 3.0 of 255; the page mixes thirteen of turbo's colours
     assert np.abs(found.astype(int) - light).mean() > 20
     assert not found[rendering.alpha.numpy() < 0.4].any()
 
@@ -379,7 +380,7 @@ def test_cameras_are_named_and_the_held_out_one_is_marked(open_page) -> None:
     view = open_page()
     settle(view)
     names = view.eval_on_selector_all("#names span:not([hidden])", "spans => spans.map(span => span.textContent)")
-    assert names == ["cam00", "cam01", "cam10 held out", "cam11"]
+    assert names == ["cam00", "cam01", "cam10 held\u00a0out", "cam11"]
     colours = view.eval_on_selector_all("#names span", "spans => spans.map(span => getComputedStyle(span).color)")
     assert len(set(colours)) == 2
     assert colours[2] not in (colours[0], colours[1], colours[3])

@@ -40,7 +40,7 @@ export class Cameras {
 
   #label(camera) {
     const label = document.createElement('span');
-    label.textContent = camera.held_out ? `${camera.id} held out` : camera.id;
+    label.textContent = camera.held_out ? `${camera.id} held\u00a0out` : camera.id;
     label.className = camera.held_out ? 'held-out' : '';
     label.hidden = true;
     this.names.append(label);
