@@ -5,7 +5,6 @@ import json
 import shutil
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -67,7 +66,7 @@ def scene_arrays(motion: str) -> Arrays:
     means = np.empty((n, 3))
     means[:STILL] = rng.uniform((-1.3, -0.9, 2.6), (1.3, 0.9, 3.2), (STILL, 3))
     means[0] = (-0.55, 0.3, 1.9)
-    means[STILL:] = (0.1, -0.15, 1.6) + rng.normal(0, 0.02, (MOVING, 3))
+    means[STILL:] = rng.normal((0.1, -0.15, 1.6), 0.02, (MOVING, 3))
     scales = rng.uniform(0.03, 0.09, (n, 3))
     scales[0], scales[STILL:] = 0.2, 0.02
     opacities = rng.uniform(0.3, 0.95, n)
@@ -259,7 +258,8 @@ def test_the_page_moves_gaussians_as_the_formulas_do(open_page, address: str, mo
     view = open_page(f"?job={motion}")
     settle(view)
     script = """async ([job, u]) => {
-      const [{ loadScene }, { moveRows, storedRows }] = await Promise.all([import('/viewer/scene.js'), import('/viewer/motion.js')]);
+      const { loadScene } = await import('/viewer/scene.js');
+      const { moveRows, storedRows } = await import('/viewer/motion.js');
       const scene = await loadScene(job);
       const { still, moving } = scene.manifest;
       return Array.from(moveRows(scene, u, storedRows(scene, still, moving)));

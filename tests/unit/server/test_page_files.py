@@ -43,7 +43,9 @@ def test_every_script_that_is_imported_is_served(http: TestClient) -> None:
         assert response.headers["content-type"].startswith(("text/javascript", "text/css"))
 
 
-@pytest.mark.parametrize("name", ["package.json", "../page.js", "..%2f..%2fapp.py", "node_modules/three/package.json"])
+@pytest.mark.parametrize(
+    "name", ["package.json", "%2e%2e%2fpage.js", "..%2f..%2fapp.py", "node_modules/three/package.json"]
+)
 def test_nothing_else_is_served(http: TestClient, name: str) -> None:
     assert http.get(f"/viewer/{name}").status_code == 404
 
