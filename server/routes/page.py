@@ -1,13 +1,20 @@
-"""The page: three files, served as they are."""
+"""The pages: files served as they are, from a closed list."""
 
 from pathlib import Path
 
 from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
+from server.errors import NotFoundError
+
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parents[1] / "page"
 _HEADERS = {"Content-Security-Policy": "default-src 'self'; img-src 'self' data:", "X-Content-Type-Options": "nosniff"}
+# The viewer's renderer compiles WebAssembly and sorts in a worker that it makes of a blob.
+_VIEWER_POLICY = "default-src 'self'; img-src 'self' data:; script-src 'self' 'wasm-unsafe-eval'; worker-src blob:"
+_VIEWER_HEADERS = _HEADERS | {"Content-Security-Policy": _VIEWER_POLICY}
+_VIEWER_SCRIPTS = ("viewer", "scene", "motion", "splats", "picture", "view", "cameras", "controls", "vendor/spark")
+_VIEWER_FILES = ("viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS))
 
 
 @router.get("/")
@@ -26,3 +33,18 @@ def style() -> FileResponse:
 def script() -> FileResponse:
     """Its script."""
     return FileResponse(_FOLDER / "page.js", headers=_HEADERS)
+
+
+@router.get("/viewer.html")
+def viewer() -> FileResponse:
+    """The page that plays a job's scene; the job is named in the query."""
+    return FileResponse(_FOLDER / "viewer" / "viewer.html", headers=_VIEWER_HEADERS)
+
+
+@router.get("/viewer/{name:path}")
+def viewer_file(name: str) -> FileResponse:
+    """Its style and scripts; raises NotFoundError, for the renderer too where `make viewer` has not been run."""
+    path = _FOLDER / "viewer" / name
+    if name not in _VIEWER_FILES or not path.is_file():
+        raise NotFoundError(f"found no /viewer/{name[:60]}, expected one of {', '.join(_VIEWER_FILES)}")
+    return FileResponse(path, headers=_VIEWER_HEADERS)

@@ -1,0 +1,103 @@
+// Fetches viewer.json and viewer.bin of a job and checks that they fit each other.
+const VERSION = 1;
+const MOTIONS = ['static', 'polynomial', 'keyframes'];
+
+export class SceneError extends Error {}
+
+/** The scene of a job: {manifest, arrays}, arrays as Float32Array by name. Throws SceneError in one line. */
+export async function loadScene(job, progress = () => {}) {
+  const folder = `/v1/jobs/${encodeURIComponent(job)}/artefacts`;
+  const manifest = await (await artefact(folder, job, 'viewer.json')).json().catch(() => {
+    throw new SceneError('viewer.json: found no JSON, expected a manifest; export the job again');
+  });
+  checkManifest(manifest);
+  const bytes = await download(await artefact(folder, job, 'viewer.bin'), progress);
+  return { manifest, arrays: arraysOf(manifest, bytes) };
+}
+
+async function artefact(folder, job, name) {
+  const response = await fetch(`${folder}/${name}`).catch((error) => {
+    throw new SceneError(`found no answer from the service (${error.message}); start it and reload`);
+  });
+  if (response.ok) return response;
+  const detail = (await response.json().catch(() => ({}))).detail ?? `status ${response.status}`;
+  throw new SceneError(`Job ${job} has no ${name} to show: ${detail}`);
+}
+
+async function download(response, progress) {
+  const total = Number(response.headers.get('Content-Length')) || 0;
+  const parts = [];
+  let received = 0;
+  const reader = response.body.getReader();
+  try {
+    for (let part = await reader.read(); !part.done; part = await reader.read()) {
+      parts.push(part.value);
+      received += part.value.length;
+      progress(received, total);
+    }
+  } catch (error) {
+    throw new SceneError(`viewer.bin: found ${received} bytes and a broken connection (${error.message}); reload`);
+  }
+  return new Blob(parts).arrayBuffer();
+}
+
+function checkManifest(manifest) {
+  const fault = (found, expected) => {
+    throw new SceneError(`viewer.json: found ${found}, expected ${expected}; export the job again`);
+  };
+  if (manifest?.version !== VERSION) fault(`version ${manifest?.version}`, VERSION);
+  if (!MOTIONS.includes(manifest.motion)) fault(`motion ${manifest.motion}`, MOTIONS.join(', '));
+  const { count, still, moving, clip_s: clip, cameras, centre, depth_m: depth } = manifest;
+  if (![count, still, moving].every((n) => Number.isInteger(n) && n >= 0) || still + moving !== count || count === 0) {
+    fault(`${still} still and ${moving} moving Gaussians of ${count}`, 'counts that add up to one or more');
+  }
+  if (!numbers(clip, 2) || clip[1] < clip[0]) fault(`clip_s ${clip}`, 'its first and last second');
+  if (!numbers(depth, 2) || !(depth[0] > 0) || !(depth[1] > depth[0])) fault(`depth_m ${depth}`, 'near and far in m');
+  if (!numbers(centre, 3)) fault(`centre ${centre}`, 'three numbers');
+  if (!Array.isArray(cameras) || cameras.length === 0 || !cameras.every(isCamera)) {
+    fault('cameras that cannot be used', 'size, fx fy cx cy and cam_from_rig of each');
+  }
+}
+
+const numbers = (list, length) => Array.isArray(list) && list.length === length && list.every(Number.isFinite);
+
+const isCamera = (camera) => numbers([camera.fx, camera.fy, camera.cx, camera.cy], 4)
+  && camera.width > 0 && camera.height > 0 && numbers([camera.cam_from_rig].flat(2), 16);
+
+/** Shapes the manifest must give, by array name; null for one that may be absent. */
+function expectedShapes({ count, moving, motion, keyframes }) {
+  const shapes = { means: [count, 3], quats_wxyz: [count, 4], scales: [count, 3], opacities: [count], intensities: [count] };
+  if (moving === 0 || motion === 'static') return { shapes, optional: {} };
+  if (motion === 'polynomial') {
+    Object.assign(shapes, { velocities: [moving, 3], instants: [moving], durations: [moving] });
+    return { shapes, optional: { accelerations: [moving, 3], jerks: [moving, 3] } };
+  }
+  Object.assign(shapes, {
+    key_means: [keyframes, moving, 3], key_quats: [keyframes, moving, 4], key_opacities: [keyframes, moving],
+  });
+  return { shapes, optional: { key_scales: [keyframes, moving, 3] } };
+}
+
+function arraysOf(manifest, bytes) {
+  const { shapes, optional } = expectedShapes(manifest);
+  const arrays = {};
+  for (const [name, shape] of [...Object.entries(shapes), ...Object.entries(optional)]) {
+    const entry = manifest.arrays?.[name];
+    if (entry) arrays[name] = view(name, entry, shape, bytes);
+    else if (name in shapes) throw new SceneError(`viewer.json: found no array ${name}, expected one; export the job again`);
+  }
+  return arrays;
+}
+
+function view(name, entry, shape, bytes) {
+  const fits = entry.dtype === 'float32' && String(entry.shape) === String(shape) && entry.offset % 4 === 0 && entry.offset >= 0;
+  if (!fits) {
+    throw new SceneError(`viewer.json: found ${name} ${entry.dtype} [${entry.shape}] at ${entry.offset}, expected float32 [${shape}]; export the job again`);
+  }
+  const length = shape.reduce((product, n) => product * n, 1);
+  const end = entry.offset + 4 * length;
+  if (end > bytes.byteLength) {
+    throw new SceneError(`viewer.bin: found ${bytes.byteLength} bytes, expected ${end} or more for ${name}; it is damaged, export the job again`);
+  }
+  return new Float32Array(bytes, entry.offset, length);
+}

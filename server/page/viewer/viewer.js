@@ -1,0 +1,170 @@
+// The viewer's page: loads a job's scene and plays it. /viewer.html?job=ID
+import { SceneError, loadScene } from './scene.js';
+
+const PASS_S = 4; // how long a clip lasts on the screen at speed 1
+const $ = (id) => document.getElementById(id);
+
+function say(text, failed = false) {
+  $('message').textContent = text;
+  $('message').hidden = !text;
+  $('message').className = failed ? 'failed' : '';
+  $('message').setAttribute('role', failed ? 'alert' : 'status');
+}
+
+/** What is shown when: u in [0, 1] of the clip, and whether it runs. */
+class Clock {
+  constructor([first, last], changed) {
+    this.lasts_ms = (last - first) * 1000;
+    this.changed = changed;
+    this.u = 0;
+    this.speed = 1;
+    this.running = false;
+    this.tell();
+  }
+
+  get factor() { return PASS_S * 1000 / this.speed / this.lasts_ms; }
+
+  tell() {
+    const text = `${(this.u * this.lasts_ms).toFixed(2)} of ${this.lasts_ms.toFixed(2)} ms`;
+    $('time').value = this.u;
+    $('time').setAttribute('aria-valuetext', text);
+    $('instant').textContent = text;
+    $('slowness').textContent = this.factor >= 1 ? `slowed ${Math.round(this.factor)} times` : '';
+    $('play').textContent = this.running ? 'Pause' : 'Play';
+    $('play').setAttribute('aria-pressed', this.running);
+  }
+
+  seek(u) {
+    this.u = u;
+    this.tell();
+    this.changed();
+  }
+
+  toggle() {
+    this.running = !this.running;
+    this.before = performance.now();
+    this.seek(this.u);
+  }
+
+  /** Go on to the present; true where that moved it. */
+  tick(now) {
+    if (!this.running) return false;
+    this.u = (this.u + Math.max(now - this.before, 0) / 1000 / PASS_S * this.speed) % 1;
+    this.before = now;
+    this.tell();
+    return true;
+  }
+}
+
+class Player {
+  constructor(scene, parts) {
+    const canvas = $('picture');
+    this.view = new parts.View(scene.manifest.cameras, scene.manifest.centre);
+    this.cameras = new parts.Cameras(scene.manifest, $('names'), $('edge'));
+    this.splats = parts.makeSplats(scene);
+    this.picture = new parts.Picture(canvas, this.splats.mesh, this.cameras.scene, scene.manifest, () => this.request());
+    this.clock = new Clock(scene.manifest.clip_s, () => { this.moved = true; this.request(); });
+    this.due = false;
+    this.frames = 0;
+    new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe($('stage'));
+    this.size = this.picture.resize();
+    parts.steer(canvas, this.view, () => this.size, () => { $('from').value = ''; this.request(); });
+    canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone, expected it; reload the page', true));
+  }
+
+  request() {
+    $('picture').dataset.settled = 'no';
+    if (this.due) return;
+    this.due = true;
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  frame(now) {
+    this.due = false;
+    if (this.clock.tick(now) || this.moved) this.splats.moveTo(this.clock.u);
+    this.moved = false;
+    this.cameras.place(this.view, this.size);
+    this.picture.draw(this.view, this.size);
+    this.frames += 1;
+    $('picture').dataset.frames = this.frames;
+    if (this.clock.running) this.request();
+    else if (this.picture.settled && !this.due) $('picture').dataset.settled = 'yes';
+  }
+}
+
+function fillForm(manifest, nameOf) {
+  $('from').append(...manifest.cameras.map((camera) => new Option(nameOf(camera), camera.id)));
+  const moves = manifest.moving > 0 && manifest.motion !== 'static';
+  for (const id of ['play', 'time', 'speed']) $(id).disabled = !moves;
+  const what = moves ? `${manifest.moving.toLocaleString('en')} of them moving` : 'nothing moves';
+  $('what').textContent = `${manifest.count.toLocaleString('en')} Gaussians, ${what} · model ${manifest.model}`;
+}
+
+function toggle(id, action) {
+  $(id).onclick = () => {
+    const on = $(id).getAttribute('aria-pressed') !== 'true';
+    $(id).setAttribute('aria-pressed', on);
+    action(on);
+  };
+}
+
+function showLegend([near, far], colours) {
+  $('near').textContent = `${near.toPrecision(3)} m`;
+  $('far').textContent = `${far.toPrecision(3)} m`;
+  $('scale').style.background = `linear-gradient(to left, ${colours.join(', ')})`;
+}
+
+function connect(player, manifest, colours) {
+  const { clock, view, cameras, picture } = player;
+  $('play').onclick = () => clock.toggle();
+  $('time').oninput = () => clock.seek(Number($('time').value));
+  $('speed').onchange = () => { clock.speed = Number($('speed').value); clock.tell(); };
+  $('from').onchange = () => {
+    const camera = manifest.cameras.find(({ id }) => id === $('from').value);
+    if (camera) view.enter(camera);
+    else view.reset();
+    player.request();
+  };
+  $('reset').onclick = () => { $('from').value = ''; view.reset(); player.request(); };
+  toggle('cameras', (on) => { cameras.shown = on; player.request(); });
+  toggle('depth', (on) => { picture.showDepth = on; $('legend').hidden = !on; player.request(); });
+  showLegend(manifest.depth_m, colours);
+  document.addEventListener('keydown', (event) => {
+    const own = event.target.closest?.('button, select, a');
+    if (event.key !== ' ' || own || $('play').disabled) return;
+    event.preventDefault();
+    clock.toggle();
+  });
+}
+
+async function loadParts() {
+  await import('./vendor/spark.js').catch((error) => {
+    throw new SceneError(`found no renderer (${error.message}), expected it; run "make viewer" and reload this page`);
+  });
+  const [view, cameras, splats, picture, controls] = await Promise.all(
+    ['view', 'cameras', 'splats', 'picture', 'controls'].map((name) => import(`./${name}.js`)),
+  );
+  return { ...view, ...cameras, ...splats, ...picture, ...controls };
+}
+
+async function start() {
+  const job = new URLSearchParams(location.search).get('job');
+  if (!job) throw new SceneError('found no job in the address, expected ?job=ID; open the viewer from a job on the first page');
+  $('job').textContent = job;
+  const parts = await loadParts();
+  const lack = parts.lacking();
+  if (lack) throw new SceneError(lack);
+  say('Loading');
+  const scene = await loadScene(job, (got, all) => say(`Loading ${(got / 1e6).toFixed(1)} of ${(all / 1e6).toFixed(1)} MB`));
+  fillForm(scene.manifest, parts.nameOf);
+  const player = new Player(scene, parts);
+  connect(player, scene.manifest, parts.DEPTH_COLOURS);
+  $('controls').disabled = false;
+  say('');
+  player.request();
+}
+
+start().catch((error) => {
+  say(error instanceof SceneError ? error.message : `The viewer failed: ${error.message}`, true);
+  if (!(error instanceof SceneError)) throw error;
+});

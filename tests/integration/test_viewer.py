@@ -1,0 +1,429 @@
+"""The viewer in a real browser: what it draws is what the renderer draws, and it answers mouse, keys and bad files."""
+
+import base64
+import json
+import shutil
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import uvicorn
+from fastapi import FastAPI
+from fastapi.responses import FileResponse
+from numpy.typing import NDArray
+
+from reconstruction.rendering.render import render
+from reconstruction.report.pictures import depth_colours, grey
+from rigs.camera import Camera
+from rigs.transform import Transform
+from server import errors
+from server.guard import LoopbackGuard
+from server.routes import page
+
+playwright = pytest.importorskip("playwright.sync_api", reason="found no playwright; install it with the dev extra")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+RENDERER = Path(page.__file__).parents[1] / "page/viewer/vendor/spark.js"
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="found no chromium on the path; install it"),
+    pytest.mark.skipif(not RENDERER.exists(), reason="found no renderer of the viewer; run `make viewer`"),
+]
+ARGUMENTS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+Arrays = dict[str, NDArray[np.float32]]
+STILL, MOVING, KEYS = 260, 40, 5
+CENTRE = (0.1, 0.0, 2.0)
+WIDE, TALL = 320, 200
+
+
+def camera_entry(name: str, x: float, y: float, held_out: bool = False) -> dict[str, Any]:
+    """A camera at (x, y, 0), turned a little and with its principal point off the middle."""
+    turn = Transform.from_rotvec(np.array([0.05 * y, -0.1 * x, 0.02]), np.zeros(3)).rotation
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn, -turn @ np.array([x, y, 0.0])
+    lens = {"width": WIDE, "height": TALL, "fx": 300.0, "fy": 290.0, "cx": 150.0, "cy": 108.0}
+    return {"id": name, **lens, "cam_from_rig": matrix.ravel().tolist(), "held_out": held_out}
+
+
+CAMERAS = [
+    camera_entry("cam00", -0.4, -0.3),
+    camera_entry("cam01", 0.4, -0.3),
+    camera_entry("cam10", 0.0, 0.05, held_out=True),
+    camera_entry("cam11", 0.4, 0.3),
+]
+
+
+def scene_arrays(motion: str) -> Arrays:
+    """A wall, a big opaque grey Gaussian before it, and a bright ball that crosses the view."""
+    rng = np.random.default_rng(7)
+    n = STILL + MOVING
+    means = np.empty((n, 3))
+    means[:STILL] = rng.uniform((-1.3, -0.9, 2.6), (1.3, 0.9, 3.2), (STILL, 3))
+    means[0] = (-0.55, 0.3, 1.9)
+    means[STILL:] = rng.normal((0.1, -0.15, 1.6), 0.02, (MOVING, 3))
+    scales = rng.uniform(0.03, 0.09, (n, 3))
+    scales[0], scales[STILL:] = 0.2, 0.02
+    opacities = rng.uniform(0.3, 0.95, n)
+    opacities[0], opacities[STILL:] = 0.99, 0.8
+    intensities = rng.uniform(0.02, 0.3, n)
+    intensities[0], intensities[STILL:] = 0.5, 1.0
+    stored = {"means": means, "scales": scales, "opacities": opacities, "intensities": intensities}
+    stored |= {"quats_wxyz": rng.normal(size=(n, 4)), **(path if motion == "polynomial" else keys)(rng, means)}
+    return {name: np.ascontiguousarray(array, np.float32) for name, array in stored.items()}
+
+
+def path(rng: np.random.Generator, means: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    ones = np.ones((MOVING, 1))
+    return {
+        "velocities": ones * (0.5, 0.2, 0.3) + rng.normal(0, 0.01, (MOVING, 3)),
+        "accelerations": ones * (0.3, -0.4, 0.1),
+        "jerks": ones * (-0.6, 0.2, 0.4),
+        "instants": rng.uniform(0.48, 0.52, MOVING),
+        "durations": rng.uniform(1.5, 3.0, MOVING),
+    }
+
+
+def keys(rng: np.random.Generator, means: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    steps = np.linspace(-0.4, 0.4, KEYS)[:, None, None] * (1, 0.3, 0) + rng.normal(0, 0.01, (KEYS, MOVING, 3))
+    return {
+        "key_means": means[STILL:] + steps,
+        "key_quats": rng.normal(size=(KEYS, MOVING, 4)),
+        "key_opacities": rng.uniform(0.2, 1, (KEYS, MOVING)),
+        "key_scales": rng.uniform(0.01, 0.03, (KEYS, MOVING, 3)),
+    }
+
+
+def unit(quats: NDArray) -> NDArray:
+    return quats / np.linalg.norm(quats, axis=-1, keepdims=True)
+
+
+def at(arrays: Arrays, u: float) -> Arrays:
+    """All Gaussians at u in [0, 1]: the contract's formulas in float64."""
+    now = {name: arrays[name].astype(float) for name in ("means", "scales", "opacities", "intensities")}
+    now["quats_wxyz"] = unit(arrays["quats_wxyz"].astype(float))
+    if "velocities" in arrays:
+        s = (u - arrays["instants"].astype(float))[:, None]
+        v, a, j = (arrays[name].astype(float) for name in ("velocities", "accelerations", "jerks"))
+        now["means"][STILL:] += v * s + a * s**2 / 2 + j * s**3 / 6
+        now["opacities"][STILL:] *= np.exp(-((s[:, 0] / arrays["durations"].astype(float)) ** 2) / 2)
+        return now
+    place = u * (KEYS - 1)
+    k = min(int(place), KEYS - 2)
+    t = place - k
+    for name, key in (("means", "key_means"), ("opacities", "key_opacities"), ("scales", "key_scales")):
+        now[name][STILL:] = arrays[key][k].astype(float) * (1 - t) + arrays[key][k + 1].astype(float) * t
+    before, after = arrays["key_quats"][k].astype(float), arrays["key_quats"][k + 1].astype(float)
+    sign = np.where((before * after).sum(-1, keepdims=True) < 0, -1, 1)
+    now["quats_wxyz"][STILL:] = unit(before * (1 - t) + sign * after * t)
+    return now
+
+
+def write_scene(folder: Path, motion: str) -> Arrays:
+    """viewer.json and viewer.bin, as the contract has them."""
+    arrays, entries, blob = scene_arrays(motion), {}, b""
+    for name, array in arrays.items():
+        entries[name] = {"offset": len(blob), "shape": list(array.shape), "dtype": "float32"}
+        blob += array.tobytes()
+    manifest = {"version": 1, "count": STILL + MOVING, "still": STILL, "moving": MOVING, "clip_s": [0.0, 0.02]}
+    manifest |= {"white": 0.4, "model": "cubic", "motion": motion, "degree": 3, "keyframes": KEYS, "arrays": entries}
+    manifest |= {"cameras": CAMERAS, "centre": CENTRE, "depth_m": [1.2, 3.5]}
+    folder.mkdir(parents=True)
+    (folder / "viewer.json").write_text(json.dumps(manifest))
+    (folder / "viewer.bin").write_bytes(blob)
+    return arrays
+
+
+@pytest.fixture(scope="module")
+def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("jobs")
+    for motion in ("polynomial", "keyframes"):
+        write_scene(folder / motion, motion)
+    damaged = folder / "damaged"
+    write_scene(damaged, "polynomial")
+    (damaged / "viewer.bin").write_bytes((damaged / "viewer.bin").read_bytes()[:-100])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def address(jobs: Path) -> Iterator[str]:
+    """The page's own routes, guard and headers, with artefacts from a folder."""
+    app = FastAPI()
+    app.include_router(page.router)
+    errors.install(app)
+    app.add_middleware(LoopbackGuard)
+
+    @app.get("/v1/jobs/{job}/artefacts/{name}")
+    def artefact(job: str, name: str) -> FileResponse:
+        if not (jobs / job / name).is_file():
+            raise errors.NotFoundError(f"found no artefact {name} of {job}, expected one")
+        return FileResponse(jobs / job / name)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="none", timeout_graceful_shutdown=1))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield running
+        running.close()
+
+
+# A canvas forgets what it shows once it is shown; here it keeps it, to be read.
+KEEP_DRAWN = """
+const getContext = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, options) {
+  return getContext.call(this, kind, { ...options, preserveDrawingBuffer: true });
+};
+"""
+
+
+@pytest.fixture
+def open_page(browser: Any, address: str) -> Iterator[Callable[..., Any]]:
+    """Opens /viewer.html; in the end nothing was asked of another host and nothing was complained of."""
+    pages, asked, faults = [], [], []
+
+    def open_at(query: str = "?job=polynomial", *, width: int = 900, height: int = 700, script: str = "") -> Any:
+        made = browser.new_page(viewport={"width": width, "height": height})
+        pages.append(made)
+        made.set_default_timeout(30_000)
+        made.add_init_script(KEEP_DRAWN + script)
+        made.on("request", lambda request: asked.append(request.url))
+        made.on(
+            "console", lambda message: faults.append(message.text) if message.type in ("error", "warning") else None
+        )
+        made.on("pageerror", lambda error: faults.append(str(error)))
+        made.goto(f"{address}/viewer.html{query}")
+        return made
+
+    open_at.faults = faults
+    yield open_at
+    for made in pages:
+        made.close()
+    assert [url for url in asked if not url.startswith((f"{address}/", "data:", f"blob:{address}/"))] == []
+    assert faults == []
+
+
+def settle(view: Any) -> None:
+    view.wait_for_selector("#picture[data-settled=yes]")
+
+
+def seek(view: Any, u: float) -> None:
+    view.eval_on_selector("#time", "(range, u) => { range.value = u; range.dispatchEvent(new Event('input')); }", u)
+    settle(view)
+
+
+def pixels(view: Any) -> NDArray[np.uint8]:
+    """What was drawn on the canvas [H, W, 3], in BGR."""
+    settle(view)
+    url = view.eval_on_selector("#picture", "canvas => canvas.toDataURL()")
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image, np.uint8)
+
+
+def through(view: Any, index: int) -> Camera:
+    """Enter a camera's own view; gives that camera with the canvas for a sensor."""
+    entry = CAMERAS[index]
+    view.select_option("#from", entry["id"])
+    settle(view)
+    width, height = view.eval_on_selector("#picture", "canvas => [canvas.width, canvas.height]")
+    scale = min(width / WIDE, height / TALL)
+    left, top = (width - scale * WIDE) / 2, (height - scale * TALL) / 2
+    lens = (scale * entry["fx"], scale * entry["fy"], left + scale * entry["cx"], top + scale * entry["cy"])
+    return Camera(entry["id"], width, height, *lens, Transform.from_matrix(np.reshape(entry["cam_from_rig"], (4, 4))))
+
+
+def drawn(arrays: Arrays, u: float, camera: Camera):
+    """What our renderer draws of the scene at u."""
+    now = at(arrays, u)
+    given = (now["means"], now["quats_wxyz"], np.log(now["scales"]), now["opacities"], now["intensities"][:, None])
+    return render(tuple(torch.tensor(array, dtype=torch.float32) for array in given), camera)
+
+
+@pytest.mark.parametrize("motion", ["polynomial", "keyframes"])
+def test_the_page_moves_gaussians_as_the_formulas_do(open_page, address: str, motion: str) -> None:
+    view = open_page(f"?job={motion}")
+    settle(view)
+    script = """async ([job, u]) => {
+      const { loadScene } = await import('/viewer/scene.js');
+      const { moveRows, storedRows } = await import('/viewer/motion.js');
+      const scene = await loadScene(job);
+      const { still, moving } = scene.manifest;
+      return Array.from(moveRows(scene, u, storedRows(scene, still, moving)));
+    }"""
+    arrays = scene_arrays(motion)
+    for u in (0.0, 0.13, 0.5, 0.77, 1.0):
+        rows = np.reshape(view.evaluate(script, [motion, u]), (MOVING, 12))
+        now = at(arrays, u)
+        expected = np.hstack(
+            [
+                now["means"][STILL:],
+                now["opacities"][STILL:, None],
+                np.roll(now["quats_wxyz"][STILL:], -1, axis=1),
+                now["scales"][STILL:],
+                now["intensities"][STILL:, None],
+            ]
+        )
+        np.testing.assert_allclose(rows, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("u", [0.0, 1.0])
+def test_a_camera_sees_what_the_renderer_draws(open_page, u: float) -> None:
+    view = open_page()
+    camera = through(view, 2)
+    seek(view, u)
+    found = pixels(view)
+    rendering = drawn(scene_arrays("polynomial"), u, camera)
+    expected = grey(rendering.intensity[..., 0].numpy(), 1.0)
+    off = np.abs(found[..., 0].astype(int) - expected)
+    # Measured: 0.033 and 1 grey level; equal depths may be sorted otherwise.
+    assert off.mean() < 0.1
+    assert np.percentile(off, 99) <= 2
+
+
+def centroid(weights: NDArray) -> NDArray[np.float64]:
+    rows, columns = np.nonzero(weights)
+    return np.array([columns.mean() + 0.5, rows.mean() + 0.5])
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_the_ball_is_where_its_mean_projects(open_page, index: int) -> None:
+    view = open_page()
+    camera = through(view, index)
+    for u in (0.0, 1.0):
+        seek(view, u)
+        mean = at(scene_arrays("polynomial"), u)["means"][STILL:].mean(0)
+        x, y, z = camera.cam_from_rig.apply(mean)
+        projected = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+        ball = centroid(pixels(view)[..., 0] > 235)
+        assert np.abs(ball - projected).max() < 2  # measured: 1.1, as the ball's Gaussians differ in brightness
+
+
+def test_depth_is_coloured_as_in_the_report(open_page) -> None:
+    view = open_page()
+    camera = through(view, 1)
+    light = pixels(view)
+    view.click("#depth")
+    assert view.get_attribute("#depth", "aria-pressed") == "true"
+    assert view.inner_text("#legend").split() == ["1.20", "m", "3.50", "m"]
+    found = pixels(view)
+    rendering = drawn(scene_arrays("polynomial"), 0.0, camera)
+    mean = (rendering.depth / rendering.alpha).numpy()
+    covered = rendering.alpha.numpy() > 0.6
+    off = np.abs(found.astype(int) - depth_colours(mean, 1.2, 3.5))[covered]
+    assert off.mean() < 4  # measured: 3.0 of 255; the page mixes thirteen of turbo's colours
+    assert np.abs(found.astype(int) - light).mean() > 20
+    assert not found[rendering.alpha.numpy() < 0.4].any()
+
+
+def test_keys_turn_zoom_play_and_pause(open_page) -> None:
+    view = open_page()
+    settle(view)
+    for _ in range(2):  # the link to the first page, then the picture
+        view.keyboard.press("Tab")
+    assert view.evaluate("document.activeElement.id") == "picture"
+    seen = [pixels(view)]
+    for key in ("ArrowLeft", "ArrowUp", "+", "Shift+ArrowDown"):
+        view.keyboard.press(key)
+        seen.append(pixels(view))
+        assert np.abs(seen[-1].astype(int) - seen[-2]).mean() > 0.5, key
+    view.keyboard.press(" ")
+    for _ in range(1500):
+        if float(view.input_value("#time")) > 0.05:
+            break
+        view.wait_for_timeout(20)
+    assert view.inner_text("#play") == "Pause"
+    view.keyboard.press(" ")
+    assert view.inner_text("#play") == "Play"
+    settle(view)
+    stopped = view.input_value("#time")
+    assert view.get_attribute("#time", "aria-valuetext") == f"{view.inner_text('#instant')}"
+    view.focus("#time")
+    view.keyboard.press("ArrowRight")
+    assert float(view.input_value("#time")) == pytest.approx(float(stopped) + 0.001)
+    outline = view.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline != "none"
+
+
+def test_the_mouse_turns_and_reset_turns_back(open_page) -> None:
+    view = open_page()
+    through(view, 2)
+    view.click("#reset")
+    first = pixels(view)
+    box = view.locator("#picture").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 60, y + 20, steps=3)
+    view.mouse.up()
+    assert np.abs(pixels(view).astype(int) - first).mean() > 2
+    view.mouse.wheel(0, 300)
+    assert np.abs(pixels(view).astype(int) - first).mean() > 2
+    view.click("#reset")
+    assert np.abs(pixels(view).astype(int) - first).max() <= 1
+
+
+def test_cameras_are_named_and_the_held_out_one_is_marked(open_page) -> None:
+    view = open_page()
+    settle(view)
+    names = view.eval_on_selector_all("#names span:not([hidden])", "spans => spans.map(span => span.textContent)")
+    assert names == ["cam00", "cam01", "cam10 held\u00a0out", "cam11"]
+    colours = view.eval_on_selector_all("#names span", "spans => spans.map(span => getComputedStyle(span).color)")
+    assert len(set(colours)) == 2
+    assert colours[2] not in (colours[0], colours[1], colours[3])
+    with_lines = pixels(view)
+    assert (with_lines.max(-1).astype(int) - with_lines.min(-1) > 60).sum() > 300
+    view.click("#cameras")
+    without = pixels(view)
+    assert (without.max(-1) == without.min(-1)).all()
+    assert view.locator("#names span:not([hidden])").count() == 0
+
+
+def test_nothing_scrolls_sideways_on_a_telephone(open_page) -> None:
+    view = open_page(width=400, height=800)
+    settle(view)
+    assert view.evaluate("document.documentElement.scrollWidth") == 400
+    assert view.locator("#picture").bounding_box()["height"] >= 280
+
+
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+
+
+@pytest.mark.parametrize(
+    ("query", "script", "words"),
+    [
+        ("", "", "found no job in the address"),
+        ("?job=none", "", "Job none has no viewer.json to show: found no artefact viewer.json"),
+        ("?job=damaged", "", "viewer.bin: found"),
+        ("?job=polynomial", NO_WEBGL, "found no WebGL 2"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(open_page, query: str, script: str, words: str) -> None:
+    view = open_page(query, script=script)
+    message = view.locator("#message[role=alert]")
+    message.wait_for()
+    assert words in message.inner_text()
+    assert view.locator("#controls").get_attribute("disabled") is not None
+    open_page.faults[:] = [fault for fault in open_page.faults if "404" not in fault]
+
+
+def test_a_missing_renderer_says_what_to_run(open_page, browser: Any, address: str) -> None:
+    view = browser.new_page()
+    view.route("**/vendor/spark.js", lambda route: route.fulfill(status=404, body=""))
+    view.goto(f"{address}/viewer.html?job=polynomial")
+    view.locator("#message[role=alert]").wait_for()
+    assert 'run "make viewer"' in view.inner_text("#message")
+    view.close()
