@@ -6,6 +6,8 @@ import logging
 import tomllib
 from pathlib import Path
 
+import numpy as np
+
 from acquisition.errors import DiskError
 from rigs.errors import RigError
 from rigs.rig import Rig
@@ -31,6 +33,8 @@ from server.store.rig_files import fitted
 from server.store.store import Store
 
 _LOG = logging.getLogger(__name__)
+_FARTHEST_M = 1000.0
+_MOST_DOTS = 64  # of a line
 _LONGEST = 300  # characters of a fault in an uploaded file
 
 
@@ -177,8 +181,13 @@ def _nominal(rig_id: str, rig: Rig) -> StoredCalibration:
 
 
 def _uploaded(text: str, rig: Rig) -> Rig:
+    if max(line.count(".") for line in text.split("\n")) > _MOST_DOTS:  # deep keys take the parser minutes
+        raise RigError(f"toml: found a line of more than {_MOST_DOTS} dots, expected a rig file; break the line")
     try:
         found = parse_rig(text, "toml", None)
     except RigError as error:
         raise RigError(" ".join(str(error).split())[:_LONGEST]) from error
+    for camera in found.cameras:
+        if np.abs(camera.cam_from_rig.translation).max() > _FARTHEST_M:
+            raise RigError(f"{camera.id}: found it more than {_FARTHEST_M:g} m away, expected metres")
     return fitted(found, rig)
