@@ -34,7 +34,26 @@ def load_rig(path: Path) -> Rig:
         raise RigError(f"{path}: cannot be read ({error.strerror}); give an existing rig file") from error
     except UnicodeDecodeError as error:
         raise RigError(f"{path}: found bytes that are not UTF-8, expected a rig in TOML") from error
-    return _parse(text, str(path), path.parent)
+    return parse_rig(text, str(path), path.parent)
+
+
+def parse_rig(text: str, where: str, folder: Path | None) -> Rig:
+    """A rig from TOML; `where` names it in errors, `folder` holds its pixel calibrations: None refuses to name any.
+
+    Raises RigError as `load_rig` does.
+    """
+    try:
+        fields = Fields(tomllib.loads(text), where)
+    except (ValueError, RecursionError) as error:  # also a number of too many digits
+        raise RigError(f"{where}: found text that is not TOML ({error}), expected a rig file") from error
+    fields.refuse_others(RIG_FIELDS)
+    cameras = tuple(_camera(entry, where, number, folder) for number, entry in enumerate(fields.list_at("camera")))
+    calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
+    name, rate_hz, poses = fields.word("name"), fields.number("tick_rate_hz"), fields.word("poses")
+    with located(where):
+        rig = Rig(name, rate_hz, cameras, cast(Poses, poses), calibration)
+    refuse_holes(rig.ids, where)
+    return rig
 
 
 def dump_rig(rig: Rig) -> str:
@@ -62,7 +81,7 @@ def catalog_rig(name: str) -> Rig:
     """A rig that comes with the package; raises RigError listing the known names."""
     if name not in catalog_names():
         raise RigError(f"found no rig {name!r} in the catalog, expected one of {', '.join(catalog_names())}")
-    return _parse((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml", Path())
+    return parse_rig((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml", Path())
 
 
 def refuse_holes(camera_ids: Iterable[str], where: str) -> None:
@@ -82,21 +101,6 @@ def _catalog() -> Traversable:
     return importlib.resources.files("rigs") / "catalog"
 
 
-def _parse(text: str, where: str, folder: Path) -> Rig:
-    try:
-        fields = Fields(tomllib.loads(text), where)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RigError(f"{where}: found text that is not TOML ({error}), expected a rig file") from error
-    fields.refuse_others(RIG_FIELDS)
-    cameras = tuple(_camera(entry, where, number, folder) for number, entry in enumerate(fields.list_at("camera")))
-    calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
-    name, rate_hz, poses = fields.word("name"), fields.number("tick_rate_hz"), fields.word("poses")
-    with located(where):
-        rig = Rig(name, rate_hz, cameras, cast(Poses, poses), calibration)
-    refuse_holes(rig.ids, where)
-    return rig
-
-
 def _calibration(fields: Fields) -> Calibration:
     fields.refuse_others(CALIBRATION_FIELDS)
     date = fields.word("date")
@@ -107,7 +111,7 @@ def _calibration(fields: Fields) -> Calibration:
     return Calibration(date, fields.number("residual_px"), fields.number("rotation_sd_deg"))
 
 
-def _camera(entry: object, where: str, number: int, folder: Path) -> Camera:
+def _camera(entry: object, where: str, number: int, folder: Path | None) -> Camera:
     fields = Fields(entry, f"{where}: {Fields(entry, f'{where}: camera {number}').word('id')}")
     fields.refuse_others(CAMERA_FIELDS)
     pose = fields.table_at("cam_from_rig")
@@ -125,10 +129,12 @@ def _camera(entry: object, where: str, number: int, folder: Path) -> Camera:
         )
 
 
-def _pixels(fields: Fields, folder: Path) -> Path | None:
+def _pixels(fields: Fields, folder: Path | None) -> Path | None:
     name = fields.word("pixels", "")
     if not name:
         return None
+    if folder is None:
+        raise RigError(f"{fields.where}: found pixels = {name!r:.80}, expected a rig without files; leave pixels out")
     if Path(name).name != name or not (folder / name).is_file():
         raise RigError(f"{fields.where}: found pixels = {name!r}, expected a file of that name beside the rig file")
     return folder / name

@@ -43,7 +43,8 @@ class Transform:
     def from_quat_wxyz(cls, quat_wxyz: ArrayLike, translation: ArrayLike) -> Transform:
         """From a quaternion (w, x, y, z) of any non-zero length and a translation [3] in metres."""
         q = np.asarray(quat_wxyz, dtype=np.float64)
-        length = np.linalg.norm(q)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(q)
         if q.shape != (4,) or not np.isfinite(length) or length == 0:
             raise RigError(f"found the quaternion {q.tolist()}, expected four finite numbers, not all zero")
         w, x, y, z = q / length

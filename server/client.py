@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import httpx
 from pydantic import BaseModel
 
+from server.client_calibrations import CalibrationCalls
 from server.errors import ServiceError
 from server.schemas.captures import Capture, CaptureRequest, Captures
 from server.schemas.jobs import Artefact, Artefacts, Job, JobBase, Jobs, PriorityRequest, RestartRequest, Step, Steps
@@ -28,7 +29,7 @@ class RefusedError(ServiceError):
         self.exit_code = 2 if 400 <= status < 500 else 1
 
 
-class ServiceClient:
+class ServiceClient(CalibrationCalls):
     """Talks to a service; raises RefusedError for a problem and httpx.TransportError where nothing answers."""
 
     def __init__(self, http: httpx.Client) -> None:

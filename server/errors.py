@@ -49,6 +49,14 @@ class PreconditionError(ServiceError):
     """What was to be changed is no longer what the client saw."""
 
 
+class PreconditionRequiredError(ServiceError):
+    """A change was asked for without saying what it is a change of."""
+
+
+class RigMismatchError(ServiceError):
+    """A recording or rig file is of other cameras than the rig's."""
+
+
 class WorkerRunningError(ServiceError):
     """Another worker has this name."""
 
@@ -62,6 +70,8 @@ STATUS: dict[type[Exception], int] = {
     UnknownReferenceError: 422,
     IdempotencyError: 422,
     PreconditionError: 412,
+    PreconditionRequiredError: 428,
+    RigMismatchError: 422,
     RigError: 422,
     ForeignRequestError: 403,
     DiskError: 507,

@@ -34,6 +34,7 @@ from acquisition.scenes.source import SceneSource
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
 from rigs.rig import Rig
+from rigs.toml import catalog_names, catalog_rig
 
 MOST_RIG_ERROR = 20.0
 
@@ -67,12 +68,18 @@ class Simulation:
             raise CameraSetupError(f"{found}, expected 0 to {MOST_RIG_ERROR:g} degrees, cm and percent")
 
     def built(self, rig: Rig) -> Rig:
-        """The rig as its cameras really stand."""
-        return misplaced(rig, self.rig_error, self.seed) if self.rig_error else rig
+        """The rig as its cameras really stand, which a calibration does not move: they were built by the drawing.
+
+        A calibrated rig without a drawing in the catalog stands as its file has it.
+        """
+        if not self.rig_error:
+            return rig
+        drawing = rig if rig.calibration is None else _drawing_of(rig)
+        return rig if drawing is None else misplaced(drawing, self.rig_error, self.seed)
 
     def drawn(self, rig: Rig) -> Rig:
-        """The rig as a recording states it: nominal where its cameras stand elsewhere."""
-        return replace(rig, poses="nominal", calibration=None) if self.rig_error else rig
+        """The rig as a recording states it: nominal where its cameras stand elsewhere and nobody has measured where."""
+        return replace(rig, poses="nominal") if self.rig_error and rig.calibration is None else rig
 
 
 @dataclass(frozen=True)
@@ -114,6 +121,16 @@ def parse_devices(uri: str) -> Devices:
         if name not in ("sensor", "fault"):
             values[name] = _number(uri, name, str(value))
     return Simulation(parts.path, **cast(dict, values))
+
+
+def _drawing_of(rig: Rig) -> Rig | None:
+    """The rig of the catalog that has the name and cameras of `rig`, with its sizes and serials."""
+    drawing = catalog_rig(rig.name) if rig.name in catalog_names() else None
+    if drawing is None or drawing.ids != rig.ids:
+        return None
+    pairs = zip(drawing.cameras, rig.cameras, strict=True)
+    cameras = (dataclasses.replace(old.scaled(new.width, new.height), serial=new.serial) for old, new in pairs)
+    return replace(drawing, cameras=tuple(cameras))
 
 
 def _number(uri: str, name: str, value: str) -> int | float:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import click
+import numpy as np
 
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
@@ -80,8 +81,19 @@ def _picture(out: Path) -> Path:
     return out.with_name(f"{out.stem}-residuals.png")
 
 
+def _by_camera(found: Calibrated) -> dict[str, dict[str, float]]:
+    """What is left over in each camera, and one standard deviation of what was found about it."""
+    rows = {}
+    for camera_id, sd in found.sd.items():
+        off = found.residuals[camera_id][:, 2:]
+        rms = float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
+        sds = {f"{name}_sd": value for name, value in dataclasses.asdict(sd).items()}
+        rows[camera_id] = {"points": len(off), "residual_px": rms, **sds}
+    return rows
+
+
 def _print_calibrated(found: Calibrated, out: Path, as_json: bool) -> None:
-    report = found.report | {"rig": str(out), "picture": str(_picture(out))}
+    report = found.report | {"rig": str(out), "picture": str(_picture(out)), "cameras": _by_camera(found)}
     if as_json:
         click.echo(json.dumps(report))
         return

@@ -21,6 +21,7 @@ ExportFormat = Literal["ply", "ply-sequence", "splat", "spz", "glb", "video", "d
 CameraId = Annotated[str, Field(pattern=r"^cam\d\d$")]
 EntryId = Annotated[str, Field(max_length=40)]
 Planes = Annotated[str, Field(pattern=r"^\d{1,8}:\d{1,8}(:\d{1,8})?$")]
+RigId = Annotated[str, Field(min_length=1, max_length=64)]
 BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5,80}$")]
 
 
@@ -78,16 +79,32 @@ class ImagesRequest(OfCapture):
 
 
 class CalibrateRequest(OfCapture):
-    """A calibration of the rig from a capture: from a board that is waved before it, or from whatever it sees."""
+    """A calibration of the rig from a capture: from a board that is waved before it, or from whatever it sees.
+
+    With `dark`, a capture without light, it is one of the pixels, and `capture` is one under even light. What is found
+    becomes a version of the calibration of `rig`, if one is named, and the current one where it is to `apply`.
+    """
 
     type: Literal["calibrate"]
     board: BoardSpec | None = None
+    dark: EntryId | None = None
+    rig: RigId | None = None
+    apply: bool = False
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> CalibrateRequest:
+        if self.board is not None and self.dark is not None:
+            raise ValueError("found both board and dark, expected at most one")
+        if self.apply and self.rig is None:
+            raise ValueError("found apply without a rig, expected the rig that is calibrated")
+        return self
 
 
 class CheckRigRequest(OfCapture):
-    """Whether the stored calibration still fits a capture."""
+    """Whether the calibration that a capture was recorded with, or the current one of `rig`, still fits it."""
 
     type: Literal["check-rig"]
+    rig: RigId | None = None
 
 
 class VerifyRequest(OfCapture):

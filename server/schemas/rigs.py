@@ -12,12 +12,13 @@ class CameraInfo(BaseModel):
 
 
 class RigInfo(BaseModel):
-    """A rig; `busy` is the capture it is recording, if any."""
+    """A rig; `calibration` is the version in use, `poses` are its, `busy` is the capture it is recording, if any."""
 
     id: str
     name: str
     tick_rate_hz: float
     poses: str
+    calibration: int
     devices: str
     cameras: list[CameraInfo]
     busy: str | None

@@ -43,11 +43,13 @@ class RigService:
     def get(self, rig_id: str) -> RigInfo:
         """One rig; raises NotFoundError."""
         rig = self.rig(rig_id)
+        current, stored = self._store.calibrations.current(rig_id)
         return RigInfo(
             id=rig_id,
             name=rig.name,
             tick_rate_hz=rig.tick_rate_hz,
-            poses=rig.poses,
+            poses=stored.poses if stored else rig.poses,
+            calibration=current.version,
             devices=self._sources[rig_id].devices,
             cameras=[CameraInfo(id=camera.id, width=camera.width, height=camera.height) for camera in rig.cameras],
             busy=self._engine.active(capture_queue(rig_id)),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rigs.toml import load_rig
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
-from server.errors import NotFoundError, StateError, UnknownReferenceError
+from server.errors import NotFoundError, RigMismatchError, StateError, UnknownReferenceError
 from server.schemas.jobs import (
     JOB_TYPES,
+    CalibrateRequest,
+    CheckRigRequest,
     ExportRequest,
     Job,
     JobBase,
@@ -19,34 +21,47 @@ from server.schemas.jobs import (
     Steps,
 )
 from server.schemas.progress import ACTIVE, Status
+from server.services.captures import RigService
 from server.services.listing import page_of
 from server.services.queue import Key, Queue
 from server.store.entries import Entry, Filter
 from server.store.files import is_locked
+from server.store.rig_files import fitted
 from server.store.store import Store
 
 
 class JobService:
     """The jobs of a service."""
 
-    def __init__(self, store: Store, engine: Engine, queue: Queue) -> None:
+    def __init__(self, store: Store, engine: Engine, queue: Queue, rigs: RigService) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
+        self._rigs = rigs
 
     def submit(self, requests: Sequence[JobBase], key: Key = None) -> list[str]:
         """Queue jobs, all of them or none; their ids.
 
-        Raises UnknownReferenceError, StateError before what they work on is done, RigError for a camera it lacks, and
-        IdempotencyError.
+        Raises UnknownReferenceError, StateError before what they work on is done, RigError for a camera it lacks,
+        RigMismatchError for a rig of other cameras, and IdempotencyError.
         """
         ids = self._queue.ids("job", requests, key, "jobs")
-        fresh = [(i, request) for i, request in zip(ids, requests, strict=True) if not self._queue.known(i)]
-        entries = [self._entry(job_id, request) for job_id, request in fresh]
+        pairs = zip(ids, requests, strict=True)
+        self.add({job_id: request for job_id, request in pairs if not self._queue.known(job_id)})
+        return ids
+
+    def add(self, requests: Mapping[str, JobBase], *, waits: bool = False) -> None:
+        """Queue new jobs under ids that nobody has; raises as `submit` does.
+
+        Those that wait are kept, and queued by the announcer when their capture is made.
+        """
+        entries = [self._entry(job_id, request, waits) for job_id, request in requests.items()]
         for entry in entries:
             self._store.folder.job(entry.id).mkdir(exist_ok=True)
-            self._queue.add(entry)
-        return ids
+            if waits:
+                self._store.entries.add(entry)
+            else:
+                self._queue.add(entry)
 
     def get(self, job_id: str) -> Job:
         """One job; raises NotFoundError."""
@@ -72,6 +87,9 @@ class JobService:
     def cancel(self, job_id: str) -> Job:
         """Stop a job that is queued or running; raises NotFoundError, StateError."""
         self._expect(self.get(job_id), *ACTIVE)
+        entry = self._store.entries.get("job", job_id)
+        if entry.told == "new":  # it waits for its capture: the engine can cancel only what it knows
+            self._queue.start(entry)
         self._engine.cancel(job_id)
         return self.get(job_id)
 
@@ -101,6 +119,9 @@ class JobService:
     def prioritise(self, job_id: str, priority: int) -> Job:
         """Give a queued job another priority; raises NotFoundError, StateError."""
         self._expect(self.get(job_id), "queued")
+        if self._store.entries.get("job", job_id).told == "new":
+            self._store.entries.change(job_id, priority=priority)
+            return self.get(job_id)
         self._engine.cancel(job_id)  # nobody can take it from the queue now
         self._store.entries.change(job_id, priority=priority)
         self._engine.forget(job_id)
@@ -137,8 +158,8 @@ class JobService:
         if job.status not in states:
             raise StateError(f"found {job.id} {job.status}, expected it {' or '.join(states)}")
 
-    def _entry(self, job_id: str, request: JobBase) -> Entry:
-        target = self._target(request)
+    def _entry(self, job_id: str, request: JobBase, waits: bool) -> Entry:
+        target = self._target(request, waits)
         kind = request.model_dump()["type"]
         return Entry(
             id=job_id,
@@ -153,8 +174,8 @@ class JobService:
             priority=request.priority,
         )
 
-    def _target(self, request: JobBase) -> Entry:
-        """What a job works on, done and fit for it."""
+    def _target(self, request: JobBase, waits: bool) -> Entry:
+        """What a job works on: done, unless the job waits for it, and fit for it."""
         try:
             if isinstance(request, OfJob):
                 target = self._store.entries.get("job", request.job)
@@ -167,11 +188,35 @@ class JobService:
                 target = self._store.entries.get("capture", request.capture)
         except NotFoundError as error:
             raise UnknownReferenceError(str(error)) from error
+        if not waits:
+            self._expect_done(target)
+            self._check_cameras(request, target)
+            self._check_rig(request, target)
+        return target
+
+    def _expect_done(self, target: Entry) -> None:
         status = self._engine.statuses([target])[target.id]
         if status != "done":
             raise StateError(f"found {target.kind} {target.id} {status}, expected it done; wait for it")
-        self._check_cameras(request, target)
-        return target
+
+    def _check_rig(self, request: JobBase, target: Entry) -> None:
+        """A rig is calibrated and checked with captures of its own cameras."""
+        if not isinstance(request, (CalibrateRequest, CheckRigRequest)):
+            return
+        captures = [target]
+        try:
+            rig = None if request.rig is None else self._rigs.rig(request.rig)
+            if isinstance(request, CalibrateRequest) and request.dark is not None:
+                captures.append(self._store.entries.get("capture", request.dark))
+        except NotFoundError as error:
+            raise UnknownReferenceError(str(error)) from error
+        for capture in captures:
+            self._expect_done(capture)
+            if rig is None:
+                continue
+            if capture.rig not in (None, request.rig):
+                raise RigMismatchError(f"found {capture.id} of rig {capture.rig}, expected one of {request.rig}")
+            fitted(load_rig(self._store.folder.recording(capture.id) / "rig.toml"), rig)
 
     def _check_cameras(self, request: JobBase, target: Entry) -> None:
         named: list[str | None] = []

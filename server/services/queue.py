@@ -9,6 +9,7 @@ from typing import TypeVar
 from pydantic import BaseModel
 
 from server.engine import Engine
+from server.schemas.progress import ACTIVE
 from server.store.entries import Entry, Kind
 from server.store.store import Store
 
@@ -50,7 +51,14 @@ class Queue:
         self._store.events.tell(entry.id, "new", "queued" if entry.queue else "done", {})
 
     def requeue(self, is_old: Callable[[Entry], bool]) -> None:
-        """Queue what was kept but never queued, because the process that kept it died."""
+        """Queue what was kept but never queued: its capture was not made yet, or the process that kept it died."""
         for entry in self._store.entries.unfinished():
-            if entry.told == "new" and is_old(entry):
+            if entry.told == "new" and is_old(entry) and not self._waits(entry):
                 self.start(entry)
+
+    def _waits(self, entry: Entry) -> bool:
+        """Whether a job's capture is still being made; a job whose capture failed is queued and says so."""
+        if entry.kind != "job" or entry.capture is None:
+            return False
+        made = self._engine.statuses(self._store.entries.find([entry.capture]))
+        return any(status in ACTIVE for status in made.values())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from server.engine import Engine
 from server.services.announcer import Announcer
 from server.services.artefacts import ArtefactService
+from server.services.calibrations import CalibrationService
 from server.services.captures import CaptureService, RigService
 from server.services.health import HealthService
 from server.services.jobs import JobService
@@ -26,7 +27,8 @@ class Services:
         queue = Queue(self.store, self.engine)
         self.rigs = RigService(self.store, self.engine, queue, sources)
         self.captures = CaptureService(self.store, self.engine)
-        self.jobs = JobService(self.store, self.engine, queue)
+        self.jobs = JobService(self.store, self.engine, queue, self.rigs)
+        self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store)
         self.health = HealthService(self.store, self.engine)
         self.announcer = Announcer(self.store, self.engine, queue)

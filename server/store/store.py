@@ -8,11 +8,13 @@ import sqlalchemy as sa
 
 from server.settings import ServiceSettings
 from server.store.artefacts import Artefacts
+from server.store.calibrations import Calibrations
 from server.store.database import prepare_database
 from server.store.entries import Entries
 from server.store.events import Events
 from server.store.files import DataFolder
 from server.store.idempotency import Idempotency
+from server.store.rig_files import RigFiles
 from server.store.workers import Workers
 
 
@@ -27,19 +29,24 @@ class Store:
     artefacts: Artefacts
     idempotency: Idempotency
     workers: Workers
+    calibrations: Calibrations
+    rig_files: RigFiles
 
     @classmethod
     def open(cls, settings: ServiceSettings) -> Store:
         """Open, create or bring up to date; raises DatabaseError."""
         database = prepare_database(settings)
+        folder, calibrations = DataFolder(settings.data), Calibrations(database)
         return cls(
             database,
-            DataFolder(settings.data),
+            folder,
             Entries(database),
             Events(database),
             Artefacts(database),
             Idempotency(database),
             Workers(database),
+            calibrations,
+            RigFiles(folder, calibrations),
         )
 
     def close(self) -> None:

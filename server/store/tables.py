@@ -77,11 +77,12 @@ calibrations = Table(
     Column("rig", String(64), primary_key=True),
     Column("version", Integer, primary_key=True),
     Column("created", String(40), nullable=False),
-    Column("source", String(40), nullable=False),  # nominal, natural, board or uploaded
+    Column("source", String(40), nullable=False),  # natural, board, pixels or uploaded
     Column("job", String(32)),
     Column("sha256", String(64), nullable=False),
     Column("document", Text, nullable=False),  # RIG.toml
     Column("report", JSON, nullable=False),
+    UniqueConstraint("rig", "job"),  # a job finds one
 )
 
 current_calibrations = Table(

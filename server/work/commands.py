@@ -29,16 +29,30 @@ def reconstruct_arguments(
     return ["reconstruct", str(recording), "--out", str(run), "--stage", stage, *again, *_flags(options)]
 
 
-def task_arguments(request: dict[str, Any], recording: Path, run: Path | None, out: Path) -> list[str]:
-    """Arguments of `spike4dgs` that do any other job; what it prints is its result."""
+def task_arguments(
+    request: dict[str, Any],
+    recording: Path,
+    run: Path | None,
+    out: Path,
+    *,
+    dark: Path | None = None,
+    rig: Path | None = None,
+) -> list[str]:
+    """Arguments of `spike4dgs` that do any other job; what it prints is its result.
+
+    `dark` is the recording without light of a pixel calibration, `rig` the file that `check-rig` compares with.
+    """
     match request["type"]:
         case "images":
             return ["images", str(recording), *_flags({k: request[k] for k in ("method", "ticks")}), "--out", str(out)]
         case "calibrate":
             how = ["--board", request["board"]] if request["board"] else ["--natural"]
+            how = ["--pixels", str(recording), str(dark)] if dark is not None else how
             return ["calibrate", str(recording), *how, "--out", str(out / "rig.toml"), "--json"]
-        case "check-rig" | "verify":
-            return [request["type"], str(recording), "--json"]
+        case "check-rig":
+            return ["check-rig", str(recording), *([] if rig is None else ["--rig", str(rig)]), "--json"]
+        case "verify":
+            return ["verify", str(recording), "--json"]
         case "evaluate":
             truth = recording / "truth"
             return ["evaluate", str(run), *(["--truth", str(truth)] if truth.is_dir() else []), "--json"]

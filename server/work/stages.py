@@ -13,6 +13,7 @@ from server.settings import ServiceSettings
 from server.store.artefacts import is_plain, plain_files
 from server.store.entries import Entry
 from server.store.store import Store
+from server.work.calibrations import keep_calibration, write_current
 from server.work.commands import reconstruct_arguments, record_arguments, rig_argument, task_arguments
 from server.work.reporter import Reporter
 from server.work.supervisor import Control, StageError, supervise
@@ -53,7 +54,7 @@ class Stages:
         source = self._settings.rigs.get(entry.rig or "")
         if source is None:
             raise StageError(f"found no rig {entry.rig} in this worker's settings, expected the service's own rigs")
-        rig = rig_argument(source, self._folder.rig(entry.rig or "") / "calibration.toml")
+        rig = rig_argument(source, self._store.rig_files.refresh(entry.rig or ""))
         arguments = record_arguments(entry.request, rig, source.devices, recording)
         control = Control(self._folder.entry(entry.id) / "stop", self._folder.entry(entry.id) / "save")
         try:
@@ -82,11 +83,27 @@ class Stages:
         self._folder.remove(out)  # an attempt that was interrupted
         out.mkdir(parents=True)
         assert entry.capture is not None
-        run = self._folder.run(entry.request["job"]) if "job" in entry.request else None
-        arguments = task_arguments(entry.request, self._folder.recording(entry.capture), run, out)
-        printed = out / "result.json" if "--json" in arguments else None
-        await self._supervise(entry, stage, arguments, [], stdout=printed)
+        try:
+            arguments = self._arguments(entry, entry.capture, out)
+            printed = out / "result.json" if "--json" in arguments else None
+            await self._supervise(entry, stage, arguments, [], stdout=printed)
+            if entry.type == "calibrate":
+                keep_calibration(self._store, self._settings, entry, out)
+        except (Spike4dgsError, OSError) as error:
+            Reporter(self._store, entry.id, stage).close(str(error))
+            raise
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
+
+    def _arguments(self, entry: Entry, capture: str, out: Path) -> list[str]:
+        folder, request = self._folder, entry.request
+        recording = folder.recording(capture)
+        if not recording.is_dir():  # the job waited for it, or it was deleted meanwhile
+            raise StageError(f"found no recording of {capture}, expected it made and kept; look at that capture")
+        run = folder.run(request["job"]) if "job" in request else None
+        dark = folder.recording(request["dark"]) if request.get("dark") else None
+        of_rig = entry.type == "check-rig" and request.get("rig")
+        rig = write_current(self._store, self._settings, of_rig, out) if of_rig else None
+        return task_arguments(request, recording, run, out, dark=dark, rig=rig)
 
     async def _supervise(
         self,

@@ -13,6 +13,7 @@ from pathlib import Path
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
 from dbos import error as engine_errors
 
+from acquisition.errors import DiskError
 from rigs.errors import Spike4dgsError
 from server.engine import (
     APPLICATION,
@@ -44,6 +45,7 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
         queues = _queues(settings, kinds)
         me = store.workers.enter(name, queues)
         try:
+            _refresh(settings, store)
             _launch(settings, store, name, queues)
             _work(settings, store, me, stop)
         finally:
@@ -51,6 +53,15 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
             DBOS.destroy()
             store.workers.leave(me)
             store.close()
+
+
+def _refresh(settings: ServiceSettings, store: Store) -> None:
+    """Mend the files of calibrations that a process chose and died before it wrote them."""
+    for rig_id in settings.rigs:
+        try:
+            store.rig_files.refresh(rig_id)
+        except (DiskError, OSError):  # other work may need no disk, and a capture tries again
+            logging.getLogger(__name__).exception("the calibration of %s is not up to date", rig_id)
 
 
 def _work(settings: ServiceSettings, store: Store, me: Worker, stop: threading.Event) -> None:

@@ -1,16 +1,21 @@
 """Stands in for `spike4dgs record` and `spike4dgs reconstruct --stage`: counts steps, checkpoints, obeys SIGTERM.
 
+It also calibrates, by lengthening each lens by a tenth, and checks rigs.
+
 FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists.
 """
 
 import json
 import os
+import shutil
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
-from rigs.toml import catalog_rig, dump_rig
+from rigs.rig import Calibration
+from rigs.toml import catalog_rig, dump_rig, load_rig
 
 METRICS = {
     "psnr_db": 32.5,
@@ -33,14 +38,18 @@ def report(fraction: float, message: str) -> None:
     sys.stderr.write(json.dumps(event) + "\n")
 
 
-def record(out: Path, ticks: int) -> None:
+def record(out: Path, ticks: int, rig_name: str) -> None:
     if ticks == 13:
         sys.exit("spike4dgs: cam11: found no answer, expected a camera; plug it in")
     aside = out.with_name(f".{out.name}.aside")
     aside.mkdir(exist_ok=True)
     report(0.5, "recording")
     time.sleep(0.4 if ticks < 1000 else 30)
-    (aside / "rig.toml").write_text(dump_rig(catalog_rig("lab3x3")))
+    rig = load_rig(Path(rig_name)) if rig_name.endswith(".toml") else catalog_rig(rig_name)
+    for camera in rig.cameras:
+        if camera.pixels:
+            shutil.copy(camera.pixels, aside)
+    (aside / "rig.toml").write_text(dump_rig(rig))
     (aside / "recording.json").write_text(json.dumps({"ticks": ticks}))
     aside.rename(out)
 
@@ -64,13 +73,48 @@ def train(run: Path, steps: int, step_s: float) -> None:
             sys.exit(143)
 
 
+def calibrate(recording: Path, options: list[str]) -> None:
+    out = Path(options[options.index("--out") + 1])
+    sys.stderr.write(f"arguments {' '.join(options)}\n")
+    fault = out.parents[2] / "fail-calibrate"
+    if fault.exists():
+        sys.exit("spike4dgs: found 3 tracks, expected 250; show more")
+    rig, document = load_rig(recording / "rig.toml"), {"rig": str(out), "cameras": {}}
+    if "--pixels" in options:
+        rig = replace(rig, cameras=tuple(replace(c, pixels=pixels_beside(out, c.id)) for c in rig.cameras))
+    else:
+        found = (replace(c, fx=1.1 * c.fx, fy=1.1 * c.fy) for c in rig.cameras)
+        rig = replace(rig, cameras=tuple(found), poses="calibrated", calibration=Calibration("2026-11-21", 0.1, 0.01))
+        sds = {"rotation_deg_sd": 0.01, "center_m_sd": 1e-4, "focal_percent_sd": 0.1}
+        document["cameras"] = {c: {"points": 9, "residual_px": 0.1, **sds} for c in rig.ids}
+        out.with_name("rig-residuals.png").write_bytes(b"\x89PNG\r\n")
+    out.write_text(dump_rig(rig))
+    sys.stdout.write(json.dumps(document))
+
+
+def pixels_beside(out: Path, camera_id: str) -> Path:
+    path = out.with_name(f"rig-{camera_id}-pixels.npz")
+    path.write_bytes(camera_id.encode())
+    return path
+
+
+def check_rig(options: list[str]) -> None:
+    rig = load_rig(Path(options[options.index("--rig") + 1]))
+    sys.stdout.write(json.dumps({"fits": False, "fx": rig.cameras[0].fx}))
+    sys.exit(1)
+
+
 def main() -> None:
     command, *arguments = sys.argv[1:]
+    if command == "calibrate":
+        return calibrate(Path(arguments[0]), arguments[1:])
+    if command == "check-rig":
+        return check_rig(arguments[1:])
     flags = dict(
         zip(arguments[command == "reconstruct" :][::2], arguments[command == "reconstruct" :][1::2], strict=True)
     )
     if command == "record":
-        return record(Path(flags["--out"]), int(flags["--ticks"]))
+        return record(Path(flags["--out"]), int(flags["--ticks"]), flags["--rig"])
     run, stage = Path(flags["--out"]), flags["--stage"]
     run.mkdir(exist_ok=True)
     sys.stderr.write(f"arguments {' '.join(arguments[3:])}\n")

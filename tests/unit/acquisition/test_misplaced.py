@@ -1,11 +1,14 @@
 """Rigs that were not built as drawn."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from acquisition.devices.open import Simulation, parse_devices
 from acquisition.devices.usb import CameraSetupError
 from acquisition.scenes.misplaced import misplaced
+from rigs.rig import Calibration
 from rigs.toml import catalog_rig
 from rigs.transform import rotvec_of
 
@@ -60,3 +63,17 @@ def test_simulated_cameras_stand_elsewhere_than_the_recording_says():
 def test_an_error_that_is_no_number_is_refused(value):
     with pytest.raises(CameraSetupError, match=r"rig.error"):
         parse_devices(f"mock:fan_and_ball?rig_error={value}")
+
+
+def test_a_calibration_does_not_move_simulated_cameras():
+    drawing = catalog_rig("lab3x3")
+    simulation = Simulation("fan_and_ball", seed=3, rig_error=2.0)
+    built = simulation.built(drawing)
+    measured = replace(built, poses="calibrated", calibration=Calibration("2026-11-21", 0.1, 0.01))
+    for one, other in zip(simulation.built(measured).cameras, built.cameras, strict=True):
+        np.testing.assert_array_equal(one.cam_from_rig.matrix, other.cam_from_rig.matrix)
+        assert (one.fx, one.serial) == (other.fx, other.serial)
+    assert simulation.drawn(measured) is measured
+    assert simulation.drawn(drawing).poses == "nominal"
+    own = replace(measured, name="own")
+    assert simulation.built(own) is own

@@ -1,0 +1,113 @@
+"""The calibrations of a rig as files: what its captures record with, the pixel maps, and the pictures.
+
+DATA/rigs/RIG/calibration.toml         the current calibration; absent where the rig is used as it was drawn
+DATA/rigs/RIG/camRC-pixels-SHA.npz     pixel maps, named by what is in them, so that none is ever overwritten
+DATA/rigs/RIG/pictures/JID.png         the residuals of the calibration that a job found
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from acquisition.durable import write_durably
+from rigs.rig import Rig
+from server.errors import RigMismatchError
+from server.store.calibrations import Calibrations
+from server.store.files import DataFolder
+
+
+class RigFiles:
+    """The files of one service's rigs."""
+
+    def __init__(self, folder: DataFolder, calibrations: Calibrations) -> None:
+        self._folder = folder
+        self._calibrations = calibrations
+
+    def path(self, rig_id: str) -> Path:
+        """Where the current calibration lies, if there is one."""
+        return self._folder.rig(rig_id) / "calibration.toml"
+
+    def refresh(self, rig_id: str) -> Path:
+        """Bring the file up to date with the database and give its path; raises DiskError.
+
+        Who comes last has read last, so a crash or a race leaves nothing stale that the next call does not mend.
+        """
+        path = self.path(rig_id)
+        with _locked(path.with_name(".calibration.lock")):
+            _, stored = self._calibrations.current(rig_id)
+            if stored is None:
+                path.unlink(missing_ok=True)
+            elif not path.exists() or path.read_text() != stored.document:
+                write_durably(path, stored.document)
+        return path
+
+    def adopt_pixels(self, rig_id: str, rig: Rig) -> Rig:
+        """`rig` with its pixel maps among the rig's files; raises DiskError."""
+        cameras = []
+        for camera in rig.cameras:
+            if camera.pixels is not None:
+                data = camera.pixels.read_bytes()
+                name = f"{camera.id}-pixels-{hashlib.sha256(data).hexdigest()[:16]}.npz"
+                kept = self._folder.rig(rig_id) / name
+                if not kept.exists():
+                    write_durably(kept, data)
+                camera = dataclasses.replace(camera, pixels=kept)
+            cameras.append(camera)
+        return dataclasses.replace(rig, cameras=tuple(cameras))
+
+    def picture(self, rig_id: str, job_id: str) -> Path:
+        """Where the picture of what a job found lies, if it made one."""
+        folder = self._folder.rig(rig_id) / "pictures"
+        folder.mkdir(exist_ok=True)
+        return folder / f"{job_id}.png"
+
+
+def fitted(found: Rig, rig: Rig) -> Rig:
+    """What was measured in `found`, with the order, name, rate and serials of `rig`.
+
+    Raises RigMismatchError where `found` is of other cameras: ids, sizes, serials where both have them, or tick rate.
+    """
+    sizes = [{c.id: f"{c.width}x{c.height}" for c in one.cameras} for one in (found, rig)]
+    for camera_id in [*rig.ids, *found.ids]:
+        has, wants = (size.get(camera_id, "none") for size in sizes)
+        if has != wants:
+            raise RigMismatchError(
+                f"{camera_id}: found a camera of {has} pixels, expected {wants} as in rig {rig.name}"
+            )
+    for camera in rig.cameras:
+        serial = found.camera(camera.id).serial
+        if serial and camera.serial and serial != camera.serial:
+            raise RigMismatchError(
+                f"{camera.id}: found the serial {serial[:40]!r}, expected {camera.serial!r} as in rig {rig.name}"
+            )
+    if found.tick_rate_hz != rig.tick_rate_hz:
+        raise RigMismatchError(f"found {found.tick_rate_hz:g} Hz, expected {rig.tick_rate_hz:g} as in rig {rig.name}")
+    cameras = (dataclasses.replace(found.camera(c.id), serial=c.serial) for c in rig.cameras)
+    return dataclasses.replace(found, name=rig.name, cameras=tuple(cameras))
+
+
+def with_pixels_of(rig: Rig, other: Rig) -> Rig:
+    """`rig`, with the pixel maps of the cameras of `other` that have one."""
+    cameras = (dataclasses.replace(c, pixels=other.camera(c.id).pixels or c.pixels) for c in rig.cameras)
+    return dataclasses.replace(rig, cameras=tuple(cameras))
+
+
+def without_pixels(rig: Rig) -> Rig:
+    """`rig` without its pixel maps."""
+    return dataclasses.replace(rig, cameras=tuple(dataclasses.replace(c, pixels=None) for c in rig.cameras))
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

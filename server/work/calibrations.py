@@ -1,0 +1,63 @@
+"""What becomes of a calibration that a job has found: a version of its rig's, and the current one if it was asked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from acquisition.durable import write_durably
+from rigs.rig import Rig
+from rigs.toml import dump_rig, load_rig, parse_rig
+from server.settings import ServiceSettings
+from server.store.calibrations import Found, Source, StoredCalibration
+from server.store.entries import Entry
+from server.store.rig_files import fitted, with_pixels_of, without_pixels
+from server.store.store import Store
+from server.work.supervisor import StageError
+
+
+def keep_calibration(store: Store, settings: ServiceSettings, entry: Entry, out: Path) -> StoredCalibration | None:
+    """Keep what a job has left in `out`, once however often it is done again; None where it names no rig.
+
+    Poses come with the current pixel maps, pixel maps with the current poses. Raises StageError, RigError,
+    RigMismatchError and DiskError.
+    """
+    rig_id = entry.request.get("rig")
+    if rig_id is None:
+        return None
+    rig = store.rig_files.adopt_pixels(rig_id, nominal_rig(settings, rig_id))
+    measured = store.rig_files.adopt_pixels(rig_id, fitted(load_rig(out / "rig.toml"), rig))
+    said = json.loads((out / "result.json").read_text())
+    report = {name: value for name, value in said.items() if name not in ("rig", "picture")}  # paths of this host
+    picture = out / "rig-residuals.png"
+    if picture.is_file():
+        write_durably(store.rig_files.picture(rig_id, entry.id), picture.read_bytes())
+    source: Source = "pixels" if entry.request.get("dark") else "board" if entry.request["board"] else "natural"
+
+    def document(current: str | None) -> str:
+        folder = store.folder.rig(rig_id)
+        before = rig if current is None else fitted(parse_rig(current, "the current calibration", folder), rig)
+        return dump_rig(with_pixels_of(before, measured) if source == "pixels" else with_pixels_of(measured, before))
+
+    found = Found(source, report, entry.id)
+    stored = store.calibrations.add(rig_id, found, document, apply=entry.request["apply"])
+    store.rig_files.refresh(rig_id)
+    return stored
+
+
+def write_current(store: Store, settings: ServiceSettings, rig_id: str, out: Path) -> Path:
+    """Write the current rig file of a rig into `out`, named by its version and without pixel maps; its path."""
+    current, stored = store.calibrations.current(rig_id)
+    folder = store.folder.rig(rig_id)
+    rig = parse_rig(stored.document, "the current calibration", folder) if stored else nominal_rig(settings, rig_id)
+    path = out / f"calibration-{current.version}.toml"
+    write_durably(path, dump_rig(without_pixels(rig)))
+    return path
+
+
+def nominal_rig(settings: ServiceSettings, rig_id: str) -> Rig:
+    """The rig as it was drawn; raises StageError where this worker does not know it."""
+    source = settings.rigs.get(rig_id)
+    if source is None:
+        raise StageError(f"found no rig {rig_id} in this worker's settings, expected the service's own rigs")
+    return source.load()
