@@ -17,7 +17,7 @@ const place = (id) => document.getElementById(id);
 const state = { rigs: [], captures: [], jobs: [], next: {}, limits: { ...PAGE }, live: false, tailing: new Set(), watched: new Set() };
 const context = {
   options: {}, stages: [], rigs: new Map(), captures: [], names: new Map(),
-  statuses: new Map(), calibrations: new Map(), looks: new Map(), manifests: new Map(),
+  statuses: new Map(), calibrations: new Map(), manifests: new Map(),
   nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
   camerasOf: (item) => {
     const id = item.rig ?? state.captures.find((one) => one.id === item.request?.capture)?.rig;
@@ -97,15 +97,21 @@ function lost(text) {
 
 async function learnManifests() {
   if (!offers('GET', '/captures/{}/manifest')) return;
-  const missing = state.captures.filter((item) => item.status === 'done' && !context.manifests.has(item.id));
-  for (const item of missing) context.manifests.set(item.id, await get(`/captures/${item.id}/manifest`).catch(() => null));
+  const verified = state.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
+  const version = (id) => verified.filter((one) => one === id).length; // a verification may have found damage since
+  const missing = state.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
+  for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
+}
+
+async function learnStatus(id) {
+  if (offers('GET', '/rigs/{}/status')) context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => ({})));
 }
 
 async function learnSlowly() {
   const ready = await get('/readyz').then(() => null, (error) => error.message);
   Object.assign(place('ready'), { textContent: ready ? `Not ready: ${ready}` : 'Ready', className: ready ? 'failed' : 'done' });
   for (const { id } of state.rigs) {
-    if (offers('GET', '/rigs/{}/status')) context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => ({})));
+    await learnStatus(id);
     context.calibrations.set(id, await learnCalibration(id).catch(() => null));
   }
   draw();
@@ -132,7 +138,7 @@ async function look(id) {
     if (results.ended(found)) break;
     await new Promise((resolve) => setTimeout(resolve, 500));
   }
-  context.looks.set(id, made?.id ?? String(Date.now()));
+  await learnStatus(id);
   draw();
 }
 

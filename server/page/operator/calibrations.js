@@ -2,13 +2,13 @@
 import { get, offers, post, request } from './api.js';
 import { actions, button, performed } from './act.js';
 import { jobDialog } from './dialogs.js';
-import { element, fold, quiet, when } from './dom.js';
+import { ago, element, fold, quiet } from './dom.js';
 import { picture } from './media.js';
 
 const figure = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)} ${unit}` : null);
 
 function inWords(found) {
-  return [`version ${found.version}`, found.source, found.created && when(found.created),
+  return [`version ${found.version}`, found.source, found.created && ago((Date.now() - Date.parse(found.created)) / 1000),
     figure(found.residual_px, 2, 'px residual'), figure(found.rotation_sd_deg, 3, '° sd')].filter(Boolean).join(', ');
 }
 
@@ -49,7 +49,7 @@ export async function learnCalibration(rig) {
 
 export function calibration(item, context) {
   const known = context.calibrations.get(item.id);
-  if (!known) return element('div', {}, quiet(`Calibration: ${item.poses}`), calibrate(item, context));
+  if (!known) return element('div', {}, quiet(`Poses: ${item.poses}`), calibrate(item, context));
   const { current } = known;
   const shown = current.picture && offers('GET', '/rigs/{}/calibrations/{}/picture');
   const content = element('div', {},

@@ -13,24 +13,28 @@ function length(item, context) {
   return rate ? `${item.ticks} ticks, ${((item.ticks / rate) * 1000).toFixed(1)} ms` : `${item.ticks} ticks`;
 }
 
-// Planes lost by layer, summed over cameras, in whatever detail the manifest gives them.
+// What a recording lacks: why it is incomplete, planes lost by layer summed over cameras, and damage found later.
 export function lacks(manifest) {
   const lost = {};
-  for (const camera of Object.values(manifest.cameras ?? {})) {
-    for (const [layer, planes] of Object.entries(camera.drops ?? {})) if (planes) lost[layer] = (lost[layer] ?? 0) + planes;
+  for (const { drops } of manifest.cameras) {
+    for (const [layer, planes] of Object.entries(drops)) lost[layer] = (lost[layer] ?? 0) + planes;
   }
-  for (const [layer, planes] of Object.entries(manifest.drops ?? {})) {
-    if (typeof planes === 'number' && planes && !(layer in lost)) lost[layer] = planes;
-  }
-  const drops = Object.entries(lost).map(([layer, planes]) => `${planes} planes lost in the ${layer}`);
-  return [...(manifest.reason ? [`incomplete: ${manifest.reason}`] : []), ...drops];
+  const drops = Object.entries(lost).filter(([, planes]) => planes).map(([layer, planes]) => `${planes} planes lost (${layer})`);
+  const damages = manifest.verified?.sound === false ? ['damaged since it was written'] : [];
+  return [...(manifest.reason ? [`incomplete: ${manifest.reason}`] : []), ...drops, ...damages];
 }
 
 function state(item, context) {
   const manifest = context.manifests.get(item.id);
   if (!manifest) return null;
   const missing = lacks(manifest);
-  return missing.length ? failure(missing.join('; ')) : quiet('Complete: no plane lost.');
+  const skews = manifest.cameras.map((camera) => camera.skew_s).filter((skew) => skew !== null);
+  const skew = skews.length ? `skew up to ${(Math.max(...skews.map(Math.abs)) * 1e6).toFixed(1)} µs` : null;
+  const sound = manifest.verified?.sound ? 'every byte verified' : null;
+  return [
+    missing.length > 0 && failure(missing.join('; ')),
+    quiet([missing.length ? null : 'No plane lost', skew, sound].filter(Boolean).join(', ')),
+  ];
 }
 
 function running(item) {

@@ -1,7 +1,7 @@
 // Error against time: while it trains from what the stage says of itself, afterwards from the held-out camera's scores.
 import { drawing, element } from './dom.js';
 
-const W = 480, H = 150, LEFT = 46, RIGHT = 8, TOP = 8, BOTTOM = 24;
+const W = 420, H = 150, LEFT = 44, RIGHT = 20, TOP = 8, BOTTOM = 24;
 const METRICS = { psnr_db: ['PSNR', 'dB'], loss: ['loss', ''], 'counts.rmse': ['count error', 'spikes'] };
 
 // {metric, value} that a training's message tells, or null: "step 10, loss 0.0312, PSNR 21.30 dB, 900 Gaussians".
@@ -57,15 +57,16 @@ export function curve(points, caption) {
   const [name, unit] = METRICS[points[0].metric];
   const shown = points.filter((point) => point.metric === points[0].metric);
   const last = shown.at(-1);
-  const end = last.seconds * 1.02 || 1;
+  const first = shown[0].seconds > 0.3 * last.seconds ? shown[0].seconds : 0; // a page that came late shows what it saw
+  const end = Math.max(last.seconds, first + 0.1);
   const [low, high] = range(shown.map((point) => point.value), 0.08);
-  const x = (s) => LEFT + ((W - LEFT - RIGHT) * s) / end;
+  const x = (s) => LEFT + ((W - LEFT - RIGHT) * (s - first)) / (end - first);
   const y = (value) => TOP + ((H - TOP - BOTTOM) * (high - value)) / (high - low);
   const line = shown.map((point, i) => `${i ? 'L' : 'M'}${x(point.seconds).toFixed(1)} ${y(point.value).toFixed(1)}`).join('');
   const summary = `${name} ${Number(last.value.toPrecision(4))} ${unit}`.trim() + ` after ${last.seconds.toFixed(1)} s`;
   return element('figure', { className: 'curve' },
     drawing('svg', { viewBox: `0 0 ${W} ${H}`, role: 'img', 'aria-label': `${caption}: ${summary}` },
-      ...grid(x, y, ticks(0, end, 5), ticks(low, high, 4), unit),
+      ...grid(x, y, ticks(first, end, 4), ticks(low, high, 4), unit),
       drawing('path', { d: line, class: 'line' }),
       drawing('circle', { cx: x(last.seconds), cy: y(last.value), r: 3.5, class: 'dot' })),
     element('figcaption', { className: 'quiet' }, `${caption}: `, element('strong', {}, summary)));

@@ -99,3 +99,12 @@ export function size(bytes) {
   const power = bytes > 0 ? Math.min(4, Math.floor(Math.log2(bytes) / 10)) : 0;
   return `${(bytes / 1024 ** power).toFixed(power ? 1 : 0)} ${units[power]}`;
 }
+
+const AGES = [[86400, 'day'], [3600, 'hour'], [60, 'minute']];
+
+export function ago(age_s) {
+  const found = AGES.find(([unit]) => age_s >= unit);
+  if (!found) return 'just now';
+  const count = Math.floor(age_s / found[0]);
+  return `${count} ${found[1]}${count > 1 ? 's' : ''} ago`;
+}

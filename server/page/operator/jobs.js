@@ -65,7 +65,7 @@ function results(item) {
     found.artefacts.length > 60 && quiet(`and ${found.artefacts.length - 60} more, in the archive`),
     found.answer && element('pre', { tabIndex: 0, ariaLabel: 'Result' }, JSON.stringify(found.answer, null, 1).slice(0, 5000)),
     actions(offers('GET', '/jobs/{}/archive') && download(`archive-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, 'All as one archive')));
-  return fold(`results-${item.id}`, `Results (${found.artefacts.length} files)`, content);
+  return fold(`results-${item.id}`, `Results (${found.artefacts.length})`, content);
 }
 
 function log(item, context) {
@@ -131,16 +131,22 @@ function main(item, context) {
 }
 
 function about(item, context) {
-  const { type, capture, job, ...request } = item.request;
-  const of_ = job ?? context.nameOf(capture);
+  const { type, capture, job, name: given, priority: rank, ...request } = item.request;
   const options = Object.entries(request).filter(([, value]) => value !== null && value !== 'auto').map(([name, value]) => `${name} ${value}`);
-  return [when(item.created), `of ${of_}`, ...options, item.id].join(' · ');
+  const target = item.name && (job ?? context.nameOf(capture));
+  return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
+}
+
+function heading(item, context) {
+  const word = WORDS[item.type] ?? item.type;
+  const { job, capture } = item.request;
+  return item.name ?? (job || capture ? `${word} of ${job ?? context.nameOf(capture)}` : word);
 }
 
 export function job(item, context) {
   const thumbnail = of(item.id).artefacts.find((one) => /^thumbnails\/.*\.(png|jpg)$/.test(one.name));
   return card(`job-${item.id}`,
-    title(item.name ?? `${WORDS[item.type] ?? item.type} of ${item.request.job ?? context.nameOf(item.request.capture)}`, item.status),
+    title(heading(item, context), item.status),
     quiet(about(item, context)),
     item.error && failure(item.error),
     stages(item, context),
@@ -149,8 +155,6 @@ export function job(item, context) {
     scores(item),
     verdict(item),
     main(item, context),
-    results(item),
-    log(item, context),
-    manage(item, context));
+    element('div', { className: 'folds' }, results(item), log(item, context), manage(item, context)));
 }
 

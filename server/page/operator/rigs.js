@@ -2,69 +2,58 @@
 import { offers, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
-import { card, element, failure, fold, quiet, size, title } from './dom.js';
+import { ago, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
 import { picture } from './media.js';
 
-const AGES = [[86400, 'day'], [3600, 'hour'], [60, 'minute']];
+const LEAST_S = 10; // of recording should fit
 
-export function ago(moment) {
-  const age = Math.max(0, (Date.now() - moment) / 1000);
-  const found = AGES.find(([unit]) => age >= unit);
-  if (!found) return 'just now';
-  const count = Math.floor(age / found[0]);
-  return `${count} ${found[1]}${count > 1 ? 's' : ''} ago`;
+function cameraLine(one) {
+  const known = (value, text) => (value === null || value === undefined ? null : text);
+  return [one.fault, known(one.serial, `serial ${one.serial}`), known(one.firmware, `firmware ${one.firmware}`), one.port,
+    known(one.link_mbit_s, `${one.link_mbit_s} Mbit/s`), one.link_errors ? `${one.link_errors} link errors` : null,
+    known(one.skew_us, `skew ${one.skew_us?.toFixed(1)} µs`)].filter(Boolean).join(', ');
 }
-
-function cameraLine(camera) {
-  const parts = [camera.serial && `serial ${camera.serial}`, camera.firmware && `firmware ${camera.firmware}`, camera.link,
-    Number.isFinite(camera.temperature_c) && `${camera.temperature_c.toFixed(0)} °C`,
-    Number.isFinite(camera.skew_s) && `skew ${(camera.skew_s * 1e6).toFixed(1)} µs`, camera.found];
-  return parts.filter(Boolean).join(', ');
-}
-
-const isBad = (camera) => camera.connected === false || camera.ok === false || camera.passed === false;
 
 function cameras(status) {
-  const listed = Array.isArray(status.cameras) ? status.cameras : Object.entries(status.cameras ?? {}).map(([id, one]) => ({ id, ...one }));
-  if (!listed.length) return null;
-  const bad = listed.filter(isBad);
-  const rows = listed.map((one) => element('li', { className: isBad(one) ? 'failed' : '' },
-    element('strong', {}, one.id), ` ${isBad(one) ? 'fault' : one.connected === undefined && one.ok === undefined ? '' : 'ok'} ${cameraLine(one)}`));
+  const listed = status.cameras ?? [];
+  const known = listed.filter((one) => one.connected !== null);
+  if (!known.length) return null;
+  const lost = listed.filter((one) => one.connected === false);
+  const skews = listed.map((one) => one.skew_us).filter((skew) => skew !== null && skew !== undefined);
+  const skew = skews.length ? `, skew up to ${Math.max(...skews.map(Math.abs)).toFixed(1)} µs` : '';
+  const rows = listed.map((one) => element('li', { className: one.connected === false ? 'failed' : '' },
+    element('strong', {}, one.id), ` ${one.connected === null ? 'unknown' : one.connected ? 'connected' : 'not connected'} `, element('span', { className: 'quiet' }, cameraLine(one))));
   return [
-    bad.length ? failure(`Fault in ${bad.map((one) => one.id).join(', ')}`) : null,
-    fold(`cameras-${status.id}`, `Cameras (${listed.length})`, element('ul', { className: 'rows' }, rows)),
+    lost.length > 0 && failure(lost.map((one) => `${one.id}: ${one.fault ?? 'not connected'}`).join('; ')),
+    fold(`cameras-${status.rig}`, `${listed.length - lost.length} of ${listed.length} cameras connected${skew}`, element('ul', { className: 'rows' }, rows)),
   ];
 }
 
 function checks(status) {
-  const found = status.preflight?.checks ?? status.checks ?? [];
-  if (!Array.isArray(found) || !found.length) return null;
+  if (!status.preflight) return null;
+  const { checks: found, age_s, ready } = status.preflight;
   const failed = found.filter((check) => check.passed === false);
-  const at = status.preflight?.created ?? status.preflight?.at;
-  const age = at ? `, ${ago(typeof at === 'number' ? at * 1000 : Date.parse(at))}` : '';
   const rows = found.map((check) => element('li', { className: check.passed === false ? 'failed' : '' },
-    element('strong', {}, `${check.passed === false ? 'fails' : check.passed ? 'pass' : '–'} ${check.name}`), `: ${check.found}`,
-    check.passed === false && check.change ? `; ${check.change}` : ''));
+    element('strong', {}, `${check.passed === null ? '–' : check.passed ? 'pass' : 'fail'} ${check.name}`), `: ${check.found}`));
   return [
-    ...failed.map((check) => failure(`${check.name}: ${check.found}; ${check.change}`)),
-    fold(`checks-${status.id}`, `Preflight: ${failed.length ? `${failed.length} of ${found.length} fail` : 'ready'}${age}`, element('ul', { className: 'rows' }, rows)),
+    ...failed.map((check) => failure(`${check.name}: found ${check.found}, expected ${check.expected}; ${check.change}`)),
+    fold(`checks-${status.rig}`, `Preflight ${ready ? 'passed' : `failed ${failed.length} of ${found.length}`}, ${ago(age_s)}`, element('ul', { className: 'rows' }, rows)),
   ];
 }
 
-function room(status) {
-  const free = status.disk_free_bytes ?? status.disk?.free_bytes ?? status.free_bytes;
-  const fits = status.seconds_that_fit ?? status.disk?.seconds ?? status.recording_s ?? status.fits_s;
-  if (!Number.isFinite(free)) return null;
-  return element('p', { className: Number.isFinite(fits) && fits < 10 ? 'failed' : 'quiet' },
-    `Disk: ${size(free)} free${Number.isFinite(fits) ? `, ${fits.toFixed(0)} s of recording fit` : ''}`);
+function room({ disk, worker }) {
+  return [
+    worker === false && failure('No worker reaches these cameras; run spike4dgs worker.'),
+    disk && element('p', { className: disk.seconds < LEAST_S ? 'failed' : 'quiet' }, `Disk: ${size(disk.free_bytes)} free, ${seconds(disk.seconds)} of recording fit`),
+  ];
 }
 
-function look(item, context) {
+function look(item, status) {
   if (!offers('POST', '/rigs/{}/look')) return quiet('This service has no live view.');
-  const seen = context.looks.get(item.id);
-  if (!seen) return element('div', { className: 'view empty' }, quiet('Look shows what each camera sees.'));
-  const path = `/v1/rigs/${item.id}/look.png?of=${encodeURIComponent(seen)}`;
-  return element('div', { className: 'view' }, picture(path, `What the ${item.cameras.length} cameras of ${item.name} see`));
+  if (!status.look) return element('div', { className: 'view empty' }, quiet('Look shows what each camera sees.'));
+  const path = `/v1/rigs/${item.id}/look.png?of=${encodeURIComponent(status.look.etag)}`;
+  return element('figure', { className: 'view' }, picture(path, `What the ${item.cameras.length} cameras of ${item.name} see`),
+    element('figcaption', { className: 'quiet' }, `Seen ${ago(status.look.age_s)}`));
 }
 
 function watching(item, context) {
@@ -122,12 +111,12 @@ function form(item) {
 }
 
 export function rig(item, context) {
-  const status = { ...context.statuses.get(item.id), id: item.id };
+  const status = context.statuses.get(item.id) ?? {};
   const preflight = offers('POST', '/rigs/{}/preflight');
   return card(`rig-${item.id}`,
     title(item.name, item.busy ? 'recording' : 'idle'),
     quiet(`${item.cameras.length} cameras, ${item.tick_rate_hz / 1000} kHz, ${item.devices}`),
-    look(item, context),
+    look(item, status),
     actions(
       offers('POST', '/rigs/{}/look') && button('Look', `look-${item.id}`, () => context.look(item.id), { disabled: item.busy !== null }),
       watching(item, context),
