@@ -71,13 +71,17 @@ export function keepingFocus(draw) {
 export const quiet = (...text) => element('p', { className: 'quiet' }, ...text);
 export const failure = (text) => text && element('p', { className: 'failed' }, text);
 
+const opened = new Set(); // folds that a person opened, also while what they fold is away
+
 export function fold(id, summary, content, onopen) {
-  const made = element('details', { id }, element('summary', {}, summary), content);
-  made.ontoggle = (event) => onopen?.(event.currentTarget.open);
+  const made = element('details', { id, open: opened.has(id) }, element('summary', {}, summary), content);
+  made.ontoggle = ({ currentTarget: { open } }) => {
+    if (open) opened.add(id);
+    else opened.delete(id);
+    onopen?.(open);
+  };
   return made;
 }
-
-export const isOpen = (id) => document.getElementById(id)?.open ?? false;
 
 export function card(id, ...children) {
   return element('li', { id, tabIndex: -1 }, ...children);
