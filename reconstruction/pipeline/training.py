@@ -52,7 +52,8 @@ def train_stage(
         watch.look(done, saver.checkpoint)
         saver.keep(done)
         if trainer.steps % 10 == 0 or done >= 1:
-            progress(done, f"step {trainer.steps}, loss {loss:.4f}, {len(trainer.cloud)} Gaussians{watch.note}")
+            figures = f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} Gaussians"
+            progress(done, f"{figures}{watch.note}")
         if should_stop() and done < 1:
             saver.checkpoint()
             raise StoppedError(f"{run.path}: stopped at step {trainer.steps}; the same command resumes it")

@@ -23,6 +23,7 @@ from reconstruction.losses.counts import cumulative_loss, robust_loss
 from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Rendering, render
+from reconstruction.training.closeness import Closeness
 from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
 from rigs.clock import RigClock
@@ -51,7 +52,8 @@ class ImageTerm:
     """L1 and SSIM against the target image of one instant, at a `shrink`-th of the size.
 
     `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
-    kept; `solid` works against light that passes through everything: dark texture is not a hole.
+    kept; `solid` works against light that passes through everything: dark texture is not a hole. `closeness` is told
+    of every image compared.
     """
 
     clock: RigClock
@@ -59,6 +61,7 @@ class ImageTerm:
     stride: int = 1
     ssim: float = 0.2
     solid: float = 0.02
+    closeness: Closeness | None = None
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
@@ -77,6 +80,8 @@ class ImageTerm:
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W]."""
         image = rendered.intensity[..., 0]
+        if self.closeness:
+            self.closeness.see(image.detach(), target)
         pixels = (image - target).abs().mean() / self.white
         alike = 1 - ssim(image, target, self.white)
         return (1 - self.ssim) * pixels + self.ssim * alike + self.solid * (1 - rendered.alpha).mean()

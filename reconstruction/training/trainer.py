@@ -13,6 +13,7 @@ from torch import Tensor
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
+from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.refinement import Correction, Refinement
@@ -91,7 +92,8 @@ class Trainer:
         self.rng = np.random.default_rng(seed)
         self.steps = 0
         self.ending = Ending(len(views)) if settings.ends_early else None
-        self.image, self.spikes = _terms(settings, clock)
+        self.closeness = Closeness(settings.white)
+        self.image, self.spikes = _terms(settings, clock, self.closeness)
         self.extent_m = _extent_m(cloud, views)
         self.optimizer = _optimizer(cloud, self.extent_m, settings.rates)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
@@ -194,8 +196,8 @@ class Trainer:
             self.ending.begin_again()
 
 
-def _terms(settings: TrainerSettings, clock: RigClock) -> tuple[ImageTerm, Term | None]:
-    image = ImageTerm(clock, settings.white, settings.tick_stride)
+def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[ImageTerm, Term | None]:
+    image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness)
     name = settings.supervision
     if name == "pixels":
         return image, None

@@ -1,131 +1,218 @@
-// Lists rigs, captures and jobs, once a second while the page is seen.
-const seen = new Map(); // what each list showed last: a list is only rebuilt when it changes, so focus stays put
-const camerasOf = new Map(); // rig id to camera ids
+// The operator's page: what the service holds, kept up to date by events, or by asking once a second.
+import { complain, onChange } from './operator/act.js';
+import { get, learnRoutes, offers, post, setToken, token } from './operator/api.js';
+import { learnCalibration } from './operator/calibrations.js';
+import { capture } from './operator/captures.js';
+import { element, keepingFocus, patchChildren } from './operator/dom.js';
+import { job } from './operator/jobs.js';
+import { follow } from './operator/live.js';
+import * as results from './operator/results.js';
+import { rig } from './operator/rigs.js';
 
-function element(tag, properties = {}, ...children) {
-  const made = Object.assign(document.createElement(tag), properties);
-  made.append(...children.filter((child) => child != null));
-  return made;
+const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, TAIL_MS = 1000;
+const PAGE = { captures: 20, jobs: 30 };
+const HIDDEN = ['look'];
+const place = (id) => document.getElementById(id);
+
+const state = { rigs: [], captures: [], jobs: [], next: {}, limits: { ...PAGE }, live: false, tailing: new Set(), watched: new Set() };
+const context = {
+  options: {}, stages: [], rigs: new Map(), captures: [], names: new Map(),
+  statuses: new Map(), calibrations: new Map(), manifests: new Map(),
+  nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
+  camerasOf: (item) => {
+    const id = item.rig ?? state.captures.find((one) => one.id === item.request?.capture)?.rig;
+    return (context.rigs.get(id) ?? state.rigs[0])?.cameras.map((camera) => camera.id) ?? [];
+  },
+  look, watch, tail,
+};
+let drawn = 0;
+
+function draw() {
+  if (!drawn) drawn = requestAnimationFrame(() => { drawn = 0; keepingFocus(drawNow); });
 }
 
-async function call(path, body) {
-  const response = await fetch(`/v1${path}`, body === undefined ? {} : {
-    method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(body),
-  });
-  const document = await response.json();
-  if (!response.ok && response.status !== 503) throw new Error(document.detail);
-  return document;
+function list(id, items, make, nothing) {
+  const made = items.length ? items.map((item) => make(item, context)) : [element('li', { className: 'quiet', data: { key: 'nothing' } }, nothing)];
+  patchChildren(place(id), made);
 }
 
-function notice(text) {
-  const place = document.getElementById('notice');
-  if (place.textContent !== text) place.textContent = text;
-  place.hidden = !text;
+function older(kind) {
+  const made = element('button', { type: 'button', id: `older-${kind}`, className: 'plain' }, `Older ${kind}`);
+  made.onclick = () => { state.limits[kind] = Math.min(1000, state.limits[kind] + PAGE[kind]); refresh(); };
+  patchChildren(place(`${kind}-more`), state.next[kind] ? [made] : []);
 }
 
-function button(label, id, action, plain = false) {
-  const made = element('button', { type: 'button', id, className: plain ? 'plain' : '' }, label);
-  made.onclick = async () => {
-    made.disabled = true;
-    try { await action(); notice(''); } catch (error) { notice(error.message); }
-    made.disabled = false;
-    await refresh();
-  };
-  return made;
-}
-
-function title(name, status) {
-  return element('div', { className: 'title' }, element('span', {}, name), element('span', { className: status }, status));
-}
-
-function bar(item, what) {
-  if (item.status !== 'running') return null;
-  const label = `${what}: ${item.stage ?? 'starting'}`;
-  return element('progress', { max: 1, value: item.fraction, ariaLabel: label });
-}
-
-const when = (item) => new Date(item.created).toLocaleString();
-const lasting = (item) => Object.entries(item.seconds).map(([stage, s]) => `${stage} ${s.toFixed(1)} s`).join(' · ');
-
-function rig(item) {
-  const ticks = element('input', { type: 'number', min: 1, value: 400, id: `ticks-${item.id}`, ariaLabel: `Ticks to record with ${item.id}` });
-  const record = button('Record', `record-${item.id}`, () => call(`/rigs/${item.id}/captures`, { ticks: Number(ticks.value) }));
-  record.disabled = item.busy !== null;
-  return element('li', {},
-    title(item.id, item.busy ? 'recording' : 'idle'),
-    element('p', { className: 'quiet' }, `${item.cameras.length} cameras, ${item.tick_rate_hz / 1000} kHz, ${item.poses}, ${item.devices}`),
-    element('div', { className: 'actions' }, ticks, element('span', { className: 'quiet' }, 'ticks'), record));
-}
-
-function heldOut(item) {
-  const cameras = camerasOf.get(item.rig) ?? [];
-  const choice = element('select', { id: `holdout-${item.id}`, ariaLabel: `Camera to keep out of ${item.id} and score on` },
-    element('option', { value: '' }, 'train on all'),
-    ...cameras.map((camera) => element('option', { value: camera }, `score on ${camera}`)));
-  choice.value = cameras[Math.floor(cameras.length / 2)] ?? '';
-  return choice;
-}
-
-function capture(item) {
-  const holdout = heldOut(item);
-  const start = button('Reconstruct', `start-${item.id}`, () => call('/jobs', { capture: item.id, ...(holdout.value && { holdout: holdout.value }) }));
-  return element('li', {},
-    title(item.name ?? item.id, item.status),
-    element('p', { className: 'quiet' }, `${when(item)} · ${item.rig} · ${item.ticks} ticks`),
-    bar(item, item.id),
-    item.error && element('p', { className: 'failed' }, item.error),
-    element('div', { className: 'actions' }, ...(item.status === 'done' ? [holdout, start] : [])));
-}
-
-function job(item) {
-  const link = (name, label) => element('a', { href: `/v1/jobs/${item.id}/artefacts/${name}`, id: `${label}-${item.id}` }, label);
-  const active = item.status === 'queued' || item.status === 'running';
-  return element('li', {},
-    title(item.id, item.status),
-    element('p', { className: 'quiet' }, `${when(item)} · ${item.request.capture} · model ${item.request.model}`),
-    bar(item, item.id),
-    item.status === 'running' && item.stage ? element('p', {}, `${item.stage} ${Math.round(item.fraction * 100)}% ${item.message}`) : null,
-    element('p', { className: 'quiet' }, lasting(item)),
-    item.error && element('p', { className: 'failed' }, item.error),
-    element('div', { className: 'actions' },
-      item.status === 'done' ? link('report.html', 'Report') : null,
-      item.status === 'done' ? link('orbit.mp4', 'Orbit') : null,
-      item.status === 'done' ? element('a', { href: `/viewer.html?job=${item.id}`, id: `viewer-${item.id}` }, 'View in 4D') : null,
-      active ? button('Cancel', `cancel-${item.id}`, () => call(`/jobs/${item.id}/cancel`, {}), true) : null,
-      item.status === 'failed' || item.status === 'cancelled' ? button('Resume', `resume-${item.id}`, () => call(`/jobs/${item.id}/resume`, {}), true) : null,
-      element('a', { href: `/v1/jobs/${item.id}/log`, id: `log-${item.id}` }, 'Log')));
-}
-
-function show(id, items, make, nothing) {
-  const text = JSON.stringify(items);
-  if (seen.get(id) === text) return;
-  seen.set(id, text);
-  const focused = document.activeElement?.id;
-  const typed = new Map([...document.querySelectorAll('input, select')].map((input) => [input.id, input.value]));
-  const made = items.length ? items.map(make) : [element('li', { className: 'quiet' }, nothing)];
-  document.getElementById(id).replaceChildren(...made);
-  for (const [name, value] of typed) { const input = document.getElementById(name); if (input) input.value = value; }
-  if (focused) document.getElementById(focused)?.focus();
-}
-
-async function refresh() {
-  try {
-    const [ready, rigs, captures, jobs] = await Promise.all(['/readyz', '/rigs', '/captures', '/jobs'].map((path) => call(path)));
-    Object.assign(document.getElementById('ready'), {
-      textContent: ready.detail ? `Not ready: ${ready.detail}` : 'Ready', className: ready.detail ? 'failed' : '',
-    });
-    for (const item of rigs.items) camerasOf.set(item.id, item.cameras.map((camera) => camera.id));
-    show('rigs', rigs.items, rig, 'No rig is configured.');
-    show('captures', captures.items, capture, 'No captures yet. Record one with a rig.');
-    show('jobs', jobs.items, job, 'No jobs yet. Start one from a capture.');
-    if (document.getElementById('notice').textContent.startsWith('The service')) notice('');
-  } catch (error) {
-    notice(`The service does not answer: ${error.message}`);
+function drawNow() {
+  list('rigs', state.rigs, rig, 'No rig is configured; see SPIKE4DGS_RIGS.');
+  list('captures', state.captures, capture, 'No captures yet. Record one with a rig.');
+  list('jobs', state.jobs.filter((item) => !HIDDEN.includes(item.type)), job, place('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
+  older('captures');
+  older('jobs');
+  for (const log of document.querySelectorAll('details[open] > pre[id^=log-text]')) {
+    if (log.dataset.length !== String(log.textContent.length)) log.scrollTop = log.scrollHeight;
+    log.dataset.length = log.textContent.length;
   }
 }
 
-async function watch() {
-  if (!document.hidden) await refresh();
-  setTimeout(watch, 1000);
+function taken({ rigs, captures, jobs }) {
+  Object.assign(state, { rigs: rigs.items, captures: captures.items, jobs: jobs.items, next: { captures: captures.next, jobs: jobs.next } });
+  context.captures = state.captures;
+  context.rigs = new Map(state.rigs.map((item) => [item.id, item]));
+  for (const item of state.captures) context.names.set(item.id, item.name ?? item.id);
+  results.forgetAllBut(new Set(state.jobs.map((item) => item.id)));
+  for (const item of state.jobs) {
+    results.learn(item, draw);
+    if (!state.live) results.polled(item);
+  }
 }
-watch();
+
+// Ask for the lists; two wishes at once are one.
+let asking = null;
+function refresh() {
+  asking ??= refreshed().finally(() => { asking = null; });
+  return asking;
+}
+
+async function refreshed() {
+  const status = place('jobs-status').value;
+  try {
+    const [rigs, captures, jobs] = await Promise.all([get('/rigs'), get(`/captures?limit=${state.limits.captures}`),
+      get(`/jobs?limit=${state.limits.jobs}${status && `&status=${status}`}`)]);
+    taken({ rigs, captures, jobs });
+    lost('');
+    await learnManifests();
+  } catch (error) {
+    lost(error.status === 401 ? '' : error.message);
+  }
+  draw();
+}
+
+// A fault of the connection is taken back when it is over; one of the person's wishes stays to be read.
+function lost(text) {
+  const notice = place('notice');
+  if (text) complain(text);
+  else if (notice.dataset.lost) complain('');
+  notice.dataset.lost = text ? 'yes' : '';
+}
+
+async function learnManifests() {
+  if (!offers('GET', '/captures/{}/manifest')) return;
+  const verified = state.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
+  const version = (id) => verified.filter((one) => one === id).length; // a verification may have found damage since
+  const missing = state.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
+  for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
+}
+
+async function learnStatus(id) {
+  if (offers('GET', '/rigs/{}/status')) context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => ({})));
+}
+
+async function learnSlowly() {
+  const ready = await get('/readyz').then(() => null, (error) => error.message);
+  Object.assign(place('ready'), { textContent: ready ? `Not ready: ${ready}` : 'Ready', className: ready ? 'failed' : 'done' });
+  for (const { id } of state.rigs) {
+    await learnStatus(id);
+    context.calibrations.set(id, await learnCalibration(id).catch(() => null));
+  }
+  draw();
+}
+
+function happened(event) {
+  const item = [...state.captures, ...state.jobs].find((one) => one.id === event.entry);
+  if (event.kind === 'progress' && item) {
+    if (item.status === 'running' || item.status === 'queued') Object.assign(item, event.data, { status: 'running' });
+    results.progressed(event.entry, event);
+    draw();
+    return;
+  }
+  if (event.kind === 'status' && item) item.status = event.data.status;
+  clearTimeout(happened.soon);
+  happened.soon = setTimeout(refresh, 100);
+}
+
+async function look(id) {
+  const made = await post(`/rigs/${id}/look`);
+  for (let tries = 0; made?.id && tries < 60; tries += 1) {
+    const found = await get(`/jobs/${made.id}`);
+    if (found.status === 'failed') throw new Error(found.error ?? 'the look failed');
+    if (results.ended(found)) break;
+    await new Promise((resolve) => setTimeout(resolve, 500));
+  }
+  await learnStatus(id);
+  draw();
+}
+
+async function watch(id, wanted) {
+  if (!wanted) { state.watched.delete(id); return; }
+  state.watched.add(id);
+  while (state.watched.has(id)) {
+    const free = context.rigs.get(id)?.busy === null && !document.hidden;
+    try {
+      if (free) await look(id);
+    } catch (error) {
+      complain(error.message);
+    }
+    await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
+  }
+}
+
+async function tail(id) {
+  if (state.tailing.has(id)) return;
+  state.tailing.add(id);
+  while (place(`log-${id}`)?.open) {
+    await results.readLog(id).catch(() => {});
+    draw();
+    await new Promise((resolve) => setTimeout(resolve, TAIL_MS));
+  }
+  state.tailing.delete(id);
+}
+
+async function every(quick, act) {
+  for (;;) {
+    if (!document.hidden) await act().catch(() => {});
+    await new Promise((resolve) => setTimeout(resolve, quick()));
+  }
+}
+
+function heard(live) {
+  state.live = live;
+  place('news').textContent = live ? 'Live' : 'Asking once a second: this service sends no events.';
+}
+
+async function learnService() {
+  await learnRoutes();
+  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), get('/info')]);
+}
+
+async function start() {
+  await learnService();
+  await refresh();
+  if (offers('GET', '/events')) follow('/v1/events', happened, heard);
+  else heard(false);
+  every(() => (state.live ? SLOW_MS : QUICK_MS), refresh);
+  every(() => SLOW_MS, learnSlowly);
+}
+
+async function begin() {
+  try {
+    await start();
+  } catch (error) {
+    if (error.status === 401) return; // goes on when the token is entered
+    lost(error.message);
+    setTimeout(begin, 2000);
+  }
+}
+
+document.addEventListener('token-wanted', () => {
+  if (token()) complain('The service does not know this token.');
+  setToken('');
+  place('token-form').hidden = false;
+});
+place('token-form').onsubmit = (event) => {
+  event.preventDefault();
+  setToken(place('token').value.trim());
+  location.reload(); // pictures and links are made with the token from the start
+};
+place('jobs-status').onchange = () => refresh();
+onChange(refresh);
+begin();

@@ -10,6 +10,14 @@ from server.errors import NotFoundError
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parents[1] / "page"
 _HEADERS = {"Content-Security-Policy": "default-src 'self'; img-src 'self' data:", "X-Content-Type-Options": "nosniff"}
+# What is fetched with a token is shown as a blob; a report is shown in a sandbox and has its style inline.
+_BLOBS = "default-src 'self'; img-src 'self' data: blob:; media-src 'self' blob:"
+_PAGE_HEADERS = _HEADERS | {"Content-Security-Policy": _BLOBS}
+_REPORT_HEADERS = _HEADERS | {
+    "Content-Security-Policy": "default-src 'self'; img-src data:; media-src data:; style-src 'self' 'unsafe-inline'"
+}
+_SCRIPTS = "act api calibrations captures curve dialogs dom jobs live media options report results rigs"
+_OPERATOR_FILES = tuple(f"{name}.js" for name in _SCRIPTS.split())
 # The viewer's renderer compiles WebAssembly and sorts in a worker that it makes of a blob.
 _VIEWER_POLICY = "default-src 'self'; img-src 'self' data:; script-src 'self' 'wasm-unsafe-eval'; worker-src blob:"
 _VIEWER_HEADERS = _HEADERS | {"Content-Security-Policy": _VIEWER_POLICY}
@@ -20,7 +28,21 @@ _VIEWER_FILES = ("viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS))
 @router.get("/")
 def index() -> FileResponse:
     """The page itself."""
-    return FileResponse(_FOLDER / "index.html", headers=_HEADERS)
+    return FileResponse(_FOLDER / "index.html", headers=_PAGE_HEADERS)
+
+
+@router.get("/operator/{name}")
+def operator_file(name: str) -> FileResponse:
+    """A module of its script; raises NotFoundError."""
+    if name not in _OPERATOR_FILES:
+        raise NotFoundError(f"found no /operator/{name[:60]}, expected one of {', '.join(_OPERATOR_FILES)}")
+    return FileResponse(_FOLDER / "operator" / name, headers=_HEADERS)
+
+
+@router.get("/report.html")
+def report() -> FileResponse:
+    """The page that shows a job's report, where it can do nothing; the job is named in the query."""
+    return FileResponse(_FOLDER / "report.html", headers=_REPORT_HEADERS)
 
 
 @router.get("/page.css")

@@ -1,0 +1,38 @@
+"""How close the training's renders are to their images: a figure to watch while it runs, and for nothing else."""
+
+from __future__ import annotations
+
+import math
+
+from torch import Tensor
+
+MEMORY = 50  # images: single ones differ by view and instant far more than a training gains between them
+
+
+class Closeness:
+    """A running mean of the squared error of the images compared, with `white` in spikes per tick as the data range.
+
+    A resumed training begins a new mean: nothing that is trained depends on it.
+    """
+
+    def __init__(self, white: float) -> None:
+        self._white = white
+        self._seen = 0
+        self._mean_square = 0.0
+
+    def see(self, image: Tensor, target: Tensor) -> None:
+        """One render and its target, [H, W] in spikes per tick."""
+        self._seen += 1
+        square = float((image - target).square().mean())
+        self._mean_square += (square - self._mean_square) / min(self._seen, MEMORY)
+
+    @property
+    def psnr_db(self) -> float | None:
+        """PSNR of the mean; None before the first image and where all were equal."""
+        if not self._seen or self._mean_square <= 0 or not math.isfinite(self._mean_square):
+            return None
+        return 10 * math.log10(self._white**2 / self._mean_square)
+
+    def __str__(self) -> str:
+        """`, PSNR 21.30 dB`, to go into a line of progress; empty where there is no figure."""
+        return "" if self.psnr_db is None else f", PSNR {self.psnr_db:.2f} dB"

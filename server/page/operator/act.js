@@ -1,0 +1,52 @@
+// Buttons that ask the service for something and say what came of it.
+import { element } from './dom.js';
+
+let refresh = async () => {};
+export const onChange = (told) => { refresh = told; };
+
+export function say(text) {
+  const place = document.getElementById('said');
+  if (place.textContent !== text) place.textContent = text;
+}
+
+export function complain(text) {
+  const place = document.getElementById('notice');
+  if (place.textContent !== text) place.textContent = text;
+  place.hidden = !text;
+}
+
+// Do it, tell of it, and show what changed.
+export async function perform(act, done) {
+  try {
+    await act();
+    complain('');
+    if (done) say(done);
+  } catch (error) {
+    complain(error.message);
+  }
+  await refresh();
+}
+
+// As `perform`, but a fault is the caller's to show: in the dialog that is still open.
+export async function performed(act, done) {
+  await act();
+  complain('');
+  if (done) say(done);
+  await refresh();
+}
+
+export function button(label, id, act, { plain = true, disabled = false, done = '', danger = false, hint = '' } = {}) {
+  const made = element('button', { type: 'button', id, disabled, className: danger ? 'plain danger' : plain ? 'plain' : '' }, label);
+  if (hint) made.title = hint;
+  made.onclick = async (event) => {
+    const pressed = event.currentTarget;
+    if (pressed.ariaBusy) return; // a second click of the same wish
+    pressed.ariaBusy = 'true';
+    await perform(act, done);
+    pressed.ariaBusy = null;
+  };
+  return made;
+}
+
+export const link = (label, id, href) => element('a', { id, href }, label);
+export const actions = (...made) => element('div', { className: 'actions' }, made.flat().filter(Boolean));

@@ -1,0 +1,87 @@
+// What the page asks of the service. A token is kept for this tab alone, and only where the service wants one.
+const KEY = 'spike4dgs-token';
+const MOST_KEPT = 200; // pictures fetched with a token
+const fetched = new Map(); // path to promise of a blob's address
+let offered = null; // "GET /v1/jobs/{}" of every route
+
+export class Refused extends Error {
+  constructor(status, detail) {
+    super(detail);
+    this.status = status;
+  }
+}
+
+export const token = () => sessionStorage.getItem(KEY);
+
+export function setToken(text) {
+  if (text) sessionStorage.setItem(KEY, text);
+  else sessionStorage.removeItem(KEY);
+}
+
+export async function request(path, { method = 'GET', body, headers = {}, signal } = {}) {
+  const all = { ...headers };
+  if (token()) all.Authorization = `Bearer ${token()}`;
+  if (body !== undefined) all['Content-Type'] = 'application/json';
+  let response;
+  try {
+    response = await fetch(path, { method, headers: all, signal, body: body === undefined ? undefined : JSON.stringify(body) });
+  } catch (error) {
+    if (error.name === 'AbortError') throw error;
+    throw new Refused(0, 'The service does not answer; check that it runs');
+  }
+  if (response.status === 401) document.dispatchEvent(new CustomEvent('token-wanted'));
+  if (!response.ok) throw new Refused(response.status, await detailOf(response));
+  return response;
+}
+
+async function detailOf(response) {
+  try {
+    return (await response.json()).detail ?? response.statusText;
+  } catch {
+    return `${response.status} ${response.statusText}`;
+  }
+}
+
+export async function get(path) {
+  return (await request(`/v1${path}`)).json();
+}
+
+export async function send(method, path, body, headers) {
+  const response = await request(`/v1${path}`, { method, body, headers });
+  return response.status === 204 ? null : response.json();
+}
+
+// One key a click: what a transport sends twice is done once.
+export const post = (path, body = {}) => send('POST', path, body, { 'Idempotency-Key': newKey() });
+
+function newKey() {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
+}
+
+// Which routes this service has: one that is older, or built without a part, is not asked for what it lacks.
+export async function learnRoutes() {
+  const { paths } = await (await request('/openapi.json')).json();
+  offered = new Set(Object.entries(paths).flatMap(([path, methods]) => Object.keys(methods).map((method) => route(method, path))));
+}
+
+const route = (method, path) => `${method.toUpperCase()} ${path.replace(/\{[^}]*\}/g, '{}')}`;
+export const offers = (method, path) => offered?.has(route(method, `/v1${path}`)) ?? false;
+
+async function blobAt(path) {
+  const response = await request(path);
+  return URL.createObjectURL(await response.blob());
+}
+
+// An address that <img>, <video> and links can use: the path itself, or a blob fetched with the token.
+export function address(path) {
+  if (!token()) return Promise.resolve(path);
+  if (!fetched.has(path)) {
+    fetched.set(path, blobAt(path).catch((error) => { fetched.delete(path); throw error; }));
+    if (fetched.size > MOST_KEPT) {
+      const [oldest, made] = fetched.entries().next().value;
+      fetched.delete(oldest);
+      made.then((url) => URL.revokeObjectURL(url), () => {});
+    }
+  }
+  return fetched.get(path);
+}

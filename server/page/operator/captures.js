@@ -1,0 +1,99 @@
+// Captures: what was recorded, what it lacks, and what to do with it.
+import { offers, post, send } from './api.js';
+import { actions, button, performed } from './act.js';
+import { confirmed, jobDialog } from './dialogs.js';
+import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
+import { picture } from './media.js';
+
+const active = (item) => item.status === 'queued' || item.status === 'running';
+
+function length(item, context) {
+  if (item.ticks === null) return item.type === 'import' ? 'imported' : 'until stopped';
+  const rate = context.rigs.get(item.rig)?.tick_rate_hz;
+  return rate ? `${item.ticks} ticks, ${((item.ticks / rate) * 1000).toFixed(1)} ms` : `${item.ticks} ticks`;
+}
+
+// What a recording lacks: why it is incomplete, planes lost by layer summed over cameras, and damage found later.
+export function lacks(manifest) {
+  const lost = {};
+  for (const { drops } of manifest.cameras) {
+    for (const [layer, planes] of Object.entries(drops)) lost[layer] = (lost[layer] ?? 0) + planes;
+  }
+  const drops = Object.entries(lost).filter(([, planes]) => planes).map(([layer, planes]) => `${planes} planes lost (${layer})`);
+  const damages = manifest.verified?.sound === false ? ['damaged since it was written'] : [];
+  return [...(manifest.reason ? [`incomplete: ${manifest.reason}`] : []), ...drops, ...damages];
+}
+
+function state(item, context) {
+  const manifest = context.manifests.get(item.id);
+  if (!manifest) return null;
+  const missing = lacks(manifest);
+  const skews = manifest.cameras.map((camera) => camera.skew_s).filter((skew) => skew !== null);
+  const skew = skews.length ? `skew up to ${(Math.max(...skews.map(Math.abs)) * 1e6).toFixed(1)} µs` : null;
+  const sound = manifest.verified?.sound ? 'every byte verified' : null;
+  return [
+    missing.length > 0 && failure(missing.join('; ')),
+    quiet([missing.length ? null : 'No plane lost', skew, sound].filter(Boolean).join(', ')),
+  ];
+}
+
+function running(item) {
+  if (!active(item)) return null;
+  const path = `/rigs/${item.rig}/captures/${item.id}`;
+  return element('div', {},
+    item.status === 'running' && bar(`${item.id}: ${item.stage ?? 'starting'}`, item.fraction),
+    item.message && element('p', {}, item.message),
+    item.type === 'record' && actions(
+      button('Stop', `stop-${item.id}`, () => post(`${path}/stop`), { plain: false, done: 'The recording ends' }),
+      button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
+}
+
+const WORDS = { reconstruct: 'Reconstruct', calibrate: 'Calibrate the rig from', 'check-rig': 'Check the rig against', images: 'Images of' };
+
+function asking(label, type, item, context, plain = true) {
+  const schema = context.options[type];
+  if (!schema) return null;
+  const made = button(label, `${type}-${item.id}`, async () => {}, { plain });
+  const calibrates = type === 'calibrate' && offers('POST', '/rigs/{}/calibrations');
+  const submit = ({ priority, ...values }) => performed(() => (calibrates
+    ? post(`/rigs/${item.rig}/calibrations`, { capture: item.id, ...values })
+    : post('/jobs', { type, capture: item.id, priority, ...values })), `${WORDS[type]} ${item.name ?? item.id}: queued`);
+  made.onclick = () => jobDialog(`${WORDS[type]} ${item.name ?? item.id}`, schema, context.camerasOf(item), submit, 'Queue');
+  return made;
+}
+
+function remove(item) {
+  const made = button('Delete', `delete-${item.id}`, async () => {}, { danger: true });
+  const act = () => performed(() => send('DELETE', `/captures/${item.id}`), `${item.id} is deleted`);
+  made.onclick = () => confirmed(`Delete ${item.name ?? item.id}?`, 'The recording is deleted for good; what was made of it stays, but cannot be done again.', 'Delete', act);
+  return made;
+}
+
+function offered(item, context) {
+  if (active(item)) return null;
+  const verify = () => post('/jobs', { type: 'verify', capture: item.id });
+  const more = element('div', {}, actions(
+    item.status === 'done' && [
+      item.rig && asking('Calibrate…', 'calibrate', item, context),
+      asking('Check rig…', 'check-rig', item, context),
+      asking('Images…', 'images', item, context),
+      button('Verify', `verify-${item.id}`, verify, { done: 'The check of every byte is queued' }),
+    ],
+    remove(item)));
+  return [
+    item.status === 'done' && actions(asking('Reconstruct…', 'reconstruct', item, context, false)),
+    fold(`more-${item.id}`, 'More', more),
+  ];
+}
+
+export function capture(item, context) {
+  const seen = item.status === 'done' && offers('GET', '/captures/{}/preview');
+  return card(`capture-${item.id}`,
+    title(item.name ?? item.id, item.status, item.status === 'running' && item.type === 'record' ? 'recording' : item.status),
+    quiet([when(item.created), item.rig, length(item, context), item.name && item.id].filter(Boolean).join(' · ')),
+    seen && picture(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview'),
+    state(item, context),
+    item.error && failure(item.error),
+    running(item),
+    offered(item, context));
+}

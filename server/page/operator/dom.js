@@ -1,0 +1,114 @@
+// Elements are drawn afresh from the state and merged into those on the page, so that focus, typed text, open
+// details and playing videos stay as they are.
+const HANDLERS = ['onclick', 'onchange', 'oninput', 'onsubmit', 'ontoggle'];
+const SVG = 'http://www.w3.org/2000/svg';
+const OWN = { DETAILS: ['open'], INPUT: ['value', 'disabled'], BUTTON: ['aria-busy'], A: ['aria-busy'] }; // set on the page itself
+
+export function element(tag, properties = {}, ...children) {
+  const { data, ...rest } = properties;
+  const made = Object.assign(document.createElement(tag), rest);
+  if (data) Object.assign(made.dataset, data);
+  made.append(...children.flat().filter((child) => child != null && child !== false));
+  return made;
+}
+
+export function drawing(tag, attributes = {}, ...children) {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children.filter((child) => child != null));
+  return made;
+}
+
+const same = (a, b) => a.nodeName === b.nodeName && (a.id ?? '') === (b.id ?? '') && a.dataset?.key === b.dataset?.key;
+
+function patchAttributes(live, wanted) {
+  const own = OWN[live.nodeName] ?? [];
+  const kept = live.dataset.source !== undefined && live.dataset.source === wanted.dataset.source ? [...own, 'src'] : own;
+  for (const { name, value } of wanted.attributes) {
+    if (!kept.includes(name) && live.getAttribute(name) !== value) live.setAttribute(name, value);
+  }
+  for (const { name } of [...live.attributes]) {
+    if (!kept.includes(name) && !wanted.hasAttribute(name)) live.removeAttribute(name);
+  }
+  for (const name of HANDLERS) if (live[name] !== wanted[name]) live[name] = wanted[name];
+}
+
+// Make `live` look like `wanted`; both are the same kind of node.
+export function patch(live, wanted) {
+  if (live.nodeType !== Node.ELEMENT_NODE) {
+    if (live.nodeValue !== wanted.nodeValue) live.nodeValue = wanted.nodeValue;
+    return;
+  }
+  if (live.dataset.kept !== undefined && live.dataset.kept === wanted.dataset.kept) return;
+  patchAttributes(live, wanted);
+  patchChildren(live, [...wanted.childNodes]);
+}
+
+export function patchChildren(parent, wanted) {
+  const left = [...parent.childNodes];
+  let before = parent.firstChild;
+  for (const child of wanted) {
+    const at = left.findIndex((node) => same(node, child));
+    const node = at < 0 ? child : left.splice(at, 1)[0];
+    if (at >= 0) patch(node, child);
+    if (node === before) before = before.nextSibling;
+    else parent.insertBefore(node, before);
+  }
+  for (const node of left) node.remove();
+}
+
+// Where the focused element is gone, its card has the focus: the keyboard stays where it was.
+export function keepingFocus(draw) {
+  const focused = document.activeElement;
+  const around = [];
+  for (let node = focused; node && node !== document.body; node = node.parentElement) around.push(node);
+  draw();
+  if (!focused || focused === document.body || document.activeElement === focused) return;
+  if (focused.isConnected) focused.focus({ preventScroll: true });
+  else around.find((node) => node.isConnected && node.tabIndex >= -1 && node.hasAttribute('tabindex'))?.focus({ preventScroll: true });
+}
+
+export const quiet = (...text) => element('p', { className: 'quiet' }, ...text);
+export const failure = (text) => text && element('p', { className: 'failed' }, text);
+
+const opened = new Set(); // folds that a person opened, also while what they fold is away
+
+export function fold(id, summary, content, onopen) {
+  const made = element('details', { id, open: opened.has(id) }, element('summary', {}, summary), content);
+  made.ontoggle = ({ currentTarget: { open } }) => {
+    if (open) opened.add(id);
+    else opened.delete(id);
+    onopen?.(open);
+  };
+  return made;
+}
+
+export function card(id, ...children) {
+  return element('li', { id, tabIndex: -1 }, ...children);
+}
+
+export function title(name, status, word = status) {
+  return element('div', { className: 'title' }, element('h3', {}, name), element('span', { className: `status ${status}` }, word));
+}
+
+export function bar(label, fraction) {
+  return element('progress', { max: 1, value: fraction, ariaLabel: label });
+}
+
+export const when = (created) => new Date(created).toLocaleString([], { dateStyle: 'medium', timeStyle: 'medium' });
+export const seconds = (s) => (s < 100 ? `${s.toFixed(1)} s` : s < 6000 ? `${(s / 60).toFixed(1)} min` : `${(s / 3600).toFixed(1)} h`);
+
+export function size(bytes) {
+  const units = ['B', 'KiB', 'MiB', 'GiB', 'TiB'];
+  const power = bytes > 0 ? Math.min(4, Math.floor(Math.log2(bytes) / 10)) : 0;
+  return `${(bytes / 1024 ** power).toFixed(power ? 1 : 0)} ${units[power]}`;
+}
+
+const AGES = [[86400, 'day'], [3600, 'hour'], [60, 'minute']];
+
+export function ago(age_s) {
+  const found = AGES.find(([unit]) => age_s >= unit);
+  if (!found) return 'just now';
+  const count = Math.floor(age_s / found[0]);
+  return `${count} ${found[1]}${count > 1 ? 's' : ''} ago`;
+}

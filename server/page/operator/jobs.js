@@ -1,0 +1,160 @@
+// The queue: what each job is at, what it made, and what can be done with it.
+import { offers, post, send } from './api.js';
+import { actions, button, link, performed } from './act.js';
+import { curve } from './curve.js';
+import { confirmed, jobDialog } from './dialogs.js';
+import { bar, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
+import { artefact, download, picture, video } from './media.js';
+import { ended, of } from './results.js';
+
+const WORDS = { reconstruct: 'Reconstruction', images: 'Images', calibrate: 'Calibration', 'check-rig': 'Rig check', verify: 'Verification', evaluate: 'Evaluation', export: 'Export', preflight: 'Preflight', import: 'Import' };
+const SCORES = [['psnr_db', 'PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
+
+const stagesOf = (item, context) => (item.type === 'reconstruct' ? context.stages : [item.type]);
+const path = (item, rest = '') => `/jobs/${item.id}${rest}`;
+
+function stages(item, context) {
+  const names = stagesOf(item, context);
+  if (names.length < 2) return null;
+  const at = item.status === 'done' ? names.length : names.indexOf(item.stage);
+  return element('ol', { className: 'stages', ariaLabel: 'Stages' }, names.map((name, i) => {
+    const state = i < at ? 'done' : i > at || at < 0 ? 'waiting' : item.status;
+    const took = item.seconds[name] === undefined ? '' : ` ${seconds(item.seconds[name])}`;
+    return element('li', { className: state, ariaCurrent: i === at ? 'step' : null },
+      name, took, element('span', { className: 'hidden' }, ` ${state}`));
+  }));
+}
+
+function progress(item) {
+  if (item.status !== 'running') return null;
+  const percent = `${Math.round(item.fraction * 100)} %`;
+  return element('div', {},
+    bar(`${item.stage ?? 'starting'} ${percent}`, item.fraction),
+    element('p', {}, `${item.stage ?? 'starting'} ${percent} ${item.message}`));
+}
+
+function scores(item) {
+  const found = of(item.id).scores;
+  if (item.status !== 'done' || !found) return null;
+  const parts = SCORES.filter(([key]) => Number.isFinite(found[key])).map(([key, name, unit, digits]) => `${name} ${found[key].toFixed(digits)} ${unit}`.trim());
+  return parts.length ? element('p', {}, `On ${found.held_out ?? 'the held-out camera'}: ${parts.join(', ')}`) : null;
+}
+
+function verdict(item) {
+  const found = of(item.id).answer;
+  if (!found) return null;
+  const word = ['verdict', 'ready', 'sound', 'fits', 'passed', 'ok'].find((name) => name in found);
+  return word ? element('p', { className: found[word] === false ? 'failed' : '' }, `${word}: ${found[word]}`) : null;
+}
+
+function curveOf(item) {
+  const found = of(item.id);
+  if (ended(item) && found.scored) return curve(found.scored, 'Held-out camera');
+  return item.status === 'queued' ? null : curve(found.points, 'Training images');
+}
+
+function results(item) {
+  const found = of(item.id);
+  const has = (name) => found.artefacts.some((one) => one.name === name);
+  if (!ended(item) || !found.artefacts.length) return null;
+  const content = element('div', {},
+    has('orbit.mp4') && video(artefact(item.id, 'orbit.mp4'), `Orbit of ${item.id}`),
+    element('ul', { className: 'files' }, found.artefacts.slice(0, 60).map((one) => element('li', {},
+      download(`file-${item.id}-${one.name}`, artefact(item.id, one.name), one.name.split('/').at(-1), one.name),
+      element('span', { className: 'quiet' }, size(one.bytes))))),
+    found.artefacts.length > 60 && quiet(`and ${found.artefacts.length - 60} more, in the archive`),
+    found.answer && element('pre', { tabIndex: 0, ariaLabel: 'Result' }, JSON.stringify(found.answer, null, 1).slice(0, 5000)),
+    actions(offers('GET', '/jobs/{}/archive') && download(`archive-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, 'All as one archive')));
+  return fold(`results-${item.id}`, `Results (${found.artefacts.length})`, content);
+}
+
+function log(item, context) {
+  const found = of(item.id);
+  const text = element('pre', { id: `log-text-${item.id}`, tabIndex: 0, ariaLabel: `Log of ${item.id}` }, found.log || 'Nothing yet.');
+  return fold(`log-${item.id}`, 'Log', text, (open) => open && context.tail(item.id));
+}
+
+function restart(item, context) {
+  const names = stagesOf(item, context);
+  const begun = names.slice(0, names.indexOf(item.stage) + 1);
+  if (!ended(item) || item.type !== 'reconstruct' || !begun.length) return [];
+  const id = `stage-${item.id}`;
+  const choice = element('select', { id, ariaLabel: `Stage to do ${item.id} again from` }, begun.map((name) => element('option', { value: name }, name)));
+  choice.value = begun.at(-1);
+  const again = () => post(path(item, '/restart'), { stage: document.getElementById(id).value });
+  return [choice, button('Do again from here', `restart-${item.id}`, again, { done: `${item.id} is queued again` })];
+}
+
+function priority(item) {
+  if (item.status !== 'queued') return [];
+  const id = `priority-${item.id}`;
+  const input = element('input', { id, type: 'number', min: 1, max: 1000, value: item.priority, className: 'short' });
+  const set = () => send('PUT', path(item, '/priority'), { priority: Number(document.getElementById(id).value) });
+  return [element('label', { htmlFor: id }, 'Priority ', input), button('Set', `prioritise-${item.id}`, set, { done: `${item.id} has a new priority` })];
+}
+
+function remove(item) {
+  const act = () => performed(() => send('DELETE', path(item)), `${item.id} is deleted`);
+  const made = button('Delete', `delete-${item.id}`, async () => {}, { danger: true });
+  made.onclick = () => confirmed(`Delete ${item.name ?? item.id}?`, 'The job, its log and everything it made are deleted for good. Its capture stays.', 'Delete', act);
+  return made;
+}
+
+function asking(label, id, type, item, context) {
+  const schema = context.options[type];
+  if (!schema) return null;
+  const made = button(label, id, async () => {});
+  const submit = (values) => performed(() => post('/jobs', { type, job: item.id, ...values }), `${WORDS[type]} is queued`);
+  made.onclick = () => jobDialog(`${WORDS[type]} of ${item.name ?? item.id}`, schema, context.camerasOf(item), submit, 'Queue');
+  return made;
+}
+
+function manage(item, context) {
+  const active = !ended(item);
+  const done = item.status === 'done' && item.type === 'reconstruct';
+  const content = element('div', {},
+    actions(restart(item, context)),
+    actions(done && asking('Evaluate…', `evaluate-${item.id}`, 'evaluate', item, context), !active && remove(item)));
+  return active ? null : fold(`manage-${item.id}`, 'Manage', content);
+}
+
+function main(item, context) {
+  const has = (name) => of(item.id).artefacts.some((one) => one.name === name);
+  const resumable = item.status === 'failed' || item.status === 'cancelled';
+  return actions(
+    has('report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
+    has('viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
+    item.status === 'done' && item.type === 'reconstruct' && asking('Export…', `export-${item.id}`, 'export', item, context),
+    resumable && button('Resume', `resume-${item.id}`, () => post(path(item, '/resume')), { plain: false, done: `${item.id} goes on` }),
+    !ended(item) && button('Cancel', `cancel-${item.id}`, () => post(path(item, '/cancel')), { done: `${item.id} is cancelled` }),
+    priority(item));
+}
+
+function about(item, context) {
+  const { type, capture, job, name: given, priority: rank, ...request } = item.request;
+  const options = Object.entries(request).filter(([, value]) => value !== null && value !== 'auto').map(([name, value]) => `${name} ${value}`);
+  const target = item.name && (job ?? context.nameOf(capture));
+  return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
+}
+
+function heading(item, context) {
+  const word = WORDS[item.type] ?? item.type;
+  const { job, capture } = item.request;
+  return item.name ?? (job || capture ? `${word} of ${job ?? context.nameOf(capture)}` : word);
+}
+
+export function job(item, context) {
+  const thumbnail = of(item.id).artefacts.find((one) => /^thumbnails\/.*\.(png|jpg)$/.test(one.name));
+  return card(`job-${item.id}`,
+    title(heading(item, context), item.status),
+    quiet(about(item, context)),
+    item.error && failure(item.error),
+    stages(item, context),
+    progress(item),
+    element('div', { className: 'outcome' }, thumbnail && picture(artefact(item.id, thumbnail.name), `What ${item.id} made`), curveOf(item)),
+    scores(item),
+    verdict(item),
+    main(item, context),
+    element('div', { className: 'folds' }, results(item), log(item, context), manage(item, context)));
+}
+

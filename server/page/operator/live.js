@@ -1,0 +1,36 @@
+// Events as they happen, read with fetch: unlike EventSource it can send a token.
+import { request } from './api.js';
+
+const AGAIN_MS = 2000;
+
+// Calls `onEvent` with each event's data; returns at the end of the stream, throws where it breaks.
+export async function readEvents(path, onEvent, { after, signal } = {}) {
+  const headers = { Accept: 'text/event-stream', ...(after !== undefined && { 'Last-Event-ID': String(after) }) };
+  const response = await request(path, { headers, signal });
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let pending = '';
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    const parts = (pending + value.replace(/\r/g, '')).split('\n\n');
+    pending = parts.pop();
+    for (const part of parts) {
+      const lines = part.split('\n').filter((line) => line.startsWith('data:'));
+      if (lines.length) onEvent(JSON.parse(lines.map((line) => line.slice(5)).join('\n')));
+    }
+  }
+}
+
+// Follows all events for as long as the page lives; `onState` is told whether they come.
+export async function follow(path, onEvent, onState) {
+  let after;
+  for (;;) {
+    try {
+      const reading = readEvents(path, (event) => { after = event.seq; onEvent(event); }, { after });
+      onState(true);
+      await reading;
+    } catch { /* the service is gone or refuses; the page's own requests say which */ }
+    onState(false);
+    await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+  }
+}

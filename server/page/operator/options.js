@@ -1,0 +1,84 @@
+// Fields of a form from the JSON Schema of a job, as GET /v1/options tells it.
+import { element } from './dom.js';
+
+const GIVEN = ['type', 'capture', 'job']; // not for a person to fill in
+const FIRST = ['from', 'model', 'holdout', 'budget_s', 'board', 'method', 'ticks', 'format', 'at_s', 'name'];
+const WORDS = {
+  model: 'Motion model', images: 'Images', init: 'Poses and points', supervision: 'Spike loss', refine: 'Refine poses',
+  holdout: 'Camera to score on', views: 'Cameras to train on', tick_stride: 'Planes between instants',
+  budget_s: 'Time budget (s)', steps: 'Steps', seed: 'Seed', name: 'Name', priority: 'Priority (lower is sooner)',
+  board: 'Board', method: 'Method', ticks: 'Planes A:B:STEP', format: 'Format', at_s: 'Instant (s)', frames: 'Frames',
+  camera: 'Camera', from: 'Capture', apply: 'Use it at once',
+};
+const HINTS = { board: 'charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT; empty: natural scene', ticks: '0:400:20', views: 'all' };
+
+// What a property takes: its schema without the null that says it may be left out.
+function kindOf(schema, definitions) {
+  const open = schema.anyOf?.find((one) => one.type !== 'null') ?? schema;
+  return open.$ref ? { ...definitions[open.$ref.split('/').at(-1)], default: schema.default } : { ...open, default: schema.default };
+}
+
+const isCamera = (name, kind) => ['holdout', 'camera'].includes(name) && kind.type === 'string';
+
+function choice(id, options, chosen, empty) {
+  const made = element('select', { id });
+  if (empty !== undefined) made.append(element('option', { value: '' }, empty));
+  made.append(...options.map((value) => element('option', { value }, value)));
+  made.value = chosen ?? (empty !== undefined ? '' : options[0]);
+  return made;
+}
+
+function boxes(id, cameras) {
+  return element('div', { id, className: 'boxes', role: 'group', ariaLabel: WORDS.views },
+    cameras.map((camera) => element('label', {}, element('input', { type: 'checkbox', value: camera, checked: true }), camera)));
+}
+
+function number(id, kind) {
+  const least = kind.minimum ?? (kind.type === 'integer' ? kind.exclusiveMinimum : undefined);
+  return element('input', {
+    id, type: 'number', step: kind.type === 'integer' ? 1 : 'any', min: least ?? '', max: kind.maximum ?? '',
+    value: kind.default ?? '', placeholder: kind.default == null ? 'auto' : '',
+  });
+}
+
+function inputOf(id, name, kind, cameras) {
+  if (isCamera(name, kind)) return choice(id, cameras, name === 'holdout' ? cameras[Math.floor(cameras.length / 2)] : '', 'none');
+  if (kind.enum) return choice(id, kind.enum, kind.default, kind.default == null && kind.optional ? 'none' : undefined);
+  if (kind.type === 'array') return boxes(id, cameras);
+  if (kind.type === 'boolean') return element('input', { id, type: 'checkbox', checked: Boolean(kind.default) });
+  if (kind.type === 'integer' || kind.type === 'number') return number(id, kind);
+  return element('input', { id, type: 'text', maxLength: kind.maxLength ?? 200, placeholder: HINTS[name] ?? '', value: kind.default ?? '' });
+}
+
+function valueOf(input, kind, cameras) {
+  if (kind.type === 'array') {
+    const chosen = [...input.querySelectorAll('input:checked')].map((box) => box.value);
+    return chosen.length === cameras.length ? undefined : chosen;
+  }
+  if (kind.type === 'boolean') return input.checked;
+  if (input.value === '') return undefined;
+  return kind.type === 'integer' || kind.type === 'number' ? Number(input.value) : input.value;
+}
+
+function field(name, input, required) {
+  const label = WORDS[name] ?? name.replaceAll('_', ' ');
+  if (input.role === 'group') return element('fieldset', {}, element('legend', {}, label), input);
+  input.required = required;
+  return element('label', { htmlFor: input.id }, label, input);
+}
+
+// {first, more, values}: the fields to show at once, those behind "more", and what has been filled in.
+export function fieldsOf(schema, cameras, prefix) {
+  const required = schema.required ?? [];
+  const names = Object.keys(schema.properties).filter((name) => !GIVEN.includes(name));
+  const kinds = new Map(names.map((name) => [name, { ...kindOf(schema.properties[name], schema.$defs ?? {}), optional: !required.includes(name) }]));
+  const inputs = new Map(names.map((name) => [name, inputOf(`${prefix}-${name}`, name, kinds.get(name), cameras)]));
+  const made = (name) => field(name, inputs.get(name), required.includes(name));
+  return {
+    first: FIRST.filter((name) => inputs.has(name)).map(made),
+    more: names.filter((name) => !FIRST.includes(name)).map(made),
+    values: () => Object.fromEntries(names
+      .map((name) => [name, valueOf(inputs.get(name), kinds.get(name), cameras)])
+      .filter(([, value]) => value !== undefined)),
+  };
+}

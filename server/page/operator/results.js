@@ -1,0 +1,74 @@
+// What is known of jobs beyond the list: artefacts, scores, curve and log, asked for once and when needed.
+import { get, offers, request } from './api.js';
+import { addFigure, scored } from './curve.js';
+import { readEvents } from './live.js';
+import { artefact } from './media.js';
+
+const MOST_TEXT = 40_000; // characters of a log or result on the page
+const HISTORY_MS = 3000;
+const known = new Map();
+let work = Promise.resolve(); // one request after another: a long list shall not flood the service
+
+const ENDED = ['done', 'failed', 'cancelled'];
+export const ended = (item) => ENDED.includes(item.status);
+
+export function of(id) {
+  if (!known.has(id)) known.set(id, { artefacts: [], points: [], scores: null, answer: null, log: '', lines: 0, state: '' });
+  return known.get(id);
+}
+
+export function forgetAllBut(ids) {
+  for (const id of known.keys()) if (!ids.has(id)) known.delete(id);
+}
+
+async function json(id, name) {
+  return (await request(artefact(id, name))).json();
+}
+
+async function learnResults(item, found) {
+  found.artefacts = (await get(`/jobs/${item.id}/artefacts`)).items;
+  const has = (name) => found.artefacts.some((one) => one.name === name && one.bytes < 200_000);
+  if (has('metrics.json')) found.scores = await json(item.id, 'metrics.json');
+  if (has('result.json')) found.answer = await json(item.id, 'result.json');
+  if (has('error_vs_time.json')) {
+    const points = scored(await json(item.id, 'error_vs_time.json'));
+    if (points.length > 1) found.scored = points;
+  }
+}
+
+// The training so far, for a page that was opened in the middle of it.
+async function learnHistory(item) {
+  if (!offers('GET', '/jobs/{}/events')) return;
+  const stop = new AbortController();
+  setTimeout(() => stop.abort(), HISTORY_MS);
+  await readEvents(`/v1/jobs/${item.id}/events?after=0`, (event) => progressed(item.id, event), { after: 0, signal: stop.signal });
+}
+
+// Ask for what the page lacks of a job; `draw` is called when it has come.
+export function learn(item, draw) {
+  const found = of(item.id);
+  if (found.state === item.status) return;
+  found.state = item.status;
+  if (item.status === 'queued') return;
+  const asked = ended(item) ? () => learnResults(item, found) : () => learnHistory(item);
+  work = work.then(asked).then(draw, () => draw());
+}
+
+export function progressed(id, event) {
+  if (event.kind !== 'progress') return;
+  const found = of(id);
+  found.points = addFigure(found.points, event.data, event.seq);
+}
+
+// Without events the list itself brings figures, one a second.
+export function polled(item) {
+  if (item.status === 'running' && item.stage === 'train') progressed(item.id, { kind: 'progress', seq: item.message, data: item });
+}
+
+export async function readLog(id) {
+  const found = of(id);
+  const text = await (await request(`/v1/jobs/${id}/log?line=${found.lines}`)).text();
+  const whole = text.slice(0, text.lastIndexOf('\n') + 1); // a line that is still being written comes next time
+  found.lines += whole.split('\n').length - 1;
+  found.log = (found.log + whole).slice(-MOST_TEXT);
+}

@@ -1,0 +1,35 @@
+"""What a reconstruction leaves, small and made up, but of the right form: for pages that show it."""
+
+import json
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+SIZE = (160, 100)
+
+
+def write_results(run: Path) -> None:
+    """Curve, orbit, thumbnail, and the name of a viewer's scene."""
+    rows = [
+        {"seconds": float(s), "steps": 40 * s, "psnr_db": round(33 - 14 * 2 ** (-s / 6), 2)} for s in (2, 4, 8, 16, 32)
+    ]
+    (run / "error_vs_time.json").write_text(json.dumps({"held_out": "cam11", "rows": rows}))
+    (run / "viewer.json").write_text("{}")
+    (run / "thumbnails").mkdir(exist_ok=True)
+    cv2.imwrite(str(run / "thumbnails" / "orbit.png"), frame(0.3))
+    with av.open(str(run / "orbit.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        for i in range(50):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame(i / 50), format="bgr24")))
+        container.mux(stream.encode())
+
+
+def frame(turn: float) -> np.ndarray:
+    """A ball that goes round, uint8 [H, W, 3]."""
+    picture = np.full((SIZE[1], SIZE[0], 3), 40, np.uint8)
+    centre = (80 + 50 * np.cos(2 * np.pi * turn), 50 + 20 * np.sin(2 * np.pi * turn))
+    cv2.circle(picture, tuple(int(c) for c in centre), 14, (210, 210, 210), -1)
+    return picture

@@ -1,0 +1,370 @@
+"""The operator's page in a real browser, before a real service whose stages are played by fake_stage.py."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from server.client import ServiceClient
+from server.schemas.captures import Capture, CaptureRequest
+from server.schemas.jobs import ReconstructRequest
+
+playwright = pytest.importorskip("playwright.sync_api", reason="found no playwright; install it with the dev extra")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="found no chromium on the path; install it"),
+]
+FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
+EVIL = "<img src=x onerror=alert(1)> & <b>bold</b>"
+LONG_MS = 60_000
+
+
+@dataclass
+class Service:
+    """A service with its worker; `client` talks to it beside the browser."""
+
+    address: str
+    data: Path
+    client: ServiceClient
+
+    def wait(self, job_id: str, status: str) -> None:
+        wait_for(lambda: self.client.job(job_id).status == status)
+
+
+@dataclass
+class Seen:
+    """What a page said in its console, and the hosts it asked."""
+
+    faults: list[str] = field(default_factory=list)
+    hosts: set[str] = field(default_factory=set)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("waited for a minute in vain")
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    data = tmp_path_factory.mktemp("page") / "data"
+    fake = {"SPIKE4DGS_STAGE_COMMAND": json.dumps(FAKE), "FAKE_STEPS": "150", "FAKE_RESULTS": "yes"}
+    command = [sys.executable, "-m", "server.cli", "serve", "--port", "0", "--data", str(data), "--with-worker"]
+    with subprocess.Popen(command, env=os.environ | fake, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        with ServiceClient.at(address) as client:
+            wait_for(lambda: client.checks()["worker"].ok)
+            yield Service(address, data, client)
+        process.terminate()
+
+
+@pytest.fixture(scope="module")
+def capture(service: Service) -> Capture:
+    """A finished capture whose name looks like HTML."""
+    made = service.client.start_capture("lab3x3", CaptureRequest(ticks=40, name=EVIL))
+    wait_for(lambda: service.client.capture(made.id).status == "done")
+    return service.client.capture(made.id)
+
+
+@pytest.fixture(scope="module")
+def done(service: Service, capture: Capture) -> str:
+    """A finished reconstruction."""
+    job = service.client.submit(ReconstructRequest(capture=capture.id, holdout="cam11"))
+    service.wait(job.id, "done")
+    return job.id
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with playwright.sync_playwright() as runner:
+        browser = runner.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def seen() -> Seen:
+    return Seen()
+
+
+@pytest.fixture
+def open_page(service: Service, chromium: Any, seen: Seen) -> Iterator[Callable[..., Any]]:
+    """Opens the page in a window of its own; its faults go to `seen`."""
+    contexts = []
+
+    def opened(width: int = 1280, scheme: str = "light", prepare: Callable[[Any], None] | None = None) -> Any:
+        context = chromium.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        context.set_default_timeout(LONG_MS)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda said: seen.faults.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: seen.faults.append(str(error)))
+        page.on("request", lambda request: seen.hosts.add("/".join(request.url.split("/")[:3])))
+        if prepare:
+            prepare(page)
+        page.goto(service.address)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+
+
+def expect(locator: Any) -> Any:
+    playwright.expect.set_options(timeout=LONG_MS)
+    return playwright.expect(locator)
+
+
+def newest(service: Service) -> str:
+    return service.client.jobs(limit=1)[0].id
+
+
+def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., Any], seen: Seen) -> None:
+    page = open_page()
+    expect(page.locator("#ready")).to_have_text("Ready")
+    page.fill("#ticks-lab3x3", "100")
+    expect(page.locator("#ms-lab3x3")).to_have_value("5")
+    page.fill("#ms-lab3x3", "4")
+    expect(page.locator("#ticks-lab3x3")).to_have_value("80")
+    page.fill("#name-lab3x3", "by clicks")
+    page.click("#record-lab3x3")
+    card = page.locator("#captures > li", has_text="by clicks").first
+    expect(card.locator(".status")).to_have_text("done")
+    expect(card).to_contain_text("80 ticks, 4.0 ms")
+    card.get_by_role("button", name="Reconstruct…").click()
+    page.get_by_label("Motion model").select_option("cubic")
+    page.get_by_label("Time budget (s)").fill("90")
+    page.locator("#dialog-go").click()
+    expect(page.locator("#dialog")).to_have_count(0)
+    job = page.locator(f"#job-{newest(service)}")
+    expect(job.locator("progress")).to_be_visible(timeout=LONG_MS)
+    expect(job.locator("figcaption")).to_contain_text("Training images: PSNR")
+    expect(job.locator(".status")).to_have_text("done")
+    asked = service.client.job(newest(service)).request.model_dump()
+    assert (asked["model"], asked["budget_s"], asked["holdout"], asked["views"]) == ("cubic", 90, "cam11", None)
+    expect(job.locator("figcaption")).to_have_text("Held-out camera: PSNR 32.65 dB after 32.0 s")
+    expect(job).to_contain_text("PSNR 32.50 dB, SSIM 0.950")
+    assert job.get_by_role("link", name="View in 4D").get_attribute("href") == f"/viewer.html?job={newest(service)}"
+    job.get_by_text("Results").click()
+    page.wait_for_function("document.querySelector('video').readyState > 0")
+    with page.expect_download() as download:
+        job.get_by_role("link", name="metrics.json").click()
+    assert json.loads(Path(download.value.path()).read_text())["psnr_db"] == 32.5
+    job.get_by_text("Log", exact=True).click()
+    expect(job.locator("pre[id^=log]")).to_contain_text("--stage train --model cubic")
+    job.get_by_role("link", name="Report", exact=True).click()
+    expect(page.frame_locator("#report").locator("html")).to_contain_text("")
+    assert page.frames[1].title() == "report"
+    assert seen.faults == []
+    assert seen.hosts <= {service.address, "about:/srcdoc", "about:srcdoc", "data:,"}
+
+
+def test_cancel_resume_and_restart_by_keyboard(
+    service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    page = open_page()
+    opener = page.locator(f"#reconstruct-{capture.id}")
+    opener.focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#dialog")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.locator("#dialog")).to_have_count(0)
+    expect(opener).to_be_focused()
+    page.keyboard.press("Enter")
+    page.get_by_label("Name").last.focus()
+    page.keyboard.type("by keys")
+    page.keyboard.press("Enter")
+    expect(page.locator("#dialog")).to_have_count(0)
+    job_id = newest(service)
+    job = page.locator(f"#job-{job_id}")
+    expect(job.locator("figcaption")).to_be_visible(timeout=LONG_MS)
+    page.focus(f"#cancel-{job_id}")
+    expect(page.locator(f"#cancel-{job_id}")).to_be_focused()
+    page.wait_for_timeout(1500)  # the list is asked for anew meanwhile
+    expect(page.locator(f"#cancel-{job_id}")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(job.locator(".status")).to_have_text("cancelled")
+    expect(job).to_be_focused()  # what had the focus is gone
+    wait_for(lambda: (service.data / "jobs" / job_id / "run" / "attempts.txt").exists())
+    page.focus(f"#resume-{job_id}")
+    page.keyboard.press("Enter")
+    expect(job.locator(".status")).to_have_text("done")
+    page.focus(f"#manage-{job_id} summary")
+    page.keyboard.press("Enter")
+    page.locator(f"#stage-{job_id}").select_option("train")
+    page.focus(f"#restart-{job_id}")
+    page.keyboard.press("Enter")
+    wait_for(lambda: service.client.log(job_id).count("--stage train") == 3)
+    service.wait(job_id, "done")
+    expect(page.locator(f"#delete-{job_id}")).to_be_visible(timeout=LONG_MS)
+    page.focus(f"#delete-{job_id}")
+    page.keyboard.press("Enter")
+    expect(page.locator("#dialog-back")).to_be_focused()  # the safe answer
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Enter")
+    expect(job).to_have_count(0)
+    assert job_id not in [one.id for one in service.client.jobs()]
+    assert seen.faults == []
+
+
+def test_an_endless_capture_is_stopped(service: Service, open_page: Callable[..., Any], seen: Seen) -> None:
+    page = open_page()
+    page.get_by_label("Until stopped").check()
+    expect(page.locator("#ticks-lab3x3")).to_be_disabled()
+    page.fill("#pre-lab3x3", "50")
+    page.fill("#name-lab3x3", "endless")
+    page.click("#record-lab3x3")
+    card = page.locator("#captures > li", has_text="endless")
+    expect(card.locator(".status")).to_have_text("recording")
+    expect(card).to_contain_text("planes")  # a process that only starts cannot end in order yet
+    expect(page.locator("#record-lab3x3")).to_be_disabled()
+    expect(page.locator("#ticks-lab3x3")).to_be_disabled()
+    made = service.client.captures(limit=1)[0]
+    asked = service.client.capture(made.id)
+    assert (asked.name, asked.ticks) == ("endless", None)
+    card.get_by_role("button", name="Save from the pre-trigger").click()
+    wait_for(lambda: (service.data / "entries" / made.id / "save").exists())
+    card.get_by_role("button", name="Stop").click()
+    expect(card.locator(".status")).to_have_text("done")
+    assert seen.faults == []
+
+
+def test_a_failed_job_shows_its_line(
+    service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    fault = service.data / "jobs" / "fail-points"
+    fault.touch()
+    job = service.client.submit(ReconstructRequest(capture=capture.id, name="broken"))
+    service.wait(job.id, "failed")
+    fault.unlink()
+    card = open_page().locator(f"#job-{job.id}")
+    expect(card.locator("p.failed")).to_have_text("points: found a fault, expected none; mend it")
+    expect(card.locator("li.failed")).to_contain_text("points")
+    expect(card.get_by_role("button", name="Resume")).to_be_visible()
+    assert seen.faults == []
+
+
+def test_names_are_text_and_never_html(capture: Capture, done: str, open_page: Callable[..., Any], seen: Seen) -> None:
+    page = open_page()
+    expect(page.locator(f"#capture-{capture.id} h3")).to_have_text(EVIL)
+    expect(page.locator(f"#job-{done} h3")).to_have_text(f"Reconstruction of {EVIL}")
+    page.click(f"#reconstruct-{capture.id}")
+    expect(page.locator("#dialog-title")).to_have_text(f"Reconstruct {EVIL}")
+    assert page.locator("img[src=x], main b, dialog b").count() == 0
+    assert seen.faults == []
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_and_can_be_read(width: int, scheme: str, done: str, open_page: Callable[..., Any], seen: Seen) -> None:
+    page = open_page(width, scheme)
+    page.locator(f"#job-{done} figcaption").wait_for()
+    for name in ("results", "log", "manage"):
+        page.click(f"#{name}-{done} summary")
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    page.click(f"#export-{done}")
+    page.click("#dialog summary")
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    assert page.evaluate("(d => d.scrollWidth - d.clientWidth)(document.querySelector('dialog'))") == 0
+    page.click("#dialog-back")
+    weak = page.evaluate(CONTRAST)
+    assert weak == []
+    unnamed = page.evaluate("""[...document.querySelectorAll('button, a[href], input, select')].filter((one) =>
+        !(one.textContent.trim() || one.ariaLabel || one.labels?.length)).map((one) => one.outerHTML)""")
+    assert unnamed == []
+    assert seen.faults == []
+
+
+# Texts whose contrast with what is behind them is below 4.5 (WCAG 2.2, 1.4.3), and those contrasts.
+CONTRAST = """() => {
+  const parts = (text) => text.match(/[\\d.]+/g).map(Number);
+  const light = (text) => {
+    const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    const [r, g, b] = parts(text).map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const behind = (one) => {
+    for (; one; one = one.parentElement) {
+      const found = getComputedStyle(one).backgroundColor;
+      if ((parts(found)[3] ?? 1) === 1) return found;
+    }
+    return 'rgb(255, 255, 255)';
+  };
+  const found = [];
+  for (const one of document.querySelectorAll('p, h1, h2, h3, li, button, a, summary, label, figcaption, span, pre')) {
+    if (!one.textContent.trim() || one.disabled || !one.checkVisibility()) continue;
+    const [a, b] = [light(getComputedStyle(one).color), light(behind(one))];
+    const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (contrast < 4.5) found.push([one.outerHTML.slice(0, 80), contrast]);
+  }
+  return found;
+}"""
+
+
+def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any]) -> None:
+    def guarded(page: Any) -> None:
+        def answer(route: Any) -> None:
+            if route.request.headers.get("authorization") == "Bearer secret":
+                route.continue_()
+            else:
+                body = json.dumps({"status": 401, "detail": "found no token, expected one"})
+                route.fulfill(status=401, content_type="application/problem+json", body=body)
+
+        page.route("**/v1/**", answer)
+
+    page = open_page(prepare=guarded)
+    expect(page.locator("#token-form")).to_be_visible()
+    page.fill("#token", "wrong")
+    page.keyboard.press("Enter")
+    expect(page.locator("#notice")).to_have_text("The service does not know this token.")
+    page.fill("#token", "secret")
+    page.keyboard.press("Enter")
+    expect(page.locator("#ready")).to_have_text("Ready")
+    expect(page.locator("#token-form")).to_be_hidden()
+    page.click(f"#results-{done} summary")
+    page.wait_for_function("document.querySelector('video').readyState > 0")
+    assert page.locator("video").get_attribute("src").startswith("blob:")
+    with page.expect_download() as download:
+        page.locator(f"#results-{done}").get_by_role("link", name="metrics.json").click()
+    assert json.loads(Path(download.value.path()).read_text())["psnr_db"] == 32.5
+    assert page.evaluate("[localStorage.length, sessionStorage.length, document.cookie]") == [0, 1, ""]
+    page.locator(f"#report-{done}").click()
+    expect(page.locator("#report")).to_have_attribute("srcdoc", "<title>report</title>")
+
+
+def test_events_move_the_page(service: Service, done: str, open_page: Callable[..., Any], seen: Seen) -> None:
+    """A service that sends events: they are applied as they come, before any list is asked for again."""
+    job = json.loads(service.client.job(done).model_dump_json()) | {"status": "running", "stage": "train"}
+
+    def listing(route: Any) -> None:
+        route.fulfill(json={"items": [job], "next": None})
+
+    def progress(seq: int) -> str:
+        message = f"step {seq}, loss 0.1, PSNR {20 + seq}.00 dB, 9 Gaussians"
+        data = {"stage": "train", "fraction": seq / 10, "message": message, "seconds": {"train": seq}, "error": None}
+        event = {"seq": seq, "entry": done, "at": 1.0, "kind": "progress", "data": data}
+        return f"id: {seq}\r\nevent: progress\r\ndata: {json.dumps(event)}\r\n\r\n"
+
+    def prepare(page: Any) -> None:
+        routes = {"paths": {"/v1/events": {"get": {}}, "/v1/jobs": {"post": {}}}}
+        page.route("**/openapi.json", lambda route: route.fulfill(json=routes))
+        page.route("**/v1/jobs?*", listing)
+        stream = ": hello\n\n" + "".join(progress(seq) for seq in (1, 2, 3))
+        page.route("**/v1/events", lambda route: route.fulfill(content_type="text/event-stream", body=stream))
+
+    card = open_page(prepare=prepare).locator(f"#job-{done}")
+    expect(card.locator("figcaption")).to_have_text("Training images: PSNR 23 dB after 3.0 s")
+    assert seen.faults == []
