@@ -27,7 +27,7 @@ def middle_mean(recording: Recording, camera_id: str) -> NDArray[np.float32] | N
     stream = recording.stream(camera_id)
     first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
     last = min(len(stream), first + WINDOW_PLANES)
-    return stream.counts(first, last).astype(np.float32) / (last - first)
+    return stream.counts(first, last).astype(np.float32) / np.float32(last - first)
 
 
 def camera_picture(recording: Recording, camera_id: str) -> bytes:
