@@ -39,8 +39,8 @@ class CaptureCalls(Transport):
 
     def commit_upload(self, upload_id: str) -> Upload:
         """Say that an upload is whole; a long one takes the service a while to read."""
-        answer = self._http.post(f"/v1/uploads/{upload_id}/commit", timeout=None)
-        return Upload.model_validate_json(self._checked(answer).content)
+        request = self._http.build_request("POST", f"/v1/uploads/{upload_id}/commit", timeout=None)
+        return Upload.model_validate_json(self._checked(self._http.send(request)).content)
 
     def delete_upload(self, upload_id: str) -> None:
         """Delete an upload, committed or not."""

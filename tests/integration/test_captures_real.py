@@ -100,6 +100,7 @@ def test_a_capture_until_stopped_is_done_when_it_is_stopped(client: ServiceClien
 def test_a_save_keeps_the_planes_before_it(client: ServiceClient) -> None:
     capture = client.start_capture("small", CaptureRequest(until_stopped=True, pre_trigger_ms=2))
     recording_with(client, capture, "waiting to be told to save")
+    wait_for(lambda: not client.capture(capture.id).message.endswith(" 0 planes seen"))
     client.save_capture(capture)
     wait_for(lambda: "waiting" not in client.capture(capture.id).message)
     client.stop_capture(capture)
