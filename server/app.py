@@ -10,7 +10,7 @@ from fastapi import FastAPI
 
 from server import errors
 from server.guard import LoopbackGuard
-from server.routes import calibrations, captures, jobs, page, rigs, system
+from server.routes import calibrations, captures, jobs, page, rigs, system, uploads
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.telemetry import trace_requests
@@ -29,7 +29,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     # The interactive pages of the framework load scripts from elsewhere; the document itself stays at /openapi.json.
     app = FastAPI(title="spike4dgs", version=version("spike4dgs"), docs_url=None, redoc_url=None, lifespan=lifespan)
     app.state.services = services
-    for module in (system, rigs, calibrations, captures, jobs):
+    for module in (system, rigs, calibrations, uploads, captures, jobs):
         app.include_router(module.router, prefix="/v1")
     app.include_router(page.router)
     errors.install(app)

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
-
-import httpx
-from pydantic import BaseModel
-
 from server.etags import tag
 from server.schemas.calibrations import (
     Calibration,
@@ -18,50 +13,37 @@ from server.schemas.calibrations import (
     RigCheckRequest,
 )
 from server.schemas.jobs import Job
-
-_M = TypeVar("_M", bound=BaseModel)
-
-
-class Caller(Protocol):
-    """What these calls need of a client."""
-
-    _http: httpx.Client
-
-    def _get(self, path: str, model: type[_M], **parameters: str | int) -> _M: ...
-
-    def _post(self, path: str, model: type[_M], request: BaseModel | None = None) -> _M: ...
-
-    def _checked(self, response: httpx.Response, /) -> httpx.Response: ...
+from server.transport import Transport
 
 
-class CalibrationCalls:
+class CalibrationCalls(Transport):
     """The part of ServiceClient that is about calibrations."""
 
-    def calibrate(self: Caller, rig_id: str, request: CalibrationRequest) -> Job:
+    def calibrate(self, rig_id: str, request: CalibrationRequest) -> Job:
         """Queue a calibration of a rig."""
         return self._post(f"/rigs/{rig_id}/calibrations", Job, request)
 
-    def calibrations(self: Caller, rig_id: str) -> list[CalibrationInfo]:
+    def calibrations(self, rig_id: str) -> list[CalibrationInfo]:
         """All calibrations of a rig, newest first."""
         return self._get(f"/rigs/{rig_id}/calibrations", Calibrations).items
 
-    def calibration(self: Caller, rig_id: str, version: int) -> Calibration:
+    def calibration(self, rig_id: str, version: int) -> Calibration:
         """One calibration; 0 is the rig as it was drawn."""
         return self._get(f"/rigs/{rig_id}/calibrations/{version}", Calibration)
 
-    def calibration_toml(self: Caller, rig_id: str, version: int) -> str:
+    def calibration_toml(self, rig_id: str, version: int) -> str:
         """The rig file of a calibration."""
         return self._checked(self._http.get(f"/v1/rigs/{rig_id}/calibrations/{version}/rig.toml")).text
 
-    def calibration_picture(self: Caller, rig_id: str, version: int) -> bytes:
+    def calibration_picture(self, rig_id: str, version: int) -> bytes:
         """The picture of a calibration's residuals, a PNG."""
         return self._checked(self._http.get(f"/v1/rigs/{rig_id}/calibrations/{version}/picture")).content
 
-    def current_calibration(self: Caller, rig_id: str) -> CurrentCalibration:
+    def current_calibration(self, rig_id: str) -> CurrentCalibration:
         """The calibration in use."""
         return self._get(f"/rigs/{rig_id}/calibration", CurrentCalibration)
 
-    def choose_calibration(self: Caller, seen: CurrentCalibration, choice: CalibrationChoice) -> CurrentCalibration:
+    def choose_calibration(self, seen: CurrentCalibration, choice: CalibrationChoice) -> CurrentCalibration:
         """Use another version or a rig file instead of the calibration that was `seen`; refused if it has changed."""
         answer = self._http.put(
             f"/v1/rigs/{seen.rig}/calibration",
@@ -70,6 +52,6 @@ class CalibrationCalls:
         )
         return CurrentCalibration.model_validate_json(self._checked(answer).content)
 
-    def check_calibration(self: Caller, rig_id: str, capture_id: str) -> Job:
+    def check_calibration(self, rig_id: str, capture_id: str) -> Job:
         """Queue a comparison of the current calibration with what a capture saw."""
         return self._post(f"/rigs/{rig_id}/calibration/check", Job, RigCheckRequest(capture=capture_id))

@@ -57,6 +57,30 @@ class RigMismatchError(ServiceError):
     """A recording or rig file is of other cameras than the rig's."""
 
 
+class OffsetError(ServiceError):
+    """A piece of an upload that does not begin where the last one ended; `headers` have where that is."""
+
+    def __init__(self, found: int, expected: int) -> None:
+        super().__init__(f"found the offset {found}, expected {expected}; send the bytes from there on")
+        self.headers = {"Upload-Offset": str(expected)}
+
+
+class UploadSizeError(ServiceError):
+    """An upload that is longer than it may be, or than it was said to be."""
+
+
+class UploadDiskError(ServiceError):
+    """The disk has no room for an upload; what came before, `offset` bytes, is kept."""
+
+    def __init__(self, reason: str, offset: int) -> None:
+        super().__init__(f"found no room on the disk ({reason}), expected enough for the upload; free some and go on")
+        self.headers = {"Upload-Offset": str(offset)}
+
+
+class DigestError(ServiceError):
+    """What was sent is not what was announced."""
+
+
 class WorkerRunningError(ServiceError):
     """Another worker has this name."""
 
@@ -74,6 +98,10 @@ STATUS: dict[type[Exception], int] = {
     RigMismatchError: 422,
     RigError: 422,
     ForeignRequestError: 403,
+    OffsetError: 409,
+    UploadSizeError: 413,
+    DigestError: 422,
+    UploadDiskError: 507,
     DiskError: 507,
     Spike4dgsError: 500,
 }
@@ -95,7 +123,9 @@ def problem_of(error: Exception) -> JSONResponse:
     """The problem document of an error this project raises on purpose."""
     status = next(STATUS[kind] for kind in type(error).__mro__ if kind in STATUS)
     name = type(error).__name__.removesuffix("Error")
-    return problem(status, str(error), re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower())
+    response = problem(status, str(error), re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower())
+    response.headers.update(getattr(error, "headers", {}))
+    return response
 
 
 def install(app: FastAPI) -> None:

@@ -42,6 +42,7 @@ class ServiceSettings(BaseSettings):
     """What the web process and the worker share: the data folder, the rigs, and how a stage is run.
 
     `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
+    An upload is at most `max_upload_bytes` long and leaves `keep_free_bytes` of the disk.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
     """
 
@@ -54,6 +55,8 @@ class ServiceSettings(BaseSettings):
     rigs: dict[str, RigSource] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
     stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
+    max_upload_bytes: int = 64 * 2**30
+    keep_free_bytes: int = 256_000_000
     gpu: int | None = None
     log: Literal["text", "json"] = "text"
     otel: str | None = None

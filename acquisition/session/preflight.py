@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from acquisition.devices import sysfs
@@ -34,17 +34,30 @@ _LATCH_TIMEOUT_S = 1.0
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at. `passed` is None where it does not apply; `change` says what to do where it failed."""
+    """One thing looked at. `passed` is None where it does not apply; `change` says what to do where it failed.
+
+    `facts` are what was measured of single cameras, by their ids.
+    """
 
     name: str
     passed: bool | None
     found: str
     expected: str
     change: str = ""
+    facts: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, object]:
-        """The check as a JSON object of the same names."""
-        return asdict(self)
+        """The check as a JSON object of the same names, without its facts."""
+        return {name: value for name, value in asdict(self).items() if name != "facts"}
+
+
+def camera_facts(rig: Rig, checks: Sequence[Check]) -> list[dict[str, object]]:
+    """What all checks measured of each camera, in the rig's order."""
+    found: dict[str, dict[str, object]] = {camera_id: {"id": camera_id} for camera_id in rig.ids}
+    for check in checks:
+        for camera_id, facts in check.facts.items():
+            found[camera_id].update(facts)
+    return list(found.values())
 
 
 @dataclass(frozen=True)
@@ -91,8 +104,10 @@ def _camera(rig: Rig, camera: Camera, around: Surroundings) -> list[Check]:
     except DeviceError as error:
         found, _, rest = str(error).removeprefix(f"{camera.id}: ").partition(", expected ")
         change = (rest or found).partition("; ")[2] or "reconnect it"
-        return [Check(name, False, found.partition("; ")[0].removeprefix("found "), expected, change)]
-    return [Check(name, True, f"{expected}, firmware {identity.firmware_version}", expected)]
+        found = found.partition("; ")[0].removeprefix("found ")
+        return [Check(name, False, found, expected, change, {camera.id: {"connected": False, "fault": found}})]
+    facts = {"connected": True, "serial": camera.serial, "firmware": identity.firmware_version}
+    return [Check(name, True, f"{expected}, firmware {identity.firmware_version}", expected, facts={camera.id: facts})]
 
 
 def _firmware(cameras: list[Check]) -> Check:
@@ -127,6 +142,7 @@ def _topology(rig: Rig, root: Path | None) -> list[Check]:
                 f"{place.speed_mbit_s:g} Mb/s at {place.port}, in practice {place.practical_mb_s:.0f} MB/s",
                 f"{rate:.0f} MB/s",
                 "plug it into a SuperSpeed port with a SuperSpeed cable, or lower the tick rate",
+                {camera.id: {"port": place.port, "link_mbit_s": place.speed_mbit_s}},
             )
         )
     speeds = sysfs.bus_speeds(root)
@@ -194,7 +210,8 @@ def _latch(rig: Rig, samples: dict[str, _Sample], expected: str, *, has_line: bo
     found = f"at most {abs(errors_s[worst]) * 1e6:.1f} us, of {worst}"
     if odd:
         found += f"; {', '.join(f'{camera_id} counted {counts[camera_id]} pulses' for camera_id in odd)}"
-    return Check("clock latch", not odd and abs(errors_s[worst]) < 1 / rig.tick_rate_hz, found, expected, change)
+    facts = {c: {"skew_us": errors_s[c] * 1e6, "sync_pulses": counts[c]} for c in seen}
+    return Check("clock latch", not odd and abs(errors_s[worst]) < 1 / rig.tick_rate_hz, found, expected, change, facts)
 
 
 def _rate(samples: dict[str, _Sample], expected: str) -> Check:
@@ -218,7 +235,8 @@ def _links(samples: dict[str, _Sample], expected: str) -> Check:
         if sample.link.errors or sample.link.recoveries
     ]
     found = "; ".join(bad) or "none"
-    return Check("link errors", not bad, found, expected, "change the cable or the port of these cameras")
+    facts = {c: {"link_errors": s.link.errors, "link_recoveries": s.link.recoveries} for c, s in samples.items()}
+    return Check("link errors", not bad, found, expected, "change the cable or the port of these cameras", facts)
 
 
 def _samples(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, _Sample]:

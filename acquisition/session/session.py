@@ -174,7 +174,8 @@ class _Run:
     def _so_far(self) -> tuple[float, str]:
         health = describe(self._captures)
         if not self._began:
-            return 0.0, f"waiting to be told to save, {health}"
+            seen = min(capture.position for capture in self._captures)
+            return 0.0, f"waiting to be told to save, {health}, {seen} planes seen"
         written = sum(capture.writer.planes for capture in self._captures)
         each = written // len(self._captures)
         if self._extent.planes is None:

@@ -8,7 +8,7 @@ import click
 from acquisition.devices.open import open_cameras, parse_devices
 from acquisition.devices.sysfs import SYSFS
 from acquisition.errors import BadRecordingError
-from acquisition.session.preflight import LATCH_PLANES, Surroundings, preflight
+from acquisition.session.preflight import LATCH_PLANES, Surroundings, camera_facts, preflight
 from server.cli.options import load_named_rig
 from server.cli.progress import progress_of
 
@@ -37,7 +37,7 @@ def preflight_command(rig: str, devices: str, out: Path, disk_seconds: float, as
     ready = all(check.passed is not False for check in checks)
     if as_json:
         document = {"rig": found.name, "ready": ready, "checks": [check.to_json() for check in checks]}
-        click.echo(json.dumps(document))
+        click.echo(json.dumps(document | {"cameras": camera_facts(found, checks)}))
     else:
         for check in checks:
             click.echo(f"{_VERDICTS[check.passed]:5}{check.name}: {check.found} (expected: {check.expected})")

@@ -1,10 +1,12 @@
 """Rigs, and the captures they are told to make."""
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
+from server.routes.pictures import PNG, answer
 from server.routes.services import IdempotencyKey, TheServices
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.rigs import RigInfo, Rigs
+from server.schemas.jobs import Job, LookRequest, PreflightRequest
+from server.schemas.rigs import RigInfo, Rigs, RigStatus
 
 router = APIRouter(prefix="/rigs", tags=["rigs"])
 
@@ -41,3 +43,47 @@ def stop_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture
 def save_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
     """Keep what the pre-trigger holds, and record on from there."""
     return services.captures.tell(capture_id, "save")
+
+
+@router.get("/{rig_id}/status")
+def status(rig_id: str, services: TheServices) -> RigStatus:
+    """How a rig is: what it is doing, room on the disk, its calibration, and what the last preflight found."""
+    return services.rig_jobs.status(rig_id)
+
+
+@router.post("/{rig_id}/preflight", status_code=202)
+def preflight(
+    rig_id: str,
+    response: Response,
+    services: TheServices,
+    request: PreflightRequest | None = None,
+    key: IdempotencyKey = None,
+) -> Job:
+    """Look at everything that would spoil a recording; 409 while the rig is busy."""
+    return _queued(services, rig_id, request or PreflightRequest(), key, response)
+
+
+@router.post("/{rig_id}/look", status_code=202)
+def look(
+    rig_id: str,
+    response: Response,
+    services: TheServices,
+    request: LookRequest | None = None,
+    key: IdempotencyKey = None,
+) -> Job:
+    """Take a picture with all cameras, and keep nothing else; 409 while the rig is busy."""
+    return _queued(services, rig_id, request or LookRequest(), key, response)
+
+
+@router.get("/{rig_id}/look.png", responses=PNG, response_class=Response)
+def look_picture(rig_id: str, request: Request, services: TheServices) -> Response:
+    """What the cameras saw at the last look."""
+    return answer(request, services.rig_jobs.picture(rig_id))
+
+
+def _queued(
+    services: TheServices, rig_id: str, request: PreflightRequest | LookRequest, key: str | None, response: Response
+) -> Job:
+    job = services.jobs.get(services.rig_jobs.start(rig_id, request, key))
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
@@ -34,6 +34,45 @@ class CaptureRequest(Request):
         return self
 
 
+CameraKey = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+UploadRef = Annotated[str, Field(max_length=40)]
+
+
+class OfRig(Request):
+    """The cameras of a rig of this service, as it is calibrated now."""
+
+    rig: Annotated[str, Field(max_length=64)]
+
+
+class ImportRequest(Request):
+    """A recording to make of uploads: one `.dat` a camera, by the cameras' ids or in row-major order.
+
+    `cameras` is an upload too (a transforms.json or a RIG.toml) or a rig of this service; `size` is width and height
+    where the cameras' file has none. The other options are those of `spike4dgs import`.
+    """
+
+    uploads: (
+        Annotated[dict[CameraKey, UploadRef], Field(min_length=1, max_length=100)]
+        | Annotated[list[UploadRef], Field(min_length=1, max_length=100)]
+    )
+    cameras: UploadRef | OfRig
+    tick_rate_hz: Annotated[float, Field(gt=0, le=1e7, allow_inf_nan=False)]
+    size: tuple[Annotated[int, Field(ge=1, le=9999)], Annotated[int, Field(ge=1, le=9999)]] | None = None
+    format: Literal["vidar", "vidar416", "m1k40"] = "vidar"
+    bit_order: Literal["lsb", "msb"] | None = None
+    row_order: Literal["bottom", "top"] | None = None
+    poses: Literal["calibrated", "nominal"] | None = None
+    allow_partial: bool = False
+    align: bool = False
+    name: Name | None = None
+
+    @model_validator(mode="after")
+    def _free_orders(self) -> ImportRequest:
+        if self.format == "m1k40" and (self.bit_order or self.row_order):
+            raise ValueError("found a bit or row order for m1k40, expected none: the format fixes them")
+        return self
+
+
 class Capture(Progress):
     """A recording, made or in the making; `type` says whether it was recorded or imported."""
 
@@ -51,3 +90,55 @@ class Captures(BaseModel):
 
     items: list[Capture]
     next: str | None = None
+
+
+class GapInfo(BaseModel):
+    """Planes that were lost, and where: in the camera, on its link, in memory or at the disk."""
+
+    first_plane: int
+    planes: int
+    layer: str
+
+
+class CameraFileInfo(BaseModel):
+    """One camera's stream; `gaps` are the first of `gaps_total`, `partial_bytes` lay behind the last whole plane."""
+
+    id: str
+    width: int
+    height: int
+    planes: int
+    first_tick: int
+    bytes: int
+    sha256: str | None
+    drops: dict[str, int]
+    gaps: list[GapInfo]
+    gaps_total: int
+    skew_s: float | None
+    skew_sd_s: float | None
+    partial_bytes: int
+    device: dict[str, Any] | None
+
+
+class Verified(BaseModel):
+    """The newest job that checked every byte; `sound` is None until it is done."""
+
+    job: str
+    created: str
+    status: Status
+    sound: bool | None = None
+    damages: list[dict[str, Any]] = []
+
+
+class ManifestInfo(BaseModel):
+    """What a recording holds and what it lacks; `reason` says why an incomplete one is one."""
+
+    capture: str
+    tick_rate_hz: float
+    trigger: str
+    writer: str
+    status: str
+    reason: str | None
+    direct_io: bool | None
+    trigger_plane: int | None
+    cameras: list[CameraFileInfo]
+    verified: Verified | None

@@ -129,6 +129,20 @@ class ExportRequest(OfJob):
     camera: CameraId | None = None
 
 
+class PreflightRequest(JobBase):
+    """Everything that would spoil a recording, looked at: cameras, links, clocks, and the disk for `disk_seconds`."""
+
+    type: Literal["preflight"] = "preflight"
+    disk_seconds: Annotated[float, Field(ge=0.1, le=30, allow_inf_nan=False)] = 2.0
+
+
+class LookRequest(JobBase):
+    """A picture of what a rig's cameras see now, made of so few planes that nothing is kept of them."""
+
+    type: Literal["look"] = "look"
+    ticks: Annotated[int, Field(ge=1, le=2000)] = 100
+
+
 def _type_of(value: Any) -> str:
     found = value.get("type", "reconstruct") if isinstance(value, dict) else getattr(value, "type", None)
     return found if isinstance(found, str) else "reconstruct"
@@ -153,6 +167,8 @@ JOB_TYPES: dict[str, type[JobBase]] = {
     "evaluate": EvaluateRequest,
     "export": ExportRequest,
 }
+RIG_JOB_TYPES: dict[str, type[JobBase]] = {"preflight": PreflightRequest, "look": LookRequest}
+RigJobRequest = Annotated[PreflightRequest | LookRequest, Discriminator("type")]
 
 
 class BatchRequest(Request):
@@ -174,7 +190,7 @@ class RestartRequest(Request):
 
 
 class Job(Progress):
-    """A job, done or to be done."""
+    """A job, done or to be done; `rig` is the one it, or the capture it works on, was made with."""
 
     id: str
     type: str
@@ -182,7 +198,8 @@ class Job(Progress):
     status: Status
     priority: int
     name: str | None
-    request: JobRequest
+    request: JobRequest | RigJobRequest
+    rig: str | None = None
 
 
 class Jobs(BaseModel):

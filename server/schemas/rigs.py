@@ -2,6 +2,8 @@
 
 from pydantic import BaseModel
 
+from server.schemas.progress import Status
+
 
 class CameraInfo(BaseModel):
     """A camera's id and size in pixels."""
@@ -12,7 +14,7 @@ class CameraInfo(BaseModel):
 
 
 class RigInfo(BaseModel):
-    """A rig; `calibration` is the version in use, `poses` are its, `busy` is the capture it is recording, if any."""
+    """A rig; `calibration` is the version in use, with its `poses`; `busy` is the capture or job that uses it."""
 
     id: str
     name: str
@@ -28,3 +30,88 @@ class Rigs(BaseModel):
     """The rigs of this service."""
 
     items: list[RigInfo]
+
+
+class Room(BaseModel):
+    """What the disk still holds: `seconds` of recording with all cameras."""
+
+    free_bytes: int
+    bytes_per_s: float
+    seconds: float
+
+
+class CalibrationInUse(BaseModel):
+    """The calibration that captures are made with."""
+
+    version: int
+    source: str
+    created: str
+
+
+class RigCheck(BaseModel):
+    """One thing a preflight looked at; `passed` is None where it does not apply."""
+
+    name: str
+    passed: bool | None
+    found: str
+    expected: str
+    change: str
+
+
+class CameraState(BaseModel):
+    """A camera as the last preflight found it; what it could not measure is None.
+
+    `skew_us` is its first plane's distance from the zero of its clock; what `fault` says is why it is not connected.
+    """
+
+    id: str
+    connected: bool | None = None
+    serial: str | None = None
+    firmware: int | None = None
+    fault: str | None = None
+    port: str | None = None
+    link_mbit_s: float | None = None
+    link_errors: int | None = None
+    link_recoveries: int | None = None
+    skew_us: float | None = None
+    sync_pulses: int | None = None
+
+
+class Preflight(BaseModel):
+    """The newest preflight that ended with an answer, `age_s` old."""
+
+    job: str
+    created: str
+    age_s: float
+    ready: bool
+    checks: list[RigCheck]
+
+
+class Work(BaseModel):
+    """What the rig is doing: a capture or a job, and how far it is; `message` has the cameras' health and buffers."""
+
+    id: str
+    type: str
+    status: Status
+    fraction: float
+    message: str
+
+
+class Look(BaseModel):
+    """The newest picture of what the cameras see, `age_s` old."""
+
+    age_s: float
+    etag: str
+
+
+class RigStatus(BaseModel):
+    """How a rig is: `worker` says whether one is alive that reaches its cameras."""
+
+    rig: str
+    worker: bool
+    busy: Work | None
+    disk: Room
+    calibration: CalibrationInUse | None
+    preflight: Preflight | None
+    cameras: list[CameraState]
+    look: Look | None

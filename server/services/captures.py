@@ -61,22 +61,26 @@ class RigService:
         (capture_id,) = self._queue.ids("capture", [request], key, rig_id)
         if self._queue.known(capture_id):
             return capture_id
+        entry = Entry(
+            id=capture_id,
+            kind="capture",
+            type="record",
+            created=self._store.entries.created(),
+            request=request.model_dump(exclude={"name"}),
+            rig=rig_id,
+            name=request.name,
+            queue=capture_queue(rig_id),
+        )
+        self.add_where_idle(rig_id, entry)
+        return capture_id
+
+    def add_where_idle(self, rig_id: str, entry: Entry) -> None:
+        """Queue what uses a rig's cameras; raises RigBusyError while anything else does."""
         with self._one_at_a_time:
             busy = self._engine.active(capture_queue(rig_id))
             if busy is not None:
-                raise RigBusyError(f"found rig {rig_id} busy with {busy}, expected it idle; wait for that capture")
-            entry = Entry(
-                id=capture_id,
-                kind="capture",
-                type="record",
-                created=self._store.entries.created(),
-                request=request.model_dump(exclude={"name"}),
-                rig=rig_id,
-                name=request.name,
-                queue=capture_queue(rig_id),
-            )
+                raise RigBusyError(f"found rig {rig_id} busy with {busy}, expected it idle; wait for that to end")
             self._queue.add(entry)
-        return capture_id
 
 
 class CaptureService:
@@ -105,6 +109,22 @@ class CaptureService:
         else:
             (self._store.folder.entry(capture_id) / word).touch()
         return self.get(capture_id)
+
+    def cancel(self, capture_id: str) -> Capture:
+        """Give up an import that is queued or running; raises NotFoundError, StateError."""
+        capture = self.get(capture_id)
+        if capture.status not in ACTIVE or capture.type != "import":
+            raise StateError(
+                f"found {capture.id}, of type {capture.type}, {capture.status}, expected an import at work; "
+                "a recording is stopped"
+            )
+        self._engine.cancel(capture_id)
+        return self.get(capture_id)
+
+    def log(self, capture_id: str) -> str:
+        """What making a capture said, its doubts among it; raises NotFoundError."""
+        path = self._store.folder.log(self._store.entries.get("capture", capture_id).id)
+        return path.read_text(errors="replace") if path.exists() else ""
 
     def delete(self, capture_id: str) -> None:
         """Delete a capture and its recording; raises NotFoundError, and StateError while it is in use."""

@@ -9,6 +9,7 @@ from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
 from server.errors import NotFoundError, RigMismatchError, StateError, UnknownReferenceError
 from server.schemas.jobs import (
     JOB_TYPES,
+    RIG_JOB_TYPES,
     CalibrateRequest,
     CheckRigRequest,
     ExportRequest,
@@ -241,7 +242,8 @@ class JobService:
                 status=status[entry.id],
                 priority=entry.priority,
                 name=entry.name,
-                request=JOB_TYPES[entry.type].model_validate(entry.request),  # type: ignore[arg-type]
+                request=(JOB_TYPES | RIG_JOB_TYPES)[entry.type].model_validate(entry.request),  # type: ignore[arg-type]
+                rig=entry.rig,
                 **entry.progress,
             )
             for entry in entries

@@ -8,8 +8,12 @@ from server.services.artefacts import ArtefactService
 from server.services.calibrations import CalibrationService
 from server.services.captures import CaptureService, RigService
 from server.services.health import HealthService
+from server.services.imports import ImportService
 from server.services.jobs import JobService
+from server.services.previews import PreviewService
 from server.services.queue import Queue
+from server.services.rig_jobs import RigJobService
+from server.services.uploads import UploadService
 from server.settings import ServiceSettings
 from server.store.store import Store
 
@@ -31,6 +35,10 @@ class Services:
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store)
         self.health = HealthService(self.store, self.engine)
+        self.uploads = UploadService(self.store, settings.max_upload_bytes, settings.keep_free_bytes)
+        self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
+        self.previews = PreviewService(self.store, self.engine)
+        self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs)
         self.announcer = Announcer(self.store, self.engine, queue)
 
     def start(self) -> None:

@@ -15,6 +15,7 @@ from server.store.events import Events
 from server.store.files import DataFolder
 from server.store.idempotency import Idempotency
 from server.store.rig_files import RigFiles
+from server.store.uploads import Uploads
 from server.store.workers import Workers
 
 
@@ -31,6 +32,7 @@ class Store:
     workers: Workers
     calibrations: Calibrations
     rig_files: RigFiles
+    uploads: Uploads
 
     @classmethod
     def open(cls, settings: ServiceSettings) -> Store:
@@ -47,6 +49,7 @@ class Store:
             Workers(database),
             calibrations,
             RigFiles(folder, calibrations),
+            Uploads(database),
         )
 
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import JSON, Column, Float, Index, Integer, MetaData, String, Table, Text, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Column, Float, Index, Integer, MetaData, String, Table, Text, UniqueConstraint
 
 metadata = MetaData()
 
@@ -44,7 +44,7 @@ artefacts = Table(
     Column("entry", String(32), primary_key=True),
     Column("name", String(200), primary_key=True),
     Column("media_type", String(80), nullable=False),
-    Column("bytes", Integer, nullable=False),
+    Column("bytes", BigInteger, nullable=False),
     Column("sha256", String(64), nullable=False),
     Column("modified_ns", String(24), nullable=False),
 )
@@ -99,7 +99,7 @@ uploads = Table(
     Column("id", String(32), primary_key=True),
     Column("created", String(40), nullable=False),
     Column("name", String(80)),
-    Column("bytes", Integer, nullable=False),
+    Column("bytes", BigInteger, nullable=False),
     Column("sha256", String(64)),
     Column("state", String(12), nullable=False),
 )

@@ -76,6 +76,31 @@ EXPORT_NAMES = {
 }
 
 
+def import_arguments(request: dict[str, Any], dats: list[Path], cameras: Path, recording: Path) -> list[str]:
+    """Arguments of `spike4dgs` that make a recording of `.dat` files, each camera's own or in the rig's order."""
+    names = request["ids"]
+    files = [str(dat) if names is None else f"{names[number]}={dat}" for number, dat in enumerate(dats)]
+    size = request["size"]
+    options = {name: request[name] for name in ("format", "bit_order", "row_order", "poses")}
+    options |= {"tick_rate": request["tick_rate_hz"], "size": "x".join(map(str, size)) if size else None}
+    flags = [f"--{name.replace('_', '-')}" for name in ("allow_partial", "align") if request[name]]
+    given = ["--cameras", str(cameras), *_flags(options), *flags, "--out", str(recording)]
+    return ["import", *(text for file in files for text in ("--dat", file)), *given]
+
+
+def look_arguments(request: dict[str, Any], rig: str, devices: str, recording: Path) -> list[str]:
+    """Arguments of `spike4dgs` that record a few planes; simulated cameras need not write down the truth of them."""
+    if devices.startswith("mock:"):
+        devices += f"{'&' if '?' in devices else '?'}truth_every={request['ticks']}"
+    return record_arguments({"ticks": request["ticks"]}, rig, devices, recording)
+
+
+def preflight_arguments(request: dict[str, Any], rig: str, devices: str, folder: Path) -> list[str]:
+    """Arguments of `spike4dgs` that look at a rig and at the disk of `folder`, where recordings go."""
+    options = {"rig": rig, "devices": devices, "out": folder, "disk_seconds": request["disk_seconds"]}
+    return ["preflight", *_flags(options), "--json"]
+
+
 def rig_argument(source: RigSource, calibrated: Path) -> str:
     """The rig file of the current calibration, or the rig as it was drawn where there is none."""
     return str(calibrated) if calibrated.exists() else source.rig

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from acquisition.recording.reader import read_manifest
+from acquisition.durable import write_durably
+from acquisition.recording.reader import Recording, read_manifest
 from rigs.errors import Spike4dgsError
+from server.contact_sheet import contact_sheet
 from server.settings import ServiceSettings
 from server.store.artefacts import is_plain, plain_files
 from server.store.entries import Entry
 from server.store.store import Store
 from server.work.calibrations import keep_calibration, write_current
-from server.work.commands import reconstruct_arguments, record_arguments, rig_argument, task_arguments
+from server.work.commands import (
+    import_arguments,
+    look_arguments,
+    preflight_arguments,
+    reconstruct_arguments,
+    record_arguments,
+    rig_argument,
+    task_arguments,
+)
 from server.work.reporter import Reporter
 from server.work.supervisor import Control, StageError, supervise
 
@@ -30,7 +41,7 @@ RUN_ARTEFACTS = (
     "poses/rig.toml",
     "poses/refined.toml",
 )
-ANSWERS = ("check-rig", "verify")  # whose exit code 1 is an answer, not a failure
+ANSWERS = ("check-rig", "verify", "preflight")  # whose exit code 1 is an answer, not a failure
 
 
 class Stages:
@@ -44,27 +55,78 @@ class Stages:
     async def run(self, entry_id: str, stage: str) -> None:
         """Run one stage; one that was interrupted goes on from its own checkpoint."""
         (entry,) = self._store.entries.find([entry_id])
-        work = {"record": self._record, "reconstruct": self._reconstruct}.get(entry.type, self._task)
-        await work(entry, stage)
+        kinds = {
+            "record": self._record,
+            "import": self._import,
+            "preflight": self._preflight,
+            "look": self._look,
+            "reconstruct": self._reconstruct,
+        }
+        await kinds.get(entry.type, self._task)(entry, stage)
 
     async def _record(self, entry: Entry, stage: str) -> None:
         recording = self._folder.recording(entry.id)
         if recording.exists():  # made by a worker that was killed: it has this name only when it is whole
             return
-        source = self._settings.rigs.get(entry.rig or "")
-        if source is None:
-            raise StageError(f"found no rig {entry.rig} in this worker's settings, expected the service's own rigs")
-        rig = rig_argument(source, self._store.rig_files.refresh(entry.rig or ""))
-        arguments = record_arguments(entry.request, rig, source.devices, recording)
+        rig, devices, lock = self._rig(entry)
+        arguments = record_arguments(entry.request, rig, devices, recording)
         control = Control(self._folder.entry(entry.id) / "stop", self._folder.entry(entry.id) / "save")
         try:
-            await self._supervise(entry, stage, arguments, [self._folder.rig(entry.rig or "")], control=control)
+            await self._supervise(entry, stage, arguments, [lock], control=control)
         except StageError:
             if not recording.exists():  # else it was kept, and says itself what it lacks
                 raise
             reporter = Reporter(self._store, entry.id, stage)
             reporter(1.0, f"kept, incomplete: {read_manifest(recording).reason}")
             reporter.close()
+
+    async def _import(self, entry: Entry, stage: str) -> None:
+        recording = self._folder.recording(entry.id)
+        if recording.exists():  # made by a worker that was killed: it has this name only when it is whole
+            return
+        dats = [self._folder.upload(upload_id) / "data" for upload_id in entry.request["dats"]]
+        cameras = self._folder.entry(entry.id) / entry.request["cameras"]
+        await self._supervise(entry, stage, import_arguments(entry.request, dats, cameras, recording), [])
+
+    async def _preflight(self, entry: Entry, stage: str) -> None:
+        rig, devices, lock = self._rig(entry)
+        out = self._fresh_out(entry)
+        arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
+        await self._supervise(entry, stage, arguments, [lock], stdout=out / "result.json")
+        self._store.artefacts.catalogue(entry.id, out, plain_files(out))
+
+    async def _look(self, entry: Entry, stage: str) -> None:
+        rig, devices, lock = self._rig(entry)
+        out = self._fresh_out(entry)
+        recording = self._folder.job(entry.id) / "recording"
+        self._folder.remove(recording)
+        try:
+            try:
+                await self._supervise(entry, stage, look_arguments(entry.request, rig, devices, recording), [lock])
+            except StageError:
+                if not recording.exists():  # else a camera failed, and the others are worth seeing
+                    raise
+            png = await asyncio.to_thread(lambda: contact_sheet(Recording.open(recording)))
+            for folder in (out, lock):
+                write_durably(folder / "look.png", png)
+        finally:
+            self._folder.remove(recording)
+        self._store.artefacts.catalogue(entry.id, out, plain_files(out))
+
+    def _rig(self, entry: Entry) -> tuple[str, str, Path]:
+        """The rig's file or name, its devices, and the folder whose flock keeps others from its cameras."""
+        source = self._settings.rigs.get(entry.rig or "")
+        if source is None or entry.rig is None:
+            raise StageError(f"found no rig {entry.rig} in this worker's settings, expected the service's own rigs")
+        calibrated = self._store.rig_files.refresh(entry.rig)
+        return rig_argument(source, calibrated), source.devices, self._folder.rig(entry.rig)
+
+    def _fresh_out(self, entry: Entry) -> Path:
+        """An empty folder for what a job makes, whatever an attempt that was interrupted left."""
+        out = self._folder.out(entry.id)
+        self._folder.remove(out)
+        out.mkdir(parents=True)
+        return out
 
     async def _reconstruct(self, entry: Entry, stage: str) -> None:
         run = self._folder.run(entry.id)
@@ -79,9 +141,7 @@ class Stages:
             self._store.artefacts.catalogue(entry.id, run, (name for name in RUN_ARTEFACTS if is_plain(run, name)))
 
     async def _task(self, entry: Entry, stage: str) -> None:
-        out = self._folder.out(entry.id)
-        self._folder.remove(out)  # an attempt that was interrupted
-        out.mkdir(parents=True)
+        out = self._fresh_out(entry)
         assert entry.capture is not None
         try:
             arguments = self._arguments(entry, entry.capture, out)

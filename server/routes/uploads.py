@@ -1,0 +1,71 @@
+"""Files that clients send, piece by piece."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request, Response
+
+from server.routes.services import Cursor, Limit, TheServices
+from server.schemas.uploads import Upload, UploadRequest, Uploads
+
+router = APIRouter(prefix="/uploads", tags=["uploads"])
+Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, lt=2**63, description="Where the body begins in the file.")]
+Length = Annotated[int | None, Header(alias="Content-Length", ge=0, include_in_schema=False)]
+_BODY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+
+
+@router.post("", status_code=201)
+def create(request: UploadRequest, response: Response, services: TheServices) -> Upload:
+    """Begin an upload; 413 where it is longer than uploads may be, 507 where the disk has no room for it."""
+    upload = services.uploads.create(request)
+    _tell(response, upload)
+    response.headers["Location"] = f"/v1/uploads/{upload.id}"
+    return upload
+
+
+@router.get("")
+def uploads(services: TheServices, cursor: Cursor = None, limit: Limit = 100) -> Uploads:
+    """Uploads, newest first."""
+    return services.uploads.list(cursor, limit)
+
+
+@router.get("/{upload_id}")
+def upload(upload_id: str, response: Response, services: TheServices) -> Upload:
+    """One upload and how much of it has come."""
+    found = services.uploads.get(upload_id)
+    _tell(response, found)
+    return found
+
+
+@router.head("/{upload_id}")
+def offset(upload_id: str, services: TheServices) -> Response:
+    """How much of an upload has come, as the header Upload-Offset."""
+    response = Response(headers={"Cache-Control": "no-store"})
+    _tell(response, services.uploads.get(upload_id))
+    return response
+
+
+@router.patch("/{upload_id}", openapi_extra=_BODY)
+async def append(
+    upload_id: str, request: Request, response: Response, services: TheServices, at: Offset, length: Length = None
+) -> Upload:
+    """Append the body; 409, with the right Upload-Offset, where it does not begin where the last one ended."""
+    upload = await services.uploads.receive(upload_id, at, length, request.stream())
+    _tell(response, upload)
+    return upload
+
+
+@router.post("/{upload_id}/commit")
+def commit(upload_id: str, services: TheServices) -> Upload:
+    """The upload is whole: its size and SHA-256 are checked, and it can be imported."""
+    return services.uploads.commit(upload_id)
+
+
+@router.delete("/{upload_id}", status_code=204)
+def delete(upload_id: str, services: TheServices) -> None:
+    """Forget an upload, committed or not; 409 while it is written or imported."""
+    services.uploads.delete(upload_id)
+
+
+def _tell(response: Response, upload: Upload) -> None:
+    response.headers["Upload-Offset"] = str(upload.offset)
+    response.headers["Upload-Length"] = str(upload.bytes)

@@ -1,0 +1,132 @@
+"""Files that clients send, piece by piece: a connection that breaks loses the piece under way and no more."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+
+from server.errors import DigestError, OffsetError, StateError, UploadDiskError, UploadSizeError
+from server.schemas.uploads import Upload, UploadRequest, Uploads
+from server.store.store import Store
+from server.store.upload_file import Appender, digest_of, held
+from server.store.uploads import StoredUpload
+
+_PIECE_BYTES = 1 << 20
+_IDLE_S = 30.0  # a client that is silent for so long is gone, and another request may go on
+
+
+class UploadService:
+    """The uploads of a service, each at most `most_bytes` long; `keep_free` bytes of the disk are left free."""
+
+    def __init__(self, store: Store, most_bytes: int, keep_free: int) -> None:
+        self._store = store
+        self._most_bytes = most_bytes
+        self._keep_free = keep_free
+
+    def create(self, request: UploadRequest) -> Upload:
+        """Begin an upload; raises UploadSizeError where it is too long, UploadDiskError where it has no room."""
+        if request.bytes > self._most_bytes:
+            raise UploadSizeError(f"found {request.bytes} bytes, expected at most {self._most_bytes} of an upload")
+        free = shutil.disk_usage(self._store.folder.path).free - self._keep_free
+        if request.bytes > free:
+            raise UploadDiskError(f"{request.bytes} bytes asked for, {max(0, free)} free", 0)
+        upload = self._store.uploads.new(request.name, request.bytes, request.sha256)
+        path = self.path(upload.id)
+        path.parent.mkdir()
+        path.touch()
+        self._store.uploads.add(upload)
+        return self._shown(upload)
+
+    def get(self, upload_id: str) -> Upload:
+        """One upload and how much of it has come; raises NotFoundError."""
+        return self._shown(self._store.uploads.get(upload_id))
+
+    def list(self, before: str | None, limit: int) -> Uploads:
+        """A page of uploads, newest first."""
+        found = self._store.uploads.page(before, limit + 1)
+        cursor = found[limit - 1].id if len(found) > limit else None
+        return Uploads(items=[self._shown(upload) for upload in found[:limit]], next=cursor)
+
+    async def receive(self, upload_id: str, offset: int, length: int | None, chunks: AsyncIterator[bytes]) -> Upload:
+        """Append what comes, `length` bytes if that is known, a megabyte at a time.
+
+        Raises NotFoundError, OffsetError, StateError where it is committed or another request writes to it,
+        UploadSizeError for more bytes than were announced, UploadDiskError where they do not fit the disk.
+        """
+        upload = await run_in_threadpool(self._open, upload_id)
+        path, pending = self.path(upload_id), bytearray()
+        with held(path) as descriptor:
+            appender = Appender(descriptor, path, offset, total=upload.bytes, keep_free=self._keep_free)
+            appender.expect(length or 0)
+            async for chunk in _until_gone(chunks):
+                pending += chunk
+                if len(pending) >= _PIECE_BYTES:
+                    await run_in_threadpool(appender.write, bytes(pending))
+                    pending.clear()
+            await run_in_threadpool(appender.write, bytes(pending))
+            await run_in_threadpool(appender.sync)
+        return self._shown(upload)
+
+    def commit(self, upload_id: str) -> Upload:
+        """Check size and digest; an upload that is committed already stays so.
+
+        Raises NotFoundError, OffsetError where bytes are missing, DigestError where they are not the announced ones.
+        """
+        upload = self._store.uploads.get(upload_id)
+        if upload.state == "open":
+            with held(self.path(upload_id)) as descriptor:
+                size = self._size(upload_id)
+                if size != upload.bytes:
+                    raise OffsetError(upload.bytes, size)
+                sha256 = digest_of(descriptor)
+                if upload.sha256 not in (None, sha256):
+                    raise DigestError(
+                        f"found the SHA-256 {sha256}, expected {upload.sha256}; delete the upload and send it again"
+                    )
+                self._store.uploads.commit(upload_id, sha256)
+        return self.get(upload_id)
+
+    def delete(self, upload_id: str) -> None:
+        """Forget an upload and its bytes; raises NotFoundError, StateError while it is written or imported."""
+        upload = self._store.uploads.get(upload_id)
+        for entry in self._store.entries.unfinished():
+            if entry.type == "import" and upload_id in entry.request["dats"]:
+                raise StateError(f"found {upload_id} being imported by {entry.id}, expected it unused; wait for that")
+        with held(self.path(upload_id)):
+            self._store.uploads.remove(upload.id)
+        self._store.folder.remove(self.path(upload_id).parent)
+
+    def path(self, upload_id: str) -> Path:
+        """Where the bytes of an upload lie."""
+        return self._store.folder.upload(upload_id) / "data"
+
+    def _open(self, upload_id: str) -> StoredUpload:
+        upload = self._store.uploads.get(upload_id)
+        if upload.state != "open":
+            raise StateError(f"found {upload_id} committed, expected it open; begin another upload")
+        return upload
+
+    def _size(self, upload_id: str) -> int:
+        try:
+            return self.path(upload_id).stat().st_size
+        except FileNotFoundError:  # it is being deleted
+            return 0
+
+    def _shown(self, upload: StoredUpload) -> Upload:
+        return Upload(offset=self._size(upload.id), **vars(upload))
+
+
+async def _until_gone(chunks: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """What a client sends until it ends, breaks off or falls silent: what has come is kept."""
+    while True:
+        try:
+            async with asyncio.timeout(_IDLE_S):
+                chunk = await anext(chunks)
+        except (StopAsyncIteration, ClientDisconnect, TimeoutError):
+            return
+        yield chunk
