@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from pydantic import BaseModel, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rigs.errors import Spike4dgsError
@@ -42,6 +42,7 @@ class ServiceSettings(BaseSettings):
 
     `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
+    A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
 
     model_config = SettingsConfigDict(env_prefix="SPIKE4DGS_", frozen=True)
@@ -53,6 +54,7 @@ class ServiceSettings(BaseSettings):
     rigs: dict[str, RigSource] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
     stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
+    dead_s: float = Field(15.0, ge=1.0)
     gpu: int | None = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 

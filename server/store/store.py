@@ -39,7 +39,7 @@ class Store:
             Events(database),
             Artefacts(database),
             Idempotency(database),
-            Workers(database),
+            Workers(database, dead_s=settings.dead_s),
         )
 
     def close(self) -> None:

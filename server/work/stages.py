@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from sqlalchemy.exc import SQLAlchemyError
+
+from acquisition.errors import DiskError
 from acquisition.recording.reader import read_manifest
 from rigs.errors import Spike4dgsError
 from server.settings import ServiceSettings
 from server.store.artefacts import is_plain, plain_files
+from server.store.database import is_full, is_outage
 from server.store.entries import Entry
 from server.store.store import Store
 from server.work.commands import reconstruct_arguments, record_arguments, rig_argument, task_arguments
@@ -29,6 +36,8 @@ RUN_ARTEFACTS = (
     "poses/rig.toml",
     "poses/refined.toml",
 )
+_NO_ROOM = "found no space left, expected some; free some and resume the job"
+_OUTAGE_POLL_S = 1.0
 ANSWERS = ("check-rig", "verify")  # whose exit code 1 is an answer, not a failure
 
 
@@ -39,12 +48,37 @@ class Stages:
         self._settings = settings
         self._store = store
         self._folder = store.folder
+        self.busy: set[str] = set()
+
+    @contextmanager
+    def at_work(self, entry_id: str) -> Iterator[None]:
+        """Note that an entry is in this worker's hands."""
+        self.busy.add(entry_id)
+        try:
+            yield
+        finally:
+            self.busy.discard(entry_id)
 
     async def run(self, entry_id: str, stage: str) -> None:
-        """Run one stage; one that was interrupted goes on from its own checkpoint."""
-        (entry,) = self._store.entries.find([entry_id])
-        work = {"record": self._record, "reconstruct": self._reconstruct}.get(entry.type, self._task)
-        await work(entry, stage)
+        """Run one stage: one that was interrupted from its own checkpoint on, one that is finished not again.
+
+        A database that does not answer is waited for. Raises StageError, and DiskError where there is no room left.
+        """
+        while True:
+            try:
+                (entry,) = self._store.entries.find([entry_id])
+                work = {"record": self._record, "reconstruct": self._reconstruct}.get(entry.type, self._task)
+                return await work(entry, stage)
+            except SQLAlchemyError as error:
+                if is_full(error):
+                    raise DiskError(f"{self._settings.database_name}: {_NO_ROOM}") from error
+                if not is_outage(error):
+                    raise
+            except OSError as error:
+                if not _is_full(error):
+                    raise
+                raise DiskError(f"{self._folder.path}: {_NO_ROOM}") from error
+            await asyncio.sleep(_OUTAGE_POLL_S)
 
     async def _record(self, entry: Entry, stage: str) -> None:
         recording = self._folder.recording(entry.id)
@@ -79,8 +113,9 @@ class Stages:
 
     async def _task(self, entry: Entry, stage: str) -> None:
         out = self._folder.out(entry.id)
-        self._folder.remove(out)  # an attempt that was interrupted
-        out.mkdir(parents=True)
+        if not self._finished(entry, stage).exists():
+            self._folder.remove(out)  # an attempt that was interrupted
+            out.mkdir(parents=True)
         assert entry.capture is not None
         run = self._folder.run(entry.request["job"]) if "job" in entry.request else None
         arguments = task_arguments(entry.request, self._folder.recording(entry.capture), run, out)
@@ -105,6 +140,7 @@ class Stages:
                 [*self._settings.stage_command, *arguments],
                 folders=[self._folder.entry(entry.id), *locks, *(self._accelerator() if trains else ())],
                 log=self._folder.log(entry.id),
+                finished=self._finished(entry, stage),
                 on_progress=reporter,
                 grace_s=self._settings.grace_s,
                 control=control,
@@ -112,10 +148,18 @@ class Stages:
                 answers=entry.type in ANSWERS,
                 environment={} if self._settings.gpu is None else {"CUDA_VISIBLE_DEVICES": str(self._settings.gpu)},
             )
-        except (Spike4dgsError, OSError) as error:
+        except Spike4dgsError as error:
             reporter.close(str(error))
             raise
+        except OSError as error:
+            reporter.close(f"{self._folder.path}: {_NO_ROOM}" if _is_full(error) else str(error))
+            raise
         reporter.close()
+
+    def _finished(self, entry: Entry, stage: str) -> Path:
+        """The mark of a finished stage; a restart, which counts attempts, begins without."""
+        attempt = 0 if entry.restart is None else entry.restart["attempt"]
+        return self._folder.entry(entry.id) / f"{stage}.{attempt}.finished"
 
     def _accelerator(self) -> Iterator[Path]:
         """The folder whose flock says that the accelerator is taken; on this host, not on shared storage."""
@@ -123,6 +167,10 @@ class Stages:
             folder = self._settings.locks / f"gpu{self._settings.gpu}"
             folder.mkdir(parents=True, exist_ok=True)
             yield folder
+
+
+def _is_full(error: OSError) -> bool:
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def _finished(run: Path, restart: dict[str, Any] | None) -> bool:
