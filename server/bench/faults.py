@@ -185,6 +185,7 @@ class Campaign:
             "lost": float(sum(row["status"] == "lost" for row in rows) + len(set(known) - set(self.accepted))),
             "undone": float(sum(row["status"] != "done" or row["missing"] > 0 for row in rows)),
             "repeated": float(sum(row["repeated"] for row in rows)),
+            "reopened": float(sum(row["reopened"] for row in rows)),
             "torn": float(sum(len(row["torn"]) for row in rows)),
             "orphans": float(len(self._deployment.family())),
             "locked": float(len(self._deployment.locked())),

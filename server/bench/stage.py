@@ -31,12 +31,12 @@ def main() -> None:
 def _stage(run: Path, stage: str, again: int) -> None:
     told: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
-    _trace(run, "begin", stage, again)
     checkpoint = run / f"{stage}.json"
     state = json.loads(checkpoint.read_text()) if checkpoint.exists() else {"done": 0, "again": 0}
     if again > state["again"]:
         state = {"done": 0, "again": again}
     steps = 20 if stage == "train" else 3
+    _trace(run, f"begin {stage} {again} {steps - state['done']}")
     while state["done"] < steps:
         time.sleep(float(os.environ.get("BENCH_STEP_S", "0.05")))
         state["done"] += 1
@@ -52,11 +52,11 @@ def _stage(run: Path, stage: str, again: int) -> None:
         (run / "report.html").write_text("x" * 100_000)
         _write(run / "metrics.json", {"psnr_db": 30.0})
         _write(run / "run.json", {"status": "finished"} | attempt)
-    _trace(run, "end", stage, again)
+    _trace(run, f"end {stage} {again} 0")
 
 
-def _trace(run: Path, word: str, stage: str, again: int) -> None:
-    line = f"{word} {stage} {again} {os.getpid()}\n".encode()
+def _trace(run: Path, text: str) -> None:
+    line = f"{text} {os.getpid()}\n".encode()
     descriptor = os.open(run.parent / "trace.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     os.write(descriptor, line)
     os.close(descriptor)

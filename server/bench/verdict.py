@@ -13,15 +13,18 @@ STAGES = stages_of("reconstruct")
 
 
 def read_trace(job: Path) -> dict[str, int]:
-    """Counts of a job's trace: `begun` and `ended` stages, `completed` runs, and what was `repeated` without a restart.
+    """Counts of a job's trace: `begun` and `ended` stages, `completed` runs, and what was done again without a restart.
+
+    `repeated` did work again; `reopened` found its work done: it was killed, or its worker was, in the moment between
+    its last line and its end. Both should be 0, but only the first is lost time.
 
     A begin with a higher number is a restart: that stage and the later ones may be done again.
     """
     ended: set[str] = set()
-    counts = {"begun": 0, "ended": 0, "completed": 0, "repeated": 0}
+    counts = {"begun": 0, "ended": 0, "completed": 0, "repeated": 0, "reopened": 0}
     newest = 0
     for line in (job / "trace.txt").read_text().splitlines() if (job / "trace.txt").exists() else ():
-        word, stage, again, _ = line.split()
+        word, stage, again, left, _ = line.split()
         if word == "end":
             ended.add(stage)
             counts["ended"] += 1
@@ -31,7 +34,8 @@ def read_trace(job: Path) -> dict[str, int]:
         if int(again) > newest:
             newest = int(again)
             ended -= set(STAGES[STAGES.index(stage) :])
-        counts["repeated"] += stage in ended
+        if stage in ended:
+            counts["repeated" if int(left) else "reopened"] += 1
     return counts | {"missing": len(set(STAGES) - ended)}
 
 
