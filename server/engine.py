@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
+from dbos import error as engine_errors
 
+from server.errors import StateError
 from server.schemas.progress import Status
 from server.settings import ServiceSettings
+from server.store.engine_tables import EngineTables
 from server.store.entries import Entry
 
 APPLICATION = "spike4dgs"
@@ -16,6 +19,7 @@ APPLICATION_VERSION = "3"
 WORKFLOW = "entry"
 
 RECONSTRUCTIONS = "reconstructions"  # what trains: one at a time a worker
+_CONNECTIONS = 20  # as many as half the web process's threads
 TASKS = "tasks"  # what takes a processor for seconds or minutes
 
 STAGES: dict[str, tuple[str, ...]] = {"reconstruct": ("plan", "poses", "images", "points", "train", "report")}
@@ -45,13 +49,17 @@ class Engine:
     def __init__(self, settings: ServiceSettings) -> None:
         self._client = DBOSClient(
             system_database_url=settings.engine_url,
+            system_database_pool_size=_CONNECTIONS,
             serializer=DBOSPortableJSONSerializer(),
             application_name=APPLICATION,
+            retry_connection_errors=False,  # who asks is told, rather than kept waiting for the database
         )
+        self._tables = EngineTables(settings)
 
     def close(self) -> None:
         """Let go of the database."""
         self._client.destroy()
+        self._tables.close()
 
     def check(self) -> None:
         """Raises where the database does not answer."""
@@ -71,10 +79,15 @@ class Engine:
 
     def statuses(self, entries: Sequence[Entry]) -> dict[str, Status]:
         """The status of each entry; one without work is done, one that is yet to be queued is queued."""
-        ids = [entry.id for entry in entries if entry.queue is not None]
-        found = self._client.list_workflows(workflow_ids=ids, load_input=False, load_output=False) if ids else []
-        known: dict[str, Status] = {one.workflow_id: _STATUS.get(one.status, "failed") for one in found}
+        found = self._tables.statuses([entry.id for entry in entries if entry.queue is not None])
+        known: dict[str, Status] = {entry_id: _STATUS.get(status, "failed") for entry_id, status in found.items()}
         return {entry.id: known.get(entry.id, "queued") if entry.queue else "done" for entry in entries}
+
+    def unknown(self, entries: Sequence[Entry]) -> list[Entry]:
+        """Those of the entries that should be queued and are not, nor ever were since the engine forgot them."""
+        ids = [entry.id for entry in entries if entry.queue is not None]
+        known = self._tables.statuses(ids)
+        return [entry for entry in entries if entry.queue is not None and entry.id not in known]
 
     def active(self, queue: str) -> str | None:
         """An entry of the queue that is queued or running, if any."""
@@ -92,19 +105,23 @@ class Engine:
             counts[key] = counts.get(key, 0) + 1
         return counts
 
-    def orphans(self, alive: Sequence[str]) -> list[str]:
-        """Running entries of workers that are not among the living."""
+    def running(self) -> dict[str, str]:
+        """Every running entry's id, and the worker that has it."""
         found = self._client.list_workflows(status="PENDING", load_input=False, load_output=False)
-        return [one.workflow_id for one in found if one.executor_id not in alive]
+        return {one.workflow_id: one.executor_id or "" for one in found}
 
     def cancel(self, entry_id: str) -> None:
         """Stop an entry that is queued or running."""
         self._client.cancel_workflow(entry_id)
 
-    def adopt(self, entry: Entry) -> None:
-        """Take a running entry from its worker and queue it again where it stopped."""
-        self._client.cancel_workflow(entry.id)
-        self._client.resume_workflow(entry.id, queue_name=entry.queue)
+    def adopt(self, entry: Entry, worker: str) -> None:
+        """Take an entry from its worker, where it still runs there, and queue it again where it stopped.
+
+        In one statement: cancelling and resuming would leave it cancelled if this process died in between, and would
+        undo what a client has cancelled meanwhile.
+        """
+        assert entry.queue is not None
+        self._client._sys_db.reenqueue_for_recovery(entry.id, [worker], entry.queue)
 
     def rewind(self, entry: Entry, stage: str | None = None) -> None:
         """Queue an ended entry again, from `stage` on or from the one it stopped in."""
@@ -113,9 +130,12 @@ class Engine:
             start = next((step["function_id"] for step in steps if step["error"]), len(steps) + 1)
         else:
             start = stages_of(entry.type).index(stage) + 1
-        self._client.rewind_workflow(
-            entry.id, start_step=start, application_version=APPLICATION_VERSION, queue_name=entry.queue
-        )
+        try:
+            self._client.rewind_workflow(
+                entry.id, start_step=start, application_version=APPLICATION_VERSION, queue_name=entry.queue
+            )
+        except engine_errors.DBOSException as error:  # another request was faster
+            raise StateError(f"found {entry.id} queued or deleted meanwhile, expected it ended; look again") from error
 
     def forget(self, entry_id: str) -> None:
         """Delete what the engine knows of an entry."""

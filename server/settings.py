@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rigs.errors import Spike4dgsError
@@ -44,6 +44,7 @@ class ServiceSettings(BaseSettings):
     `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
     An upload is at most `max_upload_bytes` long and leaves `keep_free_bytes` of the disk.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
+    A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
 
     model_config = SettingsConfigDict(env_prefix="SPIKE4DGS_", frozen=True)
@@ -57,6 +58,7 @@ class ServiceSettings(BaseSettings):
     grace_s: float = 8.0
     max_upload_bytes: int = 64 * 2**30
     keep_free_bytes: int = 256_000_000
+    dead_s: float = Field(15.0, ge=1.0)
     gpu: int | None = None
     log: Literal["text", "json"] = "text"
     otel: str | None = None

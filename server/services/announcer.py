@@ -11,6 +11,7 @@ from dbos import error as engine_errors
 from sqlalchemy.exc import SQLAlchemyError
 
 from server.engine import Engine
+from server.schemas.progress import ACTIVE, Status
 from server.services.queue import Queue
 from server.store.entries import Entry
 from server.store.store import Store
@@ -49,17 +50,29 @@ class Announcer:
                 continue
             if now != entry.told:
                 (latest,) = self._store.entries.find([entry.id]) or [entry]
-                self._store.events.tell(entry.id, entry.told, now, {"error": latest.progress.get("error")})
-            if now in ("done", "failed", "cancelled"):
+                self._tell(latest, entry.told, now)
+            if now not in ACTIVE:
                 self._store.events.thin(entry.id)
         self._queue.requeue(_is_old)
 
+    def _tell(self, entry: Entry, before: str, now: Status) -> None:
+        """Announce, and look again after an end: the entry may have been queued again while it was announced."""
+        while self._store.events.tell(entry.id, before, now, {"error": entry.progress.get("error")}) is not None:
+            latest = self._engine.statuses([entry])[entry.id]
+            if now in ACTIVE or latest == now:
+                return
+            before, now = now, latest
+
     def _run(self) -> None:
+        well = True
         while not self._stop.wait(_LOOK_S):
             try:
                 self.look()
-            except (engine_errors.DBOSException, SQLAlchemyError):
-                _LOG.exception("the announcer goes on after an error")
+                well = True
+            except (engine_errors.DBOSException, SQLAlchemyError, OSError) as error:
+                if well:  # once an outage
+                    _LOG.warning("the announcer tries again after: %s", str(error).splitlines()[0])
+                well = False
 
 
 def _is_old(entry: Entry) -> bool:

@@ -137,8 +137,8 @@ class CaptureService:
         active = [entry.id for entry in using if status[entry.id] in ACTIVE]
         if active:
             raise StateError(f"found {capture.id} in use by {active[0]}, expected no job at work on it; cancel it")
+        self._store.entries.remove(capture_id)  # first: what is kept and not queued is queued again
         self._engine.forget(capture_id)
-        self._store.entries.remove(capture_id)
         folder.remove(folder.recording(capture_id))
         folder.remove(folder.entry(capture_id))
 

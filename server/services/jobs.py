@@ -89,7 +89,7 @@ class JobService:
         """Stop a job that is queued or running; raises NotFoundError, StateError."""
         self._expect(self.get(job_id), *ACTIVE)
         entry = self._store.entries.get("job", job_id)
-        if entry.told == "new":  # it waits for its capture: the engine can cancel only what it knows
+        if entry.told == "new":  # it waits for its capture, or was kept by a process that died: not queued yet
             self._queue.start(entry)
         self._engine.cancel(job_id)
         return self.get(job_id)
@@ -120,20 +120,18 @@ class JobService:
     def prioritise(self, job_id: str, priority: int) -> Job:
         """Give a queued job another priority; raises NotFoundError, StateError."""
         self._expect(self.get(job_id), "queued")
-        if self._store.entries.get("job", job_id).told == "new":
+        entry = self._store.entries.get("job", job_id)
+        if entry.told == "new":
             self._store.entries.change(job_id, priority=priority)
-            return self.get(job_id)
-        self._engine.cancel(job_id)  # nobody can take it from the queue now
-        self._store.entries.change(job_id, priority=priority)
-        self._engine.forget(job_id)
-        self._engine.enqueue(self._store.entries.get("job", job_id))
+        else:
+            self._queue.prioritise(entry, priority)
         return self.get(job_id)
 
     def delete(self, job_id: str) -> None:
         """Delete a job and what it made; raises NotFoundError, and StateError while it is at work."""
         self._ended(job_id, "done", "failed", "cancelled")
+        self._store.entries.remove(job_id)  # first: what is kept and not queued is queued again
         self._engine.forget(job_id)
-        self._store.entries.remove(job_id)
         folder = self._store.folder
         folder.remove(folder.job(job_id))
         folder.remove(folder.entry(job_id))
@@ -145,8 +143,14 @@ class JobService:
         return "".join(text.splitlines(keepends=True)[first_line:])
 
     def _rewind(self, entry: Entry, stage: str | None) -> None:
+        self._tell_queued(entry)  # first, so that the announcer looks at it even if this process dies on the way
         self._engine.rewind(entry, stage)
-        self._store.events.tell(entry.id, self._store.entries.get("job", entry.id).told, "queued", {})
+        self._tell_queued(entry)  # again, where the announcer has looked too early
+
+    def _tell_queued(self, entry: Entry) -> None:
+        told = self._store.entries.get("job", entry.id).told
+        if told not in ACTIVE:
+            self._store.events.tell(entry.id, told, "queued", {})
 
     def _ended(self, job_id: str, *states: Status) -> Entry:
         self._expect(self.get(job_id), *states)

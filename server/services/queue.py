@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -23,6 +24,7 @@ class Queue:
     def __init__(self, store: Store, engine: Engine) -> None:
         self._store = store
         self._engine = engine
+        self._moving = threading.Lock()
 
     def ids(self, kind: Kind, asked: Sequence[_R], key: Key, scope: str) -> list[str]:
         """An id for each request; raises IdempotencyError where `key` came with other ones before."""
@@ -48,13 +50,34 @@ class Queue:
         """Queue a new entry."""
         if entry.queue is not None:
             self._engine.enqueue(entry)
-        self._store.events.tell(entry.id, "new", "queued" if entry.queue else "done", {})
+        if entry.told == "new":
+            self._store.events.tell(entry.id, "new", "queued" if entry.queue else "done", {})
 
     def requeue(self, is_old: Callable[[Entry], bool]) -> None:
-        """Queue what was kept but never queued: its capture was not made yet, or the process that kept it died."""
-        for entry in self._store.entries.unfinished():
-            if entry.told == "new" and is_old(entry) and not self._waits(entry):
-                self.start(entry)
+        """Queue what was kept but is not queued: its capture was not made yet, or a process died between the two."""
+        old = [entry for entry in self._store.entries.unfinished() if is_old(entry)]
+        unknown = {entry.id for entry in self._engine.unknown(old)}
+        status = self._engine.statuses([entry for entry in old if entry.told == "new"])
+        for entry in old:
+            if (entry.told == "new" or entry.id in unknown) and not self._waits(entry):
+                self._start_again(entry, cancelled=status.get(entry.id) == "cancelled")
+
+    def prioritise(self, entry: Entry, priority: int) -> None:
+        """Queue a queued entry anew: the engine has no other way. `requeue` mends what a crash leaves half done."""
+        with self._moving:
+            self._store.entries.change(entry.id, priority=priority, told="new")
+            self._engine.cancel(entry.id)  # nobody can take it from the queue now
+            self._engine.forget(entry.id)
+            self.start(self._store.entries.find([entry.id])[0])
+
+    def _start_again(self, entry: Entry, *, cancelled: bool) -> None:
+        with self._moving:
+            (latest,) = self._store.entries.find([entry.id]) or [None]
+            if latest is None or latest.told != entry.told:
+                return
+            if cancelled:  # on its way to another priority
+                self._engine.forget(entry.id)
+            self.start(latest)
 
     def _waits(self, entry: Entry) -> bool:
         """Whether a job's capture is still being made; a job whose capture failed is queued and says so."""

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import sqlite3
 from typing import Any
 
 import sqlalchemy as sa
 from dbos import DBOS
 from sqlalchemy import event
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from server.errors import ServiceError
 from server.settings import ServiceSettings
 from server.store.tables import metadata
 
 _BUSY_S = 30
+_CONNECT_S = 5
+_CONNECTIONS = 20
+_FULL = ("disk is full", "No space left")
 
 
 class DatabaseError(ServiceError):
@@ -46,16 +51,31 @@ def prepare_database(settings: ServiceSettings) -> sa.Engine:
 
 def open_database(settings: ServiceSettings) -> sa.Engine:
     """Connections to the service's own tables."""
-    if settings.database is not None:
-        return sa.create_engine(settings.catalogue_url, pool_pre_ping=True, pool_size=10, max_overflow=20)
-    engine = sa.create_engine(settings.catalogue_url, connect_args={"timeout": _BUSY_S})
+    engine = _pool(settings, settings.catalogue_url)
+    if settings.database is None:
 
-    @event.listens_for(engine, "connect")
-    def configure(connection: Any, record: Any) -> None:
-        connection.execute("PRAGMA journal_mode=WAL")  # who reads does not wait for who writes
-        connection.execute("PRAGMA synchronous=NORMAL")
+        @event.listens_for(engine, "connect")
+        def configure(connection: Any, record: Any) -> None:
+            connection.execute("PRAGMA journal_mode=WAL")  # who reads does not wait for who writes
+            connection.execute("PRAGMA synchronous=NORMAL")
 
     return engine
+
+
+def open_engine_database(settings: ServiceSettings) -> sa.Engine:
+    """Connections to the job engine's tables, for reading."""
+    return _pool(settings, settings.engine_url.replace("postgresql://", "postgresql+psycopg://", 1))
+
+
+def _pool(settings: ServiceSettings, url: str) -> sa.Engine:
+    arguments = {"timeout": _BUSY_S} if settings.database is None else {"connect_timeout": _CONNECT_S}
+    return sa.create_engine(
+        url,
+        connect_args=arguments,
+        pool_pre_ping=settings.database is not None,
+        pool_size=_CONNECTIONS,
+        max_overflow=_CONNECTIONS,  # together as many as the web process has threads
+    )
 
 
 def lock_writers(connection: sa.Connection) -> None:
@@ -65,3 +85,17 @@ def lock_writers(connection: sa.Connection) -> None:
     """
     postgresql = connection.dialect.name == "postgresql"
     connection.exec_driver_sql("SELECT pg_advisory_xact_lock(4127400942)" if postgresql else "BEGIN IMMEDIATE")
+
+
+def is_outage(error: SQLAlchemyError) -> bool:
+    """Whether the database did not answer, or is starting or busy: what was asked may be asked again later."""
+    if isinstance(error, PoolTimeoutError):
+        return True
+    if not isinstance(error, OperationalError) or is_full(error):
+        return False
+    return "locked" in str(error.orig) if isinstance(error.orig, sqlite3.Error) else True
+
+
+def is_full(error: SQLAlchemyError) -> bool:
+    """Whether the database has no room left on its disk."""
+    return any(words in str(getattr(error, "orig", error)) for words in _FULL)

@@ -46,7 +46,7 @@ class Store:
             Events(database),
             Artefacts(database),
             Idempotency(database),
-            Workers(database),
+            Workers(database, dead_s=settings.dead_s),
             calibrations,
             RigFiles(folder, calibrations),
             Uploads(database),

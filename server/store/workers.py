@@ -8,6 +8,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import sqlalchemy as sa
 
@@ -15,7 +16,6 @@ from server.errors import WorkerRunningError
 from server.store.database import lock_writers
 from server.store.tables import workers
 
-BEAT_S = 2.0
 DEAD_S = 15.0
 _FORGOTTEN_S = 24 * 3600
 
@@ -36,9 +36,11 @@ class Worker:
 class Workers:
     """The table of workers."""
 
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time, dead_s: float = DEAD_S) -> None:
         self._engine = engine
         self._clock = clock
+        self.dead_s = dead_s
+        self.beat_s = min(2.0, dead_s / 6)
 
     def enter(self, worker_id: str, queues: Sequence[str]) -> Worker:
         """Take the id for this process.
@@ -67,7 +69,8 @@ class Workers:
             mine = sa.and_(workers.c.id == worker.id, workers.c.token == worker.token)
             if not connection.execute(workers.update().where(mine).values(beat=self._clock())).rowcount:
                 raise WorkerRunningError(
-                    f"found the worker {worker.id} declared dead, expected to beat every {BEAT_S:g} s; start it again"
+                    f"found the worker {worker.id} declared dead, expected a beat every {self.beat_s:g} s; "
+                    "start it again"
                 )
 
     def leave(self, worker: Worker) -> None:
@@ -78,21 +81,26 @@ class Workers:
 
     def alive(self) -> list[Worker]:
         """Workers that beat lately."""
-        return [worker for worker in self._all() if worker.beat > self._clock() - DEAD_S]
+        return [worker for worker in self._all() if worker.beat > self._clock() - self.dead_s]
 
     def _all(self) -> list[Worker]:
         with self._engine.connect() as connection:
             return [Worker(**row) for row in connection.execute(sa.select(workers).order_by(workers.c.id)).mappings()]
 
     def _alive(self, worker: Worker) -> bool:
-        if worker.beat <= self._clock() - DEAD_S:
+        if worker.beat <= self._clock() - self.dead_s:
             return False
         if worker.host != socket.gethostname()[:80]:
             return True
-        try:
-            os.kill(worker.pid, 0)
-        except ProcessLookupError:
+        if worker.pid == os.getpid():  # of an earlier run: processes of a restarted container are numbered anew
             return False
-        except PermissionError:
-            return True
-        return True
+        return _runs(worker.pid)
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process of this host is alive: one that was killed and not yet waited for is not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"

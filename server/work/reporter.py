@@ -1,13 +1,19 @@
-"""Writes a stage's progress into the service's tables, at most twice a second."""
+"""Writes a stage's progress into the service's tables, at most twice a second, and never lets it stop the stage."""
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 
+from sqlalchemy.exc import SQLAlchemyError
+
 from server.schemas.progress import Progress
+from server.store.database import is_full, is_outage
 from server.store.store import Store
 
 _WRITE_EVERY_S = 0.5
+_OUTAGE_S = 5.0
 
 
 class Reporter:
@@ -26,8 +32,16 @@ class Reporter:
     def __call__(self, fraction: float, message: str) -> None:
         """Progress of the stage."""
         self._latest = Progress(stage=self._stage, fraction=fraction, message=message)
-        if time.monotonic() - self._written >= _WRITE_EVERY_S:
+        if time.monotonic() < self._next:
+            return
+        try:
             self._write()
+        except SQLAlchemyError as error:
+            if is_full(error):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+            if not is_outage(error):
+                raise
+            self._next = time.monotonic() + _OUTAGE_S  # the next report says more than the one that is lost
 
     def close(self, error: str | None = None) -> None:
         """The stage is over, done or with an error."""
@@ -36,7 +50,8 @@ class Reporter:
         self._write()
 
     def _write(self) -> None:
-        self._written = time.monotonic()
-        seconds = self._earlier.get(self._stage, 0.0) + self._written - self._began  # earlier attempts count
+        now = time.monotonic()
+        self._next = now + _WRITE_EVERY_S
+        seconds = self._earlier.get(self._stage, 0.0) + now - self._began  # earlier attempts count
         by_stage = self._earlier | {self._stage: round(seconds, 2)}
         self._store.events.progress(self._entry_id, self._latest.model_copy(update={"seconds": by_stage}).model_dump())

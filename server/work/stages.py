@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from sqlalchemy.exc import SQLAlchemyError
+
 from acquisition.durable import write_durably
+from acquisition.errors import DiskError
 from acquisition.recording.reader import Recording, read_manifest
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import contact_sheet
 from server.settings import ServiceSettings
 from server.store.artefacts import is_plain, plain_files
+from server.store.database import is_full, is_outage
 from server.store.entries import Entry
 from server.store.store import Store
 from server.work.calibrations import keep_calibration, write_current
@@ -41,6 +47,8 @@ RUN_ARTEFACTS = (
     "poses/rig.toml",
     "poses/refined.toml",
 )
+_NO_ROOM = "found no space left, expected some; free some and resume the job"
+_OUTAGE_POLL_S = 1.0
 ANSWERS = ("check-rig", "verify", "preflight")  # whose exit code 1 is an answer, not a failure
 
 
@@ -51,10 +59,38 @@ class Stages:
         self._settings = settings
         self._store = store
         self._folder = store.folder
+        self.busy: set[str] = set()
+
+    @contextmanager
+    def at_work(self, entry_id: str) -> Iterator[None]:
+        """Note that an entry is in this worker's hands."""
+        self.busy.add(entry_id)
+        try:
+            yield
+        finally:
+            self.busy.discard(entry_id)
 
     async def run(self, entry_id: str, stage: str) -> None:
-        """Run one stage; one that was interrupted goes on from its own checkpoint."""
-        (entry,) = self._store.entries.find([entry_id])
+        """Run one stage: one that was interrupted from its own checkpoint on, one that is finished not again.
+
+        A database that does not answer is waited for. Raises StageError, and DiskError where there is no room left.
+        """
+        while True:
+            try:
+                (entry,) = self._store.entries.find([entry_id])
+                return await self._work(entry.type)(entry, stage)
+            except SQLAlchemyError as error:
+                if is_full(error):
+                    raise DiskError(f"{self._settings.database_name}: {_NO_ROOM}") from error
+                if not is_outage(error):
+                    raise
+            except OSError as error:
+                if not _is_full(error):
+                    raise
+                raise DiskError(f"{self._folder.path}: {_NO_ROOM}") from error
+            await asyncio.sleep(_OUTAGE_POLL_S)
+
+    def _work(self, entry_type: str) -> Callable[[Entry, str], Awaitable[None]]:
         kinds = {
             "record": self._record,
             "import": self._import,
@@ -62,7 +98,7 @@ class Stages:
             "look": self._look,
             "reconstruct": self._reconstruct,
         }
-        await kinds.get(entry.type, self._task)(entry, stage)
+        return kinds.get(entry_type, self._task)
 
     async def _record(self, entry: Entry, stage: str) -> None:
         recording = self._folder.recording(entry.id)
@@ -92,7 +128,7 @@ class Stages:
         rig, devices, lock = self._rig(entry)
         out = self._fresh_out(entry)
         arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
-        await self._supervise(entry, stage, arguments, [lock], stdout=out / "result.json")
+        await self._supervise(entry, stage, arguments, [lock], stdout=out / "result.json", repeats=True)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
     async def _look(self, entry: Entry, stage: str) -> None:
@@ -102,7 +138,8 @@ class Stages:
         self._folder.remove(recording)
         try:
             try:
-                await self._supervise(entry, stage, look_arguments(entry.request, rig, devices, recording), [lock])
+                arguments = look_arguments(entry.request, rig, devices, recording)
+                await self._supervise(entry, stage, arguments, [lock], repeats=True)
             except StageError:
                 if not recording.exists():  # else a camera failed, and the others are worth seeing
                     raise
@@ -141,7 +178,7 @@ class Stages:
             self._store.artefacts.catalogue(entry.id, run, (name for name in RUN_ARTEFACTS if is_plain(run, name)))
 
     async def _task(self, entry: Entry, stage: str) -> None:
-        out = self._fresh_out(entry)
+        out = self._folder.out(entry.id) if self._finished(entry, stage).exists() else self._fresh_out(entry)
         assert entry.capture is not None
         try:
             arguments = self._arguments(entry, entry.capture, out)
@@ -175,13 +212,16 @@ class Stages:
         control: Control | None = None,
         stdout: Path | None = None,
         trains: bool = False,
+        repeats: bool = False,
     ) -> None:
+        """Run the stage's process; one that `repeats` leaves no mark, since its results do not outlive its worker."""
         reporter = Reporter(self._store, entry.id, stage)
         try:
             await supervise(
                 [*self._settings.stage_command, *arguments],
                 folders=[self._folder.entry(entry.id), *locks, *(self._accelerator() if trains else ())],
                 log=self._folder.log(entry.id),
+                finished=None if repeats else self._finished(entry, stage),
                 on_progress=reporter,
                 grace_s=self._settings.grace_s,
                 control=control,
@@ -189,10 +229,18 @@ class Stages:
                 answers=entry.type in ANSWERS,
                 environment={} if self._settings.gpu is None else {"CUDA_VISIBLE_DEVICES": str(self._settings.gpu)},
             )
-        except (Spike4dgsError, OSError) as error:
+        except Spike4dgsError as error:
             reporter.close(str(error))
             raise
+        except OSError as error:
+            reporter.close(f"{self._folder.path}: {_NO_ROOM}" if _is_full(error) else str(error))
+            raise
         reporter.close()
+
+    def _finished(self, entry: Entry, stage: str) -> Path:
+        """The mark of a finished stage; a restart, which counts attempts, begins without."""
+        attempt = 0 if entry.restart is None else entry.restart["attempt"]
+        return self._folder.entry(entry.id) / f"{stage}.{attempt}.finished"
 
     def _accelerator(self) -> Iterator[Path]:
         """The folder whose flock says that the accelerator is taken; on this host, not on shared storage."""
@@ -200,6 +248,10 @@ class Stages:
             folder = self._settings.locks / f"gpu{self._settings.gpu}"
             folder.mkdir(parents=True, exist_ok=True)
             yield folder
+
+
+def _is_full(error: OSError) -> bool:
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def _finished(run: Path, restart: dict[str, Any] | None) -> bool:

@@ -47,14 +47,19 @@ async def supervise(
     stdout: Path | None = None,
     answers: bool = False,
     environment: Mapping[str, str] | None = None,
+    finished: Path | None = None,
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
+
+    `finished` is the mark of its success: where it is there already, nothing is done.
 
     The process inherits the locks, so they last until it is gone even where this process dies first. Cancelling sends
     SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone. What it prints goes to `log`, or to
     `stdout`. Where it `answers`, an exit code of 1 with an answer is no failure.
     """
     async with _locked(folders) as locks:
+        if finished is not None and finished.exists():
+            return
         with log.open("a") as text, stdout.open("w") if stdout else contextlib.nullcontext(text) as printed:
             relay = _Relay(text, on_progress)
             transport, _ = await asyncio.get_running_loop().subprocess_exec(
@@ -75,10 +80,15 @@ async def supervise(
                     teller.cancel()
                 await _insist(_stop(transport, relay, grace_s))
                 transport.close()
-    if relay.fault is not None:
-        raise relay.fault
-    code = transport.get_returncode() or 0
-    if code == 1 and answers and stdout and stdout.stat().st_size:
+        if relay.fault is not None:
+            raise relay.fault
+        _judge(transport.get_returncode() or 0, relay, stdout if answers else None)
+        if finished is not None:
+            finished.touch()
+
+
+def _judge(code: int, relay: _Relay, answer: Path | None) -> None:
+    if code == 1 and answer and answer.stat().st_size:
         return
     if code != 0:
         ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"

@@ -7,11 +7,12 @@ import logging
 import os
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
 from dbos import error as engine_errors
+from sqlalchemy.exc import SQLAlchemyError
 
 from acquisition.errors import DiskError
 from rigs.errors import Spike4dgsError
@@ -27,8 +28,9 @@ from server.engine import (
 from server.errors import WorkerRunningError
 from server.settings import ServiceSettings
 from server.store.store import Store
-from server.store.workers import BEAT_S, Worker
+from server.store.workers import Worker
 from server.telemetry import configure_logs, engine_tracing
+from server.work.heir import Heir
 from server.work.stages import Stages
 
 _POLL_S = 0.5
@@ -44,14 +46,16 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
         store = Store.open(settings)
         queues = _queues(settings, kinds)
         me = store.workers.enter(name, queues)
+        stages = Stages(settings, store)
         try:
             _refresh(settings, store)
-            _launch(settings, store, name, queues)
-            _work(settings, store, me, stop)
+            _launch(settings, stages, name, queues)
+            _work(settings, store, me, stages, stop)
         finally:
             logging.getLogger("dbos").setLevel(logging.ERROR)  # it warns of every stage that is stopped here
             DBOS.destroy()
-            store.workers.leave(me)
+            with suppress(SQLAlchemyError):  # a database that is gone will see it from the beats
+                store.workers.leave(me)
             store.close()
 
 
@@ -64,25 +68,21 @@ def _refresh(settings: ServiceSettings, store: Store) -> None:
             logging.getLogger(__name__).exception("the calibration of %s is not up to date", rig_id)
 
 
-def _work(settings: ServiceSettings, store: Store, me: Worker, stop: threading.Event) -> None:
+def _work(settings: ServiceSettings, store: Store, me: Worker, stages: Stages, stop: threading.Event) -> None:
+    """Beat until told to stop; a database that does not answer is waited for. Raises WorkerRunningError."""
     engine = Engine(settings)
+    heir = Heir(store, engine, me, stages.busy)
     try:
         while True:
-            store.workers.beat(me)
-            _adopt(store, engine, me)
-            if stop.wait(BEAT_S):
+            try:
+                store.workers.beat(me)
+                heir.look()
+            except SQLAlchemyError as error:
+                heir.pause(str(getattr(error, "orig", error)).splitlines()[0])
+            if stop.wait(store.workers.beat_s):
                 return
     finally:
         engine.close()
-
-
-def _adopt(store: Store, engine: Engine, me: Worker) -> None:
-    """Queue again what dead workers had begun; the first of the living does it for all."""
-    alive = [worker.id for worker in store.workers.alive()]
-    if not alive or alive[0] != me.id:
-        return
-    for entry in store.entries.find(engine.orphans(alive)):
-        engine.adopt(entry)
 
 
 def _queues(settings: ServiceSettings, kinds: Sequence[str]) -> list[str]:
@@ -90,7 +90,7 @@ def _queues(settings: ServiceSettings, kinds: Sequence[str]) -> list[str]:
     return [*captures, *(name for name in (RECONSTRUCTIONS, TASKS) if name in kinds)]
 
 
-def _launch(settings: ServiceSettings, store: Store, name: str, queues: Sequence[str]) -> None:
+def _launch(settings: ServiceSettings, stages: Stages, name: str, queues: Sequence[str]) -> None:
     config: DBOSConfig = {
         "name": APPLICATION,
         "system_database_url": settings.engine_url,
@@ -103,12 +103,12 @@ def _launch(settings: ServiceSettings, store: Store, name: str, queues: Sequence
     DBOS(config=config)
     configure_logs(settings)  # after the engine has set up its own
     logging.getLogger("dbos").addFilter(_one_line)
-    stages = Stages(settings, store)
 
     @DBOS.workflow(name=WORKFLOW)
     async def entry(entry_id: str, names: list[str]) -> None:
-        for stage in names:
-            await DBOS.run_step_async({"name": stage, "preemptible": True}, stages.run, entry_id, stage)
+        with stages.at_work(entry_id):
+            for stage in names:
+                await DBOS.run_step_async({"name": stage, "preemptible": True}, stages.run, entry_id, stage)
 
     DBOS.listen_queues(queues)
     DBOS.launch()
@@ -121,6 +121,8 @@ def _one_line(record: logging.LogRecord) -> bool:
     error = record.exc_info[1] if record.exc_info else None
     if isinstance(error, Spike4dgsError):
         record.msg, record.args, record.exc_info = str(error), None, None
+    elif isinstance(error, SQLAlchemyError):
+        record.msg, record.args, record.exc_info = str(getattr(error, "orig", error)).splitlines()[0], None, None
     return not isinstance(error, engine_errors.DBOSAwaitedWorkflowCancelledError)
 
 

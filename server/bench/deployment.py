@@ -1,0 +1,97 @@
+"""A whole service on this machine: the web process, workers and, where asked, a PostgreSQL of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from server.bench.postgresql import Postgresql
+from server.store.files import is_locked
+
+STAGE = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stage.py")))
+
+
+class Deployment:
+    """Processes by name (`api`, and workers by their own), each started, killed and started again at will."""
+
+    def __init__(self, data: Path, *, postgresql: bool, dead_s: float = 5.0, step_s: float = 0.05) -> None:
+        self.data = data
+        data.mkdir(parents=True, exist_ok=True)
+        self.database = Postgresql() if postgresql else None
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.address = f"http://127.0.0.1:{self.port}"
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._environment = os.environ | {
+            "SPIKE4DGS_STAGE_COMMAND": json.dumps(STAGE),
+            "SPIKE4DGS_DEAD_S": str(dead_s),
+            "BENCH_STEP_S": str(step_s),
+        }
+        if self.database is not None:
+            self._environment["SPIKE4DGS_DATABASE"] = self.database.url
+
+    def start(self, name: str) -> None:
+        """Start the web process, `api`, or a worker."""
+        command = ["serve", "--port", str(self.port)] if name == "api" else ["worker", "--name", name]
+        with (self.data / f"{name}.log").open("ab") as log:
+            self.processes[name] = subprocess.Popen(
+                [sys.executable, "-P", "-m", "server.cli", *command, "--data", str(self.data)],
+                env=self._environment,
+                stdout=log,
+                stderr=log,
+            )
+
+    def kill(self, name: str) -> None:
+        """kill -9."""
+        self.processes[name].kill()
+        self.processes.pop(name).wait()
+
+    def dead(self) -> list[str]:
+        """Those that ended by themselves, which none should."""
+        return [name for name, process in self.processes.items() if process.poll() is not None]
+
+    def stages(self) -> list[int]:
+        """Process ids of the stages that run now."""
+        return [pid for pid in self.family() if _command(pid)[:4] == list(STAGE)]
+
+    def family(self) -> list[int]:
+        """Process ids of all that name the data folder, but this one."""
+        pids = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
+        return [p for p in pids if p != os.getpid() and any(str(self.data) in word for word in _command(p))]
+
+    def stop(self) -> None:
+        """End all but the database in order."""
+        for process in self.processes.values():
+            process.terminate()
+        for process in self.processes.values():
+            try:
+                process.wait(60)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self.processes.clear()
+
+    def close(self) -> None:
+        """End everything, and whatever was left behind."""
+        self.stop()
+        for pid in self.family():
+            os.kill(pid, signal.SIGKILL)
+        if self.database is not None:
+            self.database.close()
+
+    def locked(self) -> list[str]:
+        """Folders whose flock somebody holds."""
+        folders = [path for kind in ("entries", "rigs", "workers") for path in (self.data / kind).glob("*")]
+        return [str(folder) for folder in folders if is_locked(folder)]
+
+
+def _command(pid: int) -> list[str]:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        return []

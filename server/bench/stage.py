@@ -1,0 +1,72 @@
+"""Stands in for every stage: sleeps instead of computing, and keeps a trace that nothing is ever taken from.
+
+Run by path, without the packages, so that a campaign costs little: the trace holds `begin` and `end` of every attempt.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+
+def main() -> None:
+    """`record ... --out REC` or `reconstruct REC --out RUN --stage NAME [--again N]`; SIGTERM ends it."""
+    command, *arguments = sys.argv[1:]
+    if command == "reconstruct":
+        arguments = arguments[1:]
+    flags = dict(zip(arguments[::2], arguments[1::2], strict=False))
+    out = Path(flags["--out"])
+    if command == "record":
+        aside = out.with_name(f".{out.name}.partial")
+        aside.mkdir(exist_ok=True)
+        (aside / "recording.json").write_text("{}")
+        aside.rename(out)
+        return
+    out.mkdir(exist_ok=True)
+    _stage(out, flags["--stage"], int(flags.get("--again", "0")))
+
+
+def _stage(run: Path, stage: str, again: int) -> None:
+    told: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
+    checkpoint = run / f"{stage}.json"
+    state = json.loads(checkpoint.read_text()) if checkpoint.exists() else {"done": 0, "again": 0}
+    if again > state["again"]:
+        state = {"done": 0, "again": again}
+    steps = 20 if stage == "train" else 3
+    _trace(run, f"begin {stage} {again} {steps - state['done']}")
+    while state["done"] < steps:
+        time.sleep(float(os.environ.get("BENCH_STEP_S", "0.05")))
+        state["done"] += 1
+        _write(checkpoint, state)
+        event = {"event": "progress", "stage": stage, "fraction": state["done"] / steps, "message": "asleep"}
+        sys.stderr.write(json.dumps(event) + "\n")
+        if told:
+            sys.exit(143)
+    if again:
+        _write(run / "attempt.json", {"attempt": again})
+    if stage == "report":
+        attempt = json.loads((run / "attempt.json").read_text()) if (run / "attempt.json").exists() else {"attempt": 0}
+        (run / "report.html").write_text("x" * 100_000)
+        _write(run / "metrics.json", {"psnr_db": 30.0})
+        _write(run / "run.json", {"status": "finished"} | attempt)
+    _trace(run, f"end {stage} {again} 0")
+
+
+def _trace(run: Path, text: str) -> None:
+    line = f"{text} {os.getpid()}\n".encode()
+    descriptor = os.open(run.parent / "trace.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    os.write(descriptor, line)
+    os.close(descriptor)
+
+
+def _write(path: Path, document: object) -> None:
+    aside = path.with_suffix(".partial")
+    aside.write_text(json.dumps(document))
+    aside.replace(path)
+
+
+if __name__ == "__main__":
+    main()

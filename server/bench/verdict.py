@@ -1,0 +1,51 @@
+"""What a campaign of faults must leave: every job done once, no stage done twice, nothing running, locked or torn."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from server.engine import stages_of
+from server.schemas.jobs import Artefact
+
+STAGES = stages_of("reconstruct")
+
+
+def read_trace(job: Path) -> dict[str, int]:
+    """Counts of a job's trace: `begun` and `ended` stages, `completed` runs, and what was done again without a restart.
+
+    `repeated` did work again; `reopened` found its work done: it was killed, or its worker was, in the moment between
+    its last line and its end. Both should be 0, but only the first is lost time.
+
+    A begin with a higher number is a restart: that stage and the later ones may be done again.
+    """
+    ended: set[str] = set()
+    counts = {"begun": 0, "ended": 0, "completed": 0, "repeated": 0, "reopened": 0}
+    newest = 0
+    for line in (job / "trace.txt").read_text().splitlines() if (job / "trace.txt").exists() else ():
+        word, stage, again, left, _ = line.split()
+        if word == "end":
+            ended.add(stage)
+            counts["ended"] += 1
+            counts["completed"] += stage == STAGES[-1]
+            continue
+        counts["begun"] += 1
+        if int(again) > newest:
+            newest = int(again)
+            ended -= set(STAGES[STAGES.index(stage) :])
+        if stage in ended:
+            counts["repeated" if int(left) else "reopened"] += 1
+    return counts | {"missing": len(set(STAGES) - ended)}
+
+
+def torn(job: Path, artefacts: list[Artefact]) -> list[str]:
+    """Artefacts that are not what the catalogue says, and documents that are no JSON."""
+    run = job / "run"
+    bad = [one.name for one in artefacts if hashlib.sha256((run / one.name).read_bytes()).hexdigest() != one.sha256]
+    for path in run.glob("*.json"):
+        try:
+            json.loads(path.read_text())
+        except ValueError:
+            bad.append(path.name)
+    return bad

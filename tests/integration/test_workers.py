@@ -1,0 +1,163 @@
+"""Several workers on one database: they share the work, inherit from each other, and outlive the database."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from server.bench.deployment import Deployment
+from server.bench.faults import Campaign
+from server.bench.postgresql import PostgresqlMissingError
+from server.bench.verdict import STAGES, read_trace
+from server.client import RefusedError, ServiceClient
+from server.schemas.captures import CaptureRequest
+from server.schemas.jobs import ReconstructRequest
+
+pytestmark = pytest.mark.slow
+DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
+
+
+@pytest.fixture(params=DATABASES)
+def deployment(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Deployment]:
+    try:
+        made = Deployment(tmp_path / "data", postgresql=request.param == "postgresql", dead_s=4.0)
+    except PostgresqlMissingError as error:
+        pytest.skip(str(error))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(deployment: Deployment) -> Iterator[ServiceClient]:
+    for name in ("api", "a", "b"):
+        deployment.start(name)
+    with ServiceClient.at(deployment.address) as service:
+        wait_for(lambda: answers(service) and {one.id for one in service.workers()} == {"a", "b"})
+        yield service
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("waited for two minutes in vain")
+
+
+def answers(service: ServiceClient) -> bool:
+    try:
+        service.info()
+        service.workers()
+    except (httpx.TransportError, RefusedError):
+        return False
+    return True
+
+
+def captured(client: ServiceClient) -> str:
+    made = client.start_capture("lab3x3", CaptureRequest(ticks=5))
+    wait_for(lambda: client.capture(made.id).status == "done")
+    return made.id
+
+
+def owner(deployment: Deployment, job_id: str) -> str | None:
+    """The worker whose stage works on the job now."""
+    for pid in deployment.stages():
+        try:
+            line = Path(f"/proc/{pid}/cmdline").read_text()
+            parent = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if job_id in line:
+            return next((name for name, process in deployment.processes.items() if process.pid == parent), None)
+    return None
+
+
+def test_workers_share_the_work_and_inherit(client: ServiceClient, deployment: Deployment) -> None:
+    capture = captured(client)
+    jobs = [client.submit(ReconstructRequest(capture=capture)).id for _ in range(4)]
+    owners: dict[str, str] = {}
+
+    def both_at_work() -> bool:
+        owners.update({job: name for job in jobs if (name := owner(deployment, job))})
+        assert len(deployment.stages()) <= 2
+        return set(owners.values()) == {"a", "b"}
+
+    wait_for(both_at_work)
+    deployment.kill("b")
+    wait_for(lambda: all(client.job(job).status == "done" for job in jobs))
+    counts = [read_trace(deployment.data / "jobs" / job) for job in jobs]
+    assert [(count["completed"], count["repeated"], count["missing"]) for count in counts] == [(1, 0, 0)] * 4
+    assert sum(count["begun"] - count["ended"] for count in counts) <= 1  # the stage that died with its worker
+    deployment.stop()
+    assert deployment.family() == []
+    assert deployment.locked() == []
+
+
+def test_a_name_belongs_to_one_worker_wherever_its_data_is(
+    client: ServiceClient, deployment: Deployment, tmp_path: Path
+) -> None:
+    if deployment.database is None:
+        pytest.skip("the data folder is the database: its lock is tested with one worker")
+    second = subprocess.run(
+        [sys.executable, "-m", "server.cli", "worker", "--name", "a", "--data", tmp_path / "other"],
+        env=os.environ | {"SPIKE4DGS_DATABASE": deployment.database.url},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (second.returncode, second.stderr.count("\n")) == (2, 1)
+    assert "found another worker a on" in second.stderr
+    assert "choose another --name" in second.stderr
+
+
+def test_a_job_outlives_its_database(client: ServiceClient, deployment: Deployment) -> None:
+    if deployment.database is None:
+        pytest.skip("SQLite has no process to kill")
+    job = client.submit(ReconstructRequest(capture=captured(client))).id
+    wait_for(lambda: client.job(job).stage == "train")
+    deployment.database.kill()
+    codes = set()
+    for _ in range(20):
+        try:
+            codes.add(client.job(job).status)
+        except RefusedError as refused:
+            codes.add(refused.status)
+        time.sleep(0.2)
+    assert codes <= {503, "running"}
+    assert 503 in codes
+    deployment.database.start()
+    wait_for(lambda: answers(client) and client.job(job).status == "done")
+    count = read_trace(deployment.data / "jobs" / job)
+    assert (count["begun"], count["completed"], count["repeated"]) == (len(STAGES), 1, 0)
+    assert deployment.dead() == []
+    wait_for(lambda: {one.id for one in client.workers()} == {"a", "b"})
+
+
+def test_a_campaign_of_faults_loses_nothing(deployment: Deployment) -> None:
+    campaign = Campaign(deployment, 25, random.Random(7))
+    campaign.run(limit_s=900)
+    rows, counts = campaign.judge()
+    assert [row for row in rows if row["status"] != "done"] == []
+    for name in ("lost", "undone", "repeated", "torn", "orphans", "locked", "ended_alone", "answers.500"):
+        assert counts.get(name, 0) == 0, name
+    assert counts["kills.worker"] > 0
+    assert counts["kills.stage"] > 0
+
+
+def test_a_killed_stage_is_resumed_where_it_stopped(client: ServiceClient, deployment: Deployment) -> None:
+    job = client.submit(ReconstructRequest(capture=captured(client))).id
+    wait_for(lambda: client.job(job).stage == "train" and deployment.stages() != [])
+    os.kill(deployment.stages()[0], signal.SIGKILL)
+    wait_for(lambda: client.job(job).status == "failed")
+    assert client.job(job).error == "the stage ended with SIGKILL and no message"
+    client.resume(job)
+    wait_for(lambda: client.job(job).status == "done")
+    count = read_trace(deployment.data / "jobs" / job)
+    assert (count["begun"], count["completed"], count["repeated"]) == (len(STAGES) + 1, 1, 0)
