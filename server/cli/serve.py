@@ -11,10 +11,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rigs.errors import Spike4dgsError
+
+if TYPE_CHECKING:
+    from server.settings import ServiceSettings
 
 
 class PortError(Spike4dgsError):
@@ -65,20 +69,32 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @click.command()
-@click.option("--host", help="A loopback address.  [default: 127.0.0.1]")
+@click.option("--host", help="An address; one that others reach needs a token.  [default: 127.0.0.1]")
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes any free one.  [default: 8000]")
+@click.option("--allow-host", "hosts", multiple=True, metavar="NAME[:PORT]", help="A host name others may use for it.")
+@click.option("--allow-origin", "origins", multiple=True, metavar="URL", help="A page let in, as https://lab.example.")
 @_rig_options
 @click.option("--with-worker", is_flag=True, help="Run a worker too, and stop it with the service.")
 def serve_command(
-    host: str | None, port: int | None, data: Path | None, rig: str | None, devices: str | None, with_worker: bool
+    host: str | None,
+    port: int | None,
+    hosts: tuple[str, ...],
+    origins: tuple[str, ...],
+    data: Path | None,
+    rig: str | None,
+    devices: str | None,
+    with_worker: bool,
 ) -> None:
-    """Serve the page and REST on loopback; the address is printed first."""
+    """Serve the page and REST, on loopback unless told otherwise; the address is printed first."""
     import uvicorn
 
     from server.app import create_app
     from server.settings import settings_of
 
-    settings = settings_of(rig=rig, devices=devices, host=host, port=port, data=data)
+    names = {"hosts": hosts or None, "origins": origins or None}
+    settings = settings_of(rig=rig, devices=devices, host=host, port=port, data=data, **names)
+    if settings.exposed:
+        _refuse_without_token(settings)
     with listening(settings.host, settings.port) as listener:
         app = create_app(settings)
         flags = [("--data", str(settings.data)), ("--rig", rig), ("--devices", devices)]
@@ -89,7 +105,7 @@ def serve_command(
             click.echo(f"http://{address}:{listener.getsockname()[1]}")
             sys.stdout.flush()
             with suppress(KeyboardInterrupt):  # the usual way to stop it
-                uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
+                uvicorn.Server(uvicorn.Config(app, log_level="warning", server_header=False)).run(sockets=[listener])
 
 
 @click.command()
@@ -108,6 +124,18 @@ def worker_command(
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     run_worker(settings_of(rig=rig, devices=devices, data=data, gpu=gpu), name, queues, stop)
+
+
+def _refuse_without_token(settings: ServiceSettings) -> None:
+    """Before anything listens: raises ExposedError where others would reach the service without a token."""
+    from server.services.access import AccessService
+    from server.store.store import Store
+
+    store = Store.open(settings)
+    try:
+        AccessService(store.tokens, settings).check_exposure()
+    finally:
+        store.close()
 
 
 @contextmanager

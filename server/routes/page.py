@@ -7,7 +7,8 @@ from fastapi.responses import FileResponse
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parents[1] / "page"
-_HEADERS = {"Content-Security-Policy": "default-src 'self'; img-src 'self' data:", "X-Content-Type-Options": "nosniff"}
+_POLICY = "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
+_HEADERS = {"Content-Security-Policy": _POLICY}
 
 
 @router.get("/")

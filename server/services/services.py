@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from server.engine import Engine
+from server.services.access import AccessService
 from server.services.announcer import Announcer
 from server.services.artefacts import ArtefactService
 from server.services.captures import CaptureService, RigService
@@ -29,6 +30,7 @@ class Services:
         self.jobs = JobService(self.store, self.engine, queue)
         self.artefacts = ArtefactService(self.store)
         self.health = HealthService(self.store, self.engine)
+        self.access = AccessService(self.store.tokens, settings)
         self.announcer = Announcer(self.store, self.engine, queue)
 
     def start(self) -> None:

@@ -13,6 +13,7 @@ from server.store.entries import Entries
 from server.store.events import Events
 from server.store.files import DataFolder
 from server.store.idempotency import Idempotency
+from server.store.tokens import Tokens
 from server.store.workers import Workers
 
 
@@ -27,6 +28,7 @@ class Store:
     artefacts: Artefacts
     idempotency: Idempotency
     workers: Workers
+    tokens: Tokens
 
     @classmethod
     def open(cls, settings: ServiceSettings) -> Store:
@@ -40,6 +42,7 @@ class Store:
             Artefacts(database),
             Idempotency(database),
             Workers(database),
+            Tokens(database),
         )
 
     def close(self) -> None:
