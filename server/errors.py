@@ -167,14 +167,13 @@ def install(app: FastAPI) -> None:
             {
                 "where": ".".join(str(part)[:80] for part in fault["loc"]),
                 "found": _short(fault.get("input")),
-                "message": fault["msg"],
+                "message": _cut(fault["msg"], 500),
             }
             for fault in error.errors()[:_MOST_FAULTS]
         ]
         first = faults[0]
-        return problem(
-            422, f"{first['where']}: found {first['found']}; {first['message']}", "invalid-request", errors=faults
-        )
+        detail = f"{first['where']}: found {first['found']}; {first['message']}"
+        return problem(422, detail, "invalid-request", errors=faults)
 
     @app.exception_handler(SQLAlchemyError)
     def database(request: Request, error: SQLAlchemyError) -> JSONResponse:
@@ -196,5 +195,8 @@ def install(app: FastAPI) -> None:
 
 
 def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return _cut(repr(value), 80)
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."

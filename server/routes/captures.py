@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from server.routes.services import Cursor, Limit, TheServices
+from server.routes.services import Cursor, Limit, Named, TheServices, Word
 from server.schemas.captures import Capture, Captures
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -13,8 +13,8 @@ router = APIRouter(prefix="/captures", tags=["captures"])
 @router.get("")
 def captures(
     services: TheServices,
-    rig: str | None = None,
-    name: str | None = None,
+    rig: Word = None,
+    name: Named = None,
     status: Status | None = None,
     cursor: Cursor = None,
     limit: Limit = 100,

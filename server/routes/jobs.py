@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, PlainTextResponse
 
-from server.routes.services import Cursor, IdempotencyKey, Limit, TheServices
+from server.routes.services import Cursor, IdempotencyKey, Limit, Named, TheServices, Word
 from server.schemas.jobs import (
     Artefacts,
     BatchRequest,
@@ -40,10 +40,10 @@ def submit_batch(request: BatchRequest, services: TheServices, key: IdempotencyK
 @router.get("/jobs")
 def jobs(
     services: TheServices,
-    type: str | None = None,
-    rig: str | None = None,
-    capture: str | None = None,
-    name: str | None = None,
+    type: Word = None,
+    rig: Word = None,
+    capture: Word = None,
+    name: Named = None,
     status: Status | None = None,
     cursor: Cursor = None,
     limit: Limit = 100,

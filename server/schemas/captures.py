@@ -10,8 +10,8 @@ from acquisition.devices.registers import EXPOSURES, THRESHOLDS
 from server.schemas.progress import Progress, Request, Status
 
 # No control characters, no line ends, nothing that turns the direction of the text around it.
-_SHOWN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ufeff]+$"
-Name = Annotated[str, Field(min_length=1, max_length=80, pattern=_SHOWN)]
+SHOWN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ufeff]+$"
+Name = Annotated[str, Field(min_length=1, max_length=80, pattern=SHOWN)]
 
 
 class CaptureRequest(Request):

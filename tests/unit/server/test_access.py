@@ -106,7 +106,9 @@ def test_a_viewer_reads_and_an_operator_does_all(http, secrets) -> None:
 def test_comparison_takes_the_same_time_for_all(http, secrets, monkeypatch) -> None:
     compared = []
     same = hmac.compare_digest
-    monkeypatch.setattr("server.services.access.hmac.compare_digest", lambda a, b: compared.append((a, b)) or same(a, b))
+    monkeypatch.setattr(
+        "server.services.access.hmac.compare_digest", lambda a, b: compared.append((a, b)) or same(a, b)
+    )
     for secret in (secrets["operator"], secrets["viewer"], "s4d_other"):
         compared.clear()
         http.get("/v1/info", headers=bearer(secret))
