@@ -134,8 +134,7 @@ def _operation(path: str, method: str, operation: dict[str, Any]) -> None:
 
 
 def _statuses(path: str, method: str, operation: dict[str, Any]) -> Iterator[int]:
-    yield 403
-    yield 429
+    yield from (403, 429)
     if is_guarded(path):
         yield from (401, 503)
     if "{" in path:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
 
+from server.pickles import refuse_pickles
 from server.schemas.progress import Status
 from server.settings import ServiceSettings
 from server.store.entries import Entry
@@ -43,6 +44,7 @@ class Engine:
     """A client of the job engine; entries are workflows of the same id."""
 
     def __init__(self, settings: ServiceSettings) -> None:
+        refuse_pickles()
         self._client = DBOSClient(
             system_database_url=settings.engine_url,
             serializer=DBOSPortableJSONSerializer(),

@@ -79,15 +79,17 @@ def cancel(job_id: str, services: TheServices) -> Job:
 @router.post("/jobs/{job_id}/resume", status_code=202)
 def resume(job_id: str, response: Response, services: TheServices) -> Job:
     """Take a failed or cancelled job up again where it stopped."""
-    response.headers["Location"] = f"/v1/jobs/{job_id}"
-    return services.jobs.resume(job_id)
+    job = services.jobs.resume(job_id)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job
 
 
 @router.post("/jobs/{job_id}/restart", status_code=202)
 def restart(job_id: str, request: RestartRequest, response: Response, services: TheServices) -> Job:
     """Do an ended reconstruction again from a stage on."""
-    response.headers["Location"] = f"/v1/jobs/{job_id}"
-    return services.jobs.restart(job_id, request.stage)
+    job = services.jobs.restart(job_id, request.stage)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job
 
 
 @router.put("/jobs/{job_id}/priority")
