@@ -22,7 +22,7 @@ def refuse_pickles() -> None:
     serialization.DefaultSerializer.serialize = _refuse_writing
 
 
-def _refuse_reading(self: object, serialized_data: str) -> Any:
+def _refuse_reading(cls: object, serialized_data: str) -> Any:
     raise PickleError("found a pickle in the job engine's tables, expected portable JSON; somebody else wrote there")
 
 
