@@ -53,6 +53,7 @@ check: install
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/pyright
+	$(PY) tests/architecture/audit.py
 
 bench: install
 	for name in images pixels poses rasterizer recorder training; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done

@@ -8,8 +8,11 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from server import errors
+from server import document, errors
+from server.gate import Gate
 from server.guard import LoopbackGuard
+from server.headers import SecurityHeaders
+from server.limits import BodyLimit
 from server.routes import calibrations, captures, jobs, page, rigs, system, uploads
 from server.services.services import Services
 from server.settings import ServiceSettings
@@ -33,6 +36,10 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         app.include_router(module.router, prefix="/v1")
     app.include_router(page.router)
     errors.install(app)
-    app.add_middleware(LoopbackGuard)
+    document.describe(app)
+    app.add_middleware(BodyLimit, settings=settings)  # the last added meets a request first
+    app.add_middleware(Gate, access=services.access, settings=settings)
+    app.add_middleware(LoopbackGuard, hosts=settings.hosts, origins=settings.origins)
+    app.add_middleware(SecurityHeaders)
     trace_requests(app, settings)
     return app

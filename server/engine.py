@@ -8,6 +8,7 @@ from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
 from dbos import error as engine_errors
 
 from server.errors import StateError
+from server.pickles import refuse_pickles
 from server.schemas.progress import Status
 from server.settings import ServiceSettings
 from server.store.engine_tables import EngineTables
@@ -47,6 +48,7 @@ class Engine:
     """A client of the job engine; entries are workflows of the same id."""
 
     def __init__(self, settings: ServiceSettings) -> None:
+        refuse_pickles()
         self._client = DBOSClient(
             system_database_url=settings.engine_url,
             system_database_pool_size=_CONNECTIONS,

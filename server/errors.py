@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import re
 from http import HTTPStatus
 from typing import Any
@@ -15,6 +16,9 @@ from starlette.exceptions import HTTPException
 
 from acquisition.errors import DiskError
 from rigs.errors import RigError, Spike4dgsError
+from server.headers import protect
+
+_MOST_FAULTS = 20  # of one request; an answer stays short whatever came
 
 
 class ServiceError(Spike4dgsError):
@@ -81,6 +85,46 @@ class DigestError(ServiceError):
     """What was sent is not what was announced."""
 
 
+class UnauthorizedError(ServiceError):
+    """The request carries no token of this service, which needs one."""
+
+
+class ForbiddenError(ServiceError):
+    """The request's token does not allow this."""
+
+
+class BusyClientError(ServiceError):
+    """The client asks too often; it may ask again in `wait_s` seconds."""
+
+    def __init__(self, wait_s: int) -> None:
+        super().__init__(f"found too many requests of one client, expected fewer; ask again in {wait_s} s")
+        self.wait_s = wait_s
+
+
+class TooLargeError(ServiceError):
+    """The body is longer than any that makes sense here."""
+
+
+class SlowBodyError(ServiceError):
+    """The body does not come."""
+
+
+class MalformedError(ServiceError):
+    """The body is no JSON, or JSON that two readers may read differently."""
+
+
+class TokenError(ServiceError):
+    """A token's name is taken, or unknown."""
+
+    exit_code = 2
+
+
+class ExposedError(ServiceError):
+    """The service would be reached from elsewhere by anyone."""
+
+    exit_code = 2
+
+
 class WorkerRunningError(ServiceError):
     """Another worker has this name."""
 
@@ -102,9 +146,25 @@ STATUS: dict[type[Exception], int] = {
     UploadSizeError: 413,
     DigestError: 422,
     UploadDiskError: 507,
+    UnauthorizedError: 401,
+    ForbiddenError: 403,
+    BusyClientError: 429,
+    TooLargeError: 413,
+    SlowBodyError: 408,
+    MalformedError: 400,
     DiskError: 507,
     Spike4dgsError: 500,
 }
+
+
+class ProblemResponse(JSONResponse):
+    """An answer of the type application/problem+json."""
+
+    media_type = "application/problem+json"
+
+    def render(self, content: Any) -> bytes:
+        """In ASCII, so that whatever was found can be said, halves of surrogate pairs included."""
+        return json.dumps(content, allow_nan=False, separators=(",", ":")).encode("ascii")
 
 
 def problem(status: int, detail: str, kind: str = "", **members: Any) -> JSONResponse:
@@ -116,7 +176,7 @@ def problem(status: int, detail: str, kind: str = "", **members: Any) -> JSONRes
         "detail": detail,
         **members,
     }
-    return JSONResponse(body, status, media_type="application/problem+json")
+    return ProblemResponse(body, status)
 
 
 def problem_of(error: Exception) -> JSONResponse:
@@ -145,16 +205,15 @@ def install(app: FastAPI) -> None:
     def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         faults = [
             {
-                "where": ".".join(str(part) for part in fault["loc"]),
+                "where": ".".join(str(part)[:80] for part in fault["loc"]),
                 "found": _short(fault.get("input")),
-                "message": fault["msg"],
+                "message": _cut(fault["msg"], 500),
             }
-            for fault in error.errors()
+            for fault in error.errors()[:_MOST_FAULTS]
         ]
         first = faults[0]
-        return problem(
-            422, f"{first['where']}: found {first['found']}; {first['message']}", "invalid-request", errors=faults
-        )
+        detail = f"{first['where']}: found {first['found']}; {first['message']}"
+        return problem(422, detail, "invalid-request", errors=faults)
 
     @app.exception_handler(SQLAlchemyError)
     def database(request: Request, error: SQLAlchemyError) -> JSONResponse:
@@ -170,9 +229,14 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     def unexpected(request: Request, error: Exception) -> JSONResponse:
-        return problem(500, "an error this service did not expect; its log says more", "unexpected")
+        answer = problem(500, "an error this service did not expect; its log says more", "unexpected")
+        protect(answer.headers, request.url.path, secret=True)  # this handler stands outside of every middleware
+        return answer
 
 
 def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return _cut(repr(value), 80)
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."

@@ -5,6 +5,8 @@ A loopback service is open to both: a page elsewhere can point its own name at 1
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -16,28 +18,39 @@ _HOSTS = ("127.0.0.1", "localhost", "::1")
 
 
 class LoopbackGuard:
-    """Middleware: the Host must be a loopback name, and an Origin must be this very service."""
+    """Middleware: the Host is a loopback name or one of `hosts`, an Origin this very service or one of `origins`."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, hosts: Sequence[str] = (), origins: Sequence[str] = ()) -> None:
         self._app = app
+        self._hosts = (*_HOSTS, *hosts)
+        self._origins = origins
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or answer 403."""
-        fault = _fault(Headers(scope=scope)) if scope["type"] in ("http", "websocket") else None
+        fault = self._fault(scope) if scope["type"] in ("http", "websocket") else None
         if fault is None:
             await self._app(scope, receive, send)
         else:
             await problem_of(ForeignRequestError(fault))(scope, receive, send)
 
+    def _fault(self, scope: Scope) -> str | None:
+        headers = Headers(scope=scope)
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
+        host = hosts[0].lower() if len(hosts) == 1 else ""
+        if _name_of(host) not in self._hosts and host not in self._hosts:
+            return f"found the host {host[:60]!r}, expected one of {', '.join(self._hosts)}"
+        own = f"{'https' if scope['scheme'] in ('https', 'wss') else 'http'}://{host}"
+        for origin in origins:
+            if origin.lower() != own and origin.lower() not in self._origins:
+                return f"found a request from the page {origin[:60]!r}, expected one from {own}"
+        return None
 
-def _fault(headers: Headers) -> str | None:
-    host, origin = headers.get("host", ""), headers.get("origin")
+
+def _name_of(host: str) -> str | None:
+    """The name in a Host header, without its port; None where there is none."""
+    if re.search(r"[/?#@\\\s]", host):
+        return None
     try:
-        name = urlsplit(f"//{host}").hostname
+        return urlsplit(f"//{host}").hostname
     except ValueError:
-        name = None
-    if name not in _HOSTS:
-        return f"found the host {host[:60]!r}, expected one of {', '.join(_HOSTS)}"
-    if origin is not None and origin != f"http://{host}":
-        return f"found a request from the page {origin[:60]!r}, expected one from http://{host}"
-    return None
+        return None

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import sys
 import tempfile
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, ValidationError, field_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from rigs.errors import Spike4dgsError
 from rigs.rig import Rig
 from rigs.toml import catalog_rig, load_rig
+
+_HOST = re.compile(r"([a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?|\[[0-9a-f:.]{2,45}\])(:\d{1,5})?")
 
 
 class SettingsError(Spike4dgsError):
@@ -43,6 +46,9 @@ class ServiceSettings(BaseSettings):
 
     `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
     An upload is at most `max_upload_bytes` long and leaves `keep_free_bytes` of the disk.
+    `hosts` are the Host headers let in beside loopback names, with a port or for any; `origins` the pages let in beside
+    the service's own, such as https://lab.example before a proxy. The body of a request has at most `body_bytes` and
+    `body_s` seconds; a client may send `read_burst` reads at once and `read_rate` a second, and writes alike.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
     A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
@@ -53,6 +59,14 @@ class ServiceSettings(BaseSettings):
     database: str | None = None
     host: str = "127.0.0.1"
     port: int = 8000
+    hosts: Annotated[tuple[str, ...], NoDecode] = ()
+    origins: Annotated[tuple[str, ...], NoDecode] = ()
+    body_bytes: int = Field(default=2**20, ge=1)
+    body_s: float = Field(default=30.0, gt=0)
+    read_rate: float = Field(default=100.0, gt=0)
+    read_burst: int = Field(default=400, ge=1)
+    write_rate: float = Field(default=10.0, gt=0)
+    write_burst: int = Field(default=100, ge=1)
     rigs: dict[str, RigSource] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
     stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
@@ -78,16 +92,36 @@ class ServiceSettings(BaseSettings):
 
     @field_validator("host")
     @classmethod
-    def _loopback(cls, host: str) -> str:
+    def _address(cls, host: str) -> str:
         if host == "localhost":
             return "127.0.0.1"
         try:
-            loopback = ipaddress.ip_address(host).is_loopback
-        except ValueError:
-            loopback = False
-        if not loopback:
-            raise ValueError(f"found {host}, expected a loopback address such as 127.0.0.1: the service has no login")
-        return host
+            return str(ipaddress.ip_address(host))
+        except ValueError as error:
+            raise ValueError(f"found {host[:60]}, expected an address such as 127.0.0.1 or 0.0.0.0") from error
+
+    @field_validator("hosts", "origins", mode="before")
+    @classmethod
+    def _listed(cls, names: object) -> object:
+        listed = tuple(name.strip() for name in names.split(",") if name.strip()) if isinstance(names, str) else names
+        return tuple(str(name).lower() for name in listed) if isinstance(listed, tuple | list) else listed
+
+    @field_validator("hosts")
+    @classmethod
+    def _host_names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        for host in hosts:
+            if not _HOST.fullmatch(host):
+                raise ValueError(f"found {host[:60]}, expected the name of a host, with or without :PORT")
+        return hosts
+
+    @field_validator("origins")
+    @classmethod
+    def _page_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
+            scheme, _, host = origin.partition("://")
+            if scheme not in ("http", "https") or not _HOST.fullmatch(host):
+                raise ValueError(f"found {origin[:60]}, expected one such as https://lab.example")
+        return origins
 
     @field_validator("database")
     @classmethod
@@ -95,6 +129,11 @@ class ServiceSettings(BaseSettings):
         if database is not None and not database.startswith("postgresql://"):
             raise ValueError("found another scheme, expected postgresql://USER@HOST/NAME or nothing for SQLite")
         return database
+
+    @property
+    def exposed(self) -> bool:
+        """Whether others than this machine's own users may reach the service, which then needs a token."""
+        return bool(self.hosts) or not ipaddress.ip_address(self.host).is_loopback
 
     @property
     def engine_url(self) -> str:

@@ -27,6 +27,7 @@ COMMANDS = {  # name: (module, what it does)
     "stability": ("server.cli.stability", "Run the stress catalogue on every backend of this machine."),
     "demo": ("server.cli.demo", "The main job on the simulated rig, through the service."),
     "serve": ("server.cli.serve", "Run the web service."),
+    "token": ("server.cli.token", "Say who may use a service that others reach."),
     "worker": ("server.cli.serve", "Run queued jobs."),
 }
 

@@ -11,11 +11,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rigs.errors import Spike4dgsError
+
+if TYPE_CHECKING:
+    from server.settings import ServiceSettings
 
 
 class PortError(Spike4dgsError):
@@ -68,19 +71,31 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @click.command()
-@click.option("--host", help="A loopback address.  [default: 127.0.0.1]")
+@click.option("--host", help="An address; one that others reach needs a token.  [default: 127.0.0.1]")
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes any free one.  [default: 8000]")
+@click.option("--allow-host", "hosts", multiple=True, metavar="NAME[:PORT]", help="A host name others may use for it.")
+@click.option("--allow-origin", "origins", multiple=True, metavar="URL", help="A page let in, as https://lab.example.")
 @_rig_options
 @click.option("--with-worker", is_flag=True, help="Run a worker too, and stop it with the service.")
-def serve_command(host: str | None, port: int | None, with_worker: bool, **shared: Any) -> None:
-    """Serve the page and REST on loopback; the address is printed first."""
+def serve_command(
+    host: str | None,
+    port: int | None,
+    hosts: tuple[str, ...],
+    origins: tuple[str, ...],
+    with_worker: bool,
+    **shared: Any,
+) -> None:
+    """Serve the page and REST, on loopback unless told otherwise; the address is printed first."""
     import uvicorn
 
     from server.app import create_app
     from server.settings import settings_of
     from server.telemetry import configure_logs
 
-    settings = settings_of(host=host, port=port, **shared)
+    names = {"hosts": hosts or None, "origins": origins or None}
+    settings = settings_of(host=host, port=port, **names, **shared)
+    if settings.exposed:
+        _refuse_without_token(settings)
     with listening(settings.host, settings.port) as listener:
         app = create_app(settings)
         flags = shared | {"data": settings.data}
@@ -92,7 +107,8 @@ def serve_command(host: str | None, port: int | None, with_worker: bool, **share
             sys.stdout.flush()
             with suppress(KeyboardInterrupt):  # the usual way to stop it
                 text = settings.log == "text"
-                config = uvicorn.Config(app, log_level="warning" if text else None, access_log=not text)
+                level = "warning" if text else None
+                config = uvicorn.Config(app, log_level=level, access_log=not text, server_header=False)
                 configure_logs(settings)  # after uvicorn has set up its own
                 uvicorn.Server(config).run(sockets=[listener])
 
@@ -111,6 +127,18 @@ def worker_command(name: str, queues: tuple[str, ...], gpu: int | None, **shared
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     run_worker(settings_of(gpu=gpu, **shared), name, queues, stop)
+
+
+def _refuse_without_token(settings: ServiceSettings) -> None:
+    """Before anything listens: raises ExposedError where others would reach the service without a token."""
+    from server.services.access import AccessService
+    from server.store.store import Store
+
+    store = Store.open(settings)
+    try:
+        AccessService(store.tokens, settings).check_exposure()
+    finally:
+        store.close()
 
 
 @contextmanager

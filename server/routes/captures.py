@@ -4,7 +4,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 
 from server.routes.pictures import PNG, answer
-from server.routes.services import Cursor, IdempotencyKey, Limit, TheServices
+from server.routes.services import Cursor, IdempotencyKey, Limit, Named, TheServices, Word
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -15,8 +15,8 @@ router = APIRouter(tags=["captures"])
 @router.get("/captures")
 def captures(
     services: TheServices,
-    rig: str | None = None,
-    name: str | None = None,
+    rig: Word = None,
+    name: Named = None,
     status: Status | None = None,
     cursor: Cursor = None,
     limit: Limit = 100,

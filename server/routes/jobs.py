@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, PlainTextResponse
 
-from server.routes.services import Cursor, IdempotencyKey, Limit, TheServices
+from server.routes.services import Cursor, IdempotencyKey, Limit, Named, TheServices, Word
 from server.schemas.jobs import (
     Artefacts,
     BatchRequest,
@@ -40,10 +40,10 @@ def submit_batch(request: BatchRequest, services: TheServices, key: IdempotencyK
 @router.get("/jobs", response_model=Jobs)
 def jobs(
     services: TheServices,
-    type: str | None = None,
-    rig: str | None = None,
-    capture: str | None = None,
-    name: str | None = None,
+    type: Word = None,
+    rig: Word = None,
+    capture: Word = None,
+    name: Named = None,
     status: Status | None = None,
     cursor: Cursor = None,
     limit: Limit = 100,
@@ -80,15 +80,17 @@ def cancel(job_id: str, services: TheServices) -> Job:
 @router.post("/jobs/{job_id}/resume", status_code=202)
 def resume(job_id: str, response: Response, services: TheServices) -> Job:
     """Take a failed or cancelled job up again where it stopped."""
-    response.headers["Location"] = f"/v1/jobs/{job_id}"
-    return services.jobs.resume(job_id)
+    job = services.jobs.resume(job_id)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job
 
 
 @router.post("/jobs/{job_id}/restart", status_code=202)
 def restart(job_id: str, request: RestartRequest, response: Response, services: TheServices) -> Job:
     """Do an ended reconstruction again from a stage on."""
-    response.headers["Location"] = f"/v1/jobs/{job_id}"
-    return services.jobs.restart(job_id, request.stage)
+    job = services.jobs.restart(job_id, request.stage)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return job
 
 
 @router.put("/jobs/{job_id}/priority")

@@ -9,18 +9,18 @@ from server.errors import NotFoundError
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parents[1] / "page"
-_HEADERS = {"Content-Security-Policy": "default-src 'self'; img-src 'self' data:", "X-Content-Type-Options": "nosniff"}
+_SAFE = "object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
+_HEADERS = {"Content-Security-Policy": f"default-src 'self'; img-src 'self' data:; {_SAFE}"}
 # What is fetched with a token is shown as a blob; a report is shown in a sandbox and has its style inline.
-_BLOBS = "default-src 'self'; img-src 'self' data: blob:; media-src 'self' blob:"
-_PAGE_HEADERS = _HEADERS | {"Content-Security-Policy": _BLOBS}
-_REPORT_HEADERS = _HEADERS | {
-    "Content-Security-Policy": "default-src 'self'; img-src data:; media-src data:; style-src 'self' 'unsafe-inline'"
-}
+_BLOBS = f"default-src 'self'; img-src 'self' data: blob:; media-src 'self' blob:; {_SAFE}"
+_PAGE_HEADERS = {"Content-Security-Policy": _BLOBS}
+_REPORT_POLICY = "default-src 'self'; img-src data:; media-src data:; style-src 'self' 'unsafe-inline'"
+_REPORT_HEADERS = {"Content-Security-Policy": f"{_REPORT_POLICY}; {_SAFE}"}
 _SCRIPTS = "act api calibrations captures curve dialogs dom jobs live media options report results rigs"
 _OPERATOR_FILES = tuple(f"{name}.js" for name in _SCRIPTS.split())
 # The viewer's renderer compiles WebAssembly and sorts in a worker that it makes of a blob.
 _VIEWER_POLICY = "default-src 'self'; img-src 'self' data:; script-src 'self' 'wasm-unsafe-eval'; worker-src blob:"
-_VIEWER_HEADERS = _HEADERS | {"Content-Security-Policy": _VIEWER_POLICY}
+_VIEWER_HEADERS = {"Content-Security-Policy": f"{_VIEWER_POLICY}; {_SAFE}"}
 _VIEWER_SCRIPTS = ("viewer", "scene", "motion", "splats", "picture", "view", "cameras", "controls", "vendor/spark")
 _VIEWER_FILES = ("viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS))
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS
 from server.schemas.progress import Progress, Request, Status
 
-Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[^\x00-\x1f\x7f]+$")]
+# No control characters, no line ends, nothing that turns the direction of the text around it.
+SHOWN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ufeff]+$"
+Name = Annotated[str, Field(min_length=1, max_length=80, pattern=SHOWN)]
 
 
 class CaptureRequest(Request):
@@ -19,12 +21,18 @@ class CaptureRequest(Request):
     spike) and `exposure` (part of a tick that gathers light) are thousandths and stay in the cameras.
     """
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [{"ticks": 2000, "name": "fan, first try"}, {"until_stopped": True, "pre_trigger_ms": 50}]
+        }
+    )
+
     ticks: Annotated[int | None, Field(ge=1, le=10_000_000)] = None
     until_stopped: bool = False
-    pre_trigger_ms: Annotated[float | None, Field(gt=0, le=60_000)] = None
+    pre_trigger_ms: Annotated[float | None, Field(gt=0, le=60_000, allow_inf_nan=False)] = None
     threshold: Annotated[int | None, Field(ge=THRESHOLDS[0], le=THRESHOLDS[1])] = None
     exposure: Annotated[int | None, Field(ge=EXPOSURES[0], le=EXPOSURES[1])] = None
-    rejoin_s: Annotated[float | None, Field(ge=0, le=50)] = None
+    rejoin_s: Annotated[float | None, Field(ge=0, le=50, allow_inf_nan=False)] = None
     name: Name | None = None
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Discriminator, Field, Tag, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from server.schemas.captures import Name
 from server.schemas.progress import Progress, Request, Status
@@ -50,6 +50,15 @@ class ReconstructRequest(OfCapture):
     `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one.
     """
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {"capture": "c20260101-120000-0a1b2c3d", "holdout": "cam11", "budget_s": 300},
+                {"type": "reconstruct", "capture": "c20260101-120000-0a1b2c3d"},
+            ]
+        }
+    )
+
     type: Literal["reconstruct"] = "reconstruct"
     model: Model = "auto"
     images: Images = "auto"
@@ -73,6 +82,14 @@ class ReconstructRequest(OfCapture):
 class ImagesRequest(OfCapture):
     """Intensity images of every camera at the planes A:B:STEP."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {"type": "images", "capture": "c20260101-120000-0a1b2c3d", "method": "tfi", "ticks": "0:400:20"}
+            ]
+        }
+    )
+
     type: Literal["images"]
     method: ImageMethod
     ticks: Planes | None = None
@@ -84,6 +101,18 @@ class CalibrateRequest(OfCapture):
     With `dark`, a capture without light, it is one of the pixels, and `capture` is one under even light. What is found
     becomes a version of the calibration of `rig`, if one is named, and the current one where it is to `apply`.
     """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "type": "calibrate",
+                    "capture": "c20260101-120000-0a1b2c3d",
+                    "board": "charuco:6x4:100:67.5:DICT_4X4_50",
+                }
+            ]
+        }
+    )
 
     type: Literal["calibrate"]
     board: BoardSpec | None = None
@@ -103,6 +132,10 @@ class CalibrateRequest(OfCapture):
 class CheckRigRequest(OfCapture):
     """Whether the calibration that a capture was recorded with, or the current one of `rig`, still fits it."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"type": "check-rig", "capture": "c20260101-120000-0a1b2c3d"}]}
+    )
+
     type: Literal["check-rig"]
     rig: RigId | None = None
 
@@ -110,17 +143,31 @@ class CheckRigRequest(OfCapture):
 class VerifyRequest(OfCapture):
     """Whether every byte of a capture is as it was written."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"type": "verify", "capture": "c20260101-120000-0a1b2c3d"}]}
+    )
+
     type: Literal["verify"]
 
 
 class EvaluateRequest(OfJob):
     """Scores of a reconstruction on its held-out camera."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"type": "evaluate", "job": "j20260101-121500-4e5f6a7b"}]}
+    )
+
     type: Literal["evaluate"]
 
 
 class ExportRequest(OfJob):
     """A reconstruction in another program's format; `at_s` and `frames` are as of `spike4dgs export`."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [{"type": "export", "job": "j20260101-121500-4e5f6a7b", "format": "spz", "at_s": 0.01}]
+        }
+    )
 
     type: Literal["export"]
     format: ExportFormat
@@ -174,17 +221,34 @@ RigJobRequest = Annotated[PreflightRequest | LookRequest, Discriminator("type")]
 class BatchRequest(Request):
     """Jobs to queue together: all of them or, where one is refused, none."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "jobs": [
+                        {"type": "verify", "capture": "c20260101-120000-0a1b2c3d"},
+                        {"capture": "c20260101-120000-0a1b2c3d", "steps": 500},
+                    ]
+                }
+            ]
+        }
+    )
+
     jobs: Annotated[list[JobRequest], Field(min_length=1, max_length=1000)]
 
 
 class PriorityRequest(Request):
     """A new priority of a queued job: the lower is done the earlier."""
 
+    model_config = ConfigDict(json_schema_extra={"examples": [{"priority": 10}]})
+
     priority: Annotated[int, Field(ge=1, le=1000)]
 
 
 class RestartRequest(Request):
     """The stage from which on an ended reconstruction is done again."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"stage": "train"}]})
 
     stage: Stage
 

@@ -9,7 +9,7 @@ ACTIVE: tuple[Status, ...] = ("queued", "running")
 
 
 class Request(BaseModel):
-    """A request with an unknown member is refused."""
+    """A request with an unknown member is refused; every kind of request shows an example of itself."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from server.engine import Engine
+from server.services.access import AccessService
 from server.services.announcer import Announcer
 from server.services.artefacts import ArtefactService
 from server.services.calibrations import CalibrationService
@@ -39,6 +40,7 @@ class Services:
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
         self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs)
+        self.access = AccessService(self.store.tokens, settings)
         self.announcer = Announcer(self.store, self.engine, queue)
 
     def start(self) -> None:

@@ -15,6 +15,7 @@ from server.store.events import Events
 from server.store.files import DataFolder
 from server.store.idempotency import Idempotency
 from server.store.rig_files import RigFiles
+from server.store.tokens import Tokens
 from server.store.uploads import Uploads
 from server.store.workers import Workers
 
@@ -33,6 +34,7 @@ class Store:
     calibrations: Calibrations
     rig_files: RigFiles
     uploads: Uploads
+    tokens: Tokens
 
     @classmethod
     def open(cls, settings: ServiceSettings) -> Store:
@@ -50,6 +52,7 @@ class Store:
             calibrations,
             RigFiles(folder, calibrations),
             Uploads(database),
+            Tokens(database),
         )
 
     def close(self) -> None:

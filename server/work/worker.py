@@ -26,6 +26,7 @@ from server.engine import (
     capture_queue,
 )
 from server.errors import WorkerRunningError
+from server.pickles import refuse_pickles
 from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.workers import Worker
@@ -91,6 +92,7 @@ def _queues(settings: ServiceSettings, kinds: Sequence[str]) -> list[str]:
 
 
 def _launch(settings: ServiceSettings, stages: Stages, name: str, queues: Sequence[str]) -> None:
+    refuse_pickles()
     config: DBOSConfig = {
         "name": APPLICATION,
         "system_database_url": settings.engine_url,

@@ -1,0 +1,62 @@
+"""What browsers are told about every answer."""
+
+from __future__ import annotations
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+ALWAYS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",  # another site's page cannot show our pictures
+}
+# A browser that is led to an answer that is no page shows it and does nothing with it.
+INERT = "default-src 'none'; img-src 'self'; media-src 'self'; style-src 'unsafe-inline'; frame-ancestors 'self'"
+# A report is a page that we did not write: it stands alone, has an origin of its own, and runs nothing.
+FOREIGN = (
+    "sandbox; default-src 'none'; img-src data:; media-src data:; font-src data:; style-src 'unsafe-inline'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+_PLAIN = ("application/json", "application/problem+json", "application/octet-stream", "application/toml")
+_PLAIN_KINDS = ("image/", "video/", "audio/", "model/", "text/plain", "text/event-stream", "text/csv")
+
+
+class SecurityHeaders:
+    """Middleware: sets what a route did not, and answers of the interface never act as the service's own page."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on and add to the answer's headers."""
+        if scope["type"] != "http":
+            return await self._app(scope, receive, send)
+        secret = "authorization" in Headers(scope=scope)
+
+        async def tell(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                protect(MutableHeaders(scope=message), scope["path"], secret)
+            await send(message)
+
+        return await self._app(scope, receive, tell)
+
+
+def protect(headers: MutableHeaders, path: str, secret: bool) -> None:
+    """Set the headers of the answer to a path; `secret` where the request carried a token."""
+    for name, value in ALWAYS.items():
+        headers[name] = value
+    if secret:
+        headers["Cache-Control"] = "no-store"
+    if not path.startswith("/v1"):
+        headers.setdefault("Content-Security-Policy", INERT)
+        headers["X-Frame-Options"] = "DENY"
+        return
+    media_type = headers.get("content-type", "application/json").partition(";")[0].strip().lower()
+    headers["Content-Security-Policy"] = INERT if _is_plain(media_type) else FOREIGN
+    headers["X-Frame-Options"] = "SAMEORIGIN"
+    if "javascript" in media_type or "ecmascript" in media_type:
+        headers["Content-Type"] = "text/plain; charset=utf-8"  # no page, not even ours, takes a script from here
+
+
+def _is_plain(media_type: str) -> bool:
+    return media_type in _PLAIN or (media_type.startswith(_PLAIN_KINDS) and media_type != "image/svg+xml")

@@ -1,0 +1,169 @@
+"""What one client may send: how many requests, how large, how slowly."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from server.errors import BusyClientError, MalformedError, SlowBodyError, TooLargeError, problem_of
+from server.settings import ServiceSettings
+from server.strict import check_json
+
+_MOST_CLIENTS = 10_000
+_READS = ("GET", "HEAD", "OPTIONS")
+
+
+@dataclass
+class _Bucket:
+    left: float
+    at: float
+
+
+class Rates:
+    """A token bucket a client: `burst` requests at once, then `rate` a second.
+
+    The least recent clients are forgotten first: memory is bounded whoever comes.
+    """
+
+    def __init__(self, rate: float, burst: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate = rate
+        self._burst = burst
+        self._clock = clock
+        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+
+    def wait_s(self, client: str) -> float:
+        """0 and one request less, or the seconds until the client may ask again."""
+        now = self._clock()
+        bucket = self._buckets.setdefault(client, _Bucket(self._burst, now))
+        self._buckets.move_to_end(client)
+        if len(self._buckets) > _MOST_CLIENTS:
+            self._buckets.popitem(last=False)
+        bucket.left = min(self._burst, bucket.left + (now - bucket.at) * self._rate)
+        bucket.at = now
+        if bucket.left < 1:
+            return (1 - bucket.left) / self._rate
+        bucket.left -= 1
+        return 0.0
+
+
+class ClientRates:
+    """What a client may ask for in a second, reads and writes apart."""
+
+    def __init__(self, settings: ServiceSettings) -> None:
+        self._reads = Rates(settings.read_rate, settings.read_burst)
+        self._writes = Rates(settings.write_rate, settings.write_burst)
+
+    def check(self, client: str, method: str) -> None:
+        """Count a request; raises BusyClientError where it is one too many."""
+        wait_s = (self._reads if method in _READS else self._writes).wait_s(client)
+        if wait_s:
+            raise BusyClientError(math.ceil(wait_s))
+
+
+def address_of(scope: Scope) -> str:
+    """Who counts as one client: an IPv4 address, or the /64 that an IPv6 host has to itself."""
+    host = (scope.get("client") or ("unknown", 0))[0]
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    return host if address.version == 4 else str(ipaddress.ip_network((int(address) >> 64 << 64, 64)))
+
+
+class BodyLimit:
+    """Middleware: a body is taken whole before anything is done with it, unless it is too long or too slow.
+
+    One that says it is too long is refused before any of it is read. What is streamed is left to its route, each piece
+    within the time that a whole body has.
+    """
+
+    def __init__(self, app: ASGIApp, settings: ServiceSettings) -> None:
+        self._app = app
+        self._most = settings.body_bytes
+        self._patience_s = settings.body_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, or answer 400, 408 or 413."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+        elif is_streamed(scope):
+            await self._app(scope, _impatient(receive, self._patience_s), send)
+        else:
+            await self._whole(scope, receive, send)
+
+    async def _whole(self, scope: Scope, receive: Receive, send: Send) -> None:
+        length = Headers(scope=scope).get("content-length", "0")
+        try:
+            if length.isdecimal() and (len(length) > 20 or int(length) > self._most):
+                raise TooLargeError(f"found a body of {length[:20]} bytes, expected at most {self._most}")
+            async with asyncio.timeout(self._patience_s):
+                body = await _read(receive, self._most)
+            if body and "json" in Headers(scope=scope).get("content-type", "").lower():
+                await check_json(body)
+        except TimeoutError:
+            await problem_of(_slow(self._patience_s))(scope, receive, send)
+        except (TooLargeError, MalformedError) as error:
+            await problem_of(error)(scope, receive, send)
+        else:
+            if body is not None:
+                await self._app(scope, _again(body, receive), send)
+
+
+def is_streamed(scope: Scope) -> bool:
+    """Whether the body is a part of an upload, which is written to disk as it comes."""
+    return scope["method"] == "PATCH" and scope["path"].startswith("/v1/uploads/")
+
+
+def _slow(patience_s: float) -> SlowBodyError:
+    return SlowBodyError(f"found the body unfinished after {patience_s:g} s, expected all of it")
+
+
+async def _read(receive: Receive, most: int) -> bytes | None:
+    """The whole body; None where the client went away."""
+    body = bytearray()
+    while True:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        body += message.get("body", b"")
+        if len(body) > most:
+            raise TooLargeError(f"found a body of more than {most} bytes, expected at most {most}")
+        if not message.get("more_body", False):
+            return bytes(body)
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """A `receive` that gives the body that was read, then what comes after it."""
+    kept: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def replay() -> Message:
+        return kept.pop() if kept else await receive()
+
+    return replay
+
+
+def _impatient(receive: Receive, patience_s: float) -> Receive:
+    """A `receive` whose client has `patience_s` for each piece of a body; raises SlowBodyError."""
+    whole = False
+
+    async def hurried() -> Message:
+        nonlocal whole
+        if whole:
+            return await receive()
+        try:
+            async with asyncio.timeout(patience_s):
+                message = await receive()
+        except TimeoutError as error:
+            raise _slow(patience_s) from error
+        whole = not message.get("more_body", False)
+        return message
+
+    return hurried

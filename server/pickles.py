@@ -1,0 +1,30 @@
+"""The job engine unpickles a row that says it is a pickle, whatever serializer it was given. Not here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dbos import _serialization as serialization
+
+from server.errors import ServiceError
+
+
+class PickleError(ServiceError):
+    """A row of the job engine holds a pickle, which would run code when read."""
+
+
+def refuse_pickles() -> None:
+    """From here on this process reads and writes no pickle in the engine's tables.
+
+    Whoever may write to the database would otherwise run code in every worker and in the service.
+    """
+    serialization.DefaultSerializer.deserialize = _refuse_reading
+    serialization.DefaultSerializer.serialize = _refuse_writing
+
+
+def _refuse_reading(cls: object, serialized_data: str) -> Any:
+    raise PickleError("found a pickle in the job engine's tables, expected portable JSON; somebody else wrote there")
+
+
+def _refuse_writing(self: object, data: Any) -> str:
+    raise PickleError("found job state about to be pickled, expected portable JSON")

@@ -1,0 +1,59 @@
+"""JSON that everybody reads alike: each name once, no NaN, a modest depth."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+
+from server.errors import MalformedError
+
+_DEEPEST = 32
+_LONG = 2**14  # bytes that take longer than a switch of threads
+
+
+async def check_json(body: bytes) -> None:
+    """Raises MalformedError for what readers differ about; what is no JSON at all is left to the framework."""
+    if len(body) < _LONG:
+        _check(body)
+    else:
+        await run_in_threadpool(_check, body)
+
+
+def _check(body: bytes) -> None:
+    try:
+        document = json.loads(body, object_pairs_hook=_object, parse_constant=_constant)
+    except RecursionError as error:
+        raise _too_deep() from error
+    except ValueError:  # its line and column are the framework's to tell
+        return
+    level = [document]
+    for _ in range(_DEEPEST):
+        level = [child for item in level for child in _children(item)]
+        if not level:
+            return
+    raise _too_deep()
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in made if names.count(name) > 1)
+        raise MalformedError(f"found the member {twice[:60]!r} twice, expected it once")
+    return made
+
+
+def _constant(name: str) -> float:
+    raise MalformedError(f"found {name}, expected a number: JSON has no other")
+
+
+def _children(item: Any) -> list[Any]:
+    if isinstance(item, dict):
+        return list(item.values())
+    return item if isinstance(item, list) else []
+
+
+def _too_deep() -> MalformedError:
+    return MalformedError(f"found values nested deeper than {_DEEPEST}, expected a flat document")
