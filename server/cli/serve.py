@@ -73,9 +73,8 @@ def serve_command(
     host: str | None, port: int | None, data: Path | None, rig: str | None, devices: str | None, with_worker: bool
 ) -> None:
     """Serve the page and REST on loopback; the address is printed first."""
-    import uvicorn
-
     from server.app import create_app
+    from server.hosting import server_of
     from server.settings import settings_of
 
     settings = settings_of(rig=rig, devices=devices, host=host, port=port, data=data)
@@ -89,7 +88,7 @@ def serve_command(
             click.echo(f"http://{address}:{listener.getsockname()[1]}")
             sys.stdout.flush()
             with suppress(KeyboardInterrupt):  # the usual way to stop it
-                uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[listener])
+                server_of(app).run(sockets=[listener])
 
 
 @click.command()

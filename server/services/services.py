@@ -7,6 +7,7 @@ from server.services.announcer import Announcer
 from server.services.artefacts import ArtefactService
 from server.services.captures import CaptureService, RigService
 from server.services.health import HealthService
+from server.services.hub import Hub
 from server.services.jobs import JobService
 from server.services.queue import Queue
 from server.settings import ServiceSettings
@@ -29,14 +30,17 @@ class Services:
         self.jobs = JobService(self.store, self.engine, queue)
         self.artefacts = ArtefactService(self.store)
         self.health = HealthService(self.store, self.engine)
+        self.hub = Hub(self.store)
         self.announcer = Announcer(self.store, self.engine, queue)
 
     def start(self) -> None:
-        """Begin what runs beside the requests."""
+        """Begin what runs beside the requests; call it in the event loop."""
+        self.hub.start()
         self.announcer.start()
 
     def close(self) -> None:
         """End it, and let go of the databases."""
+        self.hub.close()
         self.announcer.stop()
         self.engine.close()
         self.store.close()
