@@ -10,7 +10,7 @@ from fastapi import FastAPI
 
 from server import errors
 from server.guard import LoopbackGuard
-from server.routes import captures, events, jobs, page, rigs, system
+from server.routes import captures, events, jobs, page, rigs, system, webhooks
 from server.services.services import Services
 from server.settings import ServiceSettings
 
@@ -28,7 +28,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     # The interactive pages of the framework load scripts from elsewhere; the document itself stays at /openapi.json.
     app = FastAPI(title="spike4dgs", version=version("spike4dgs"), docs_url=None, redoc_url=None, lifespan=lifespan)
     app.state.services = services
-    for module in (system, rigs, captures, jobs, events):
+    for module in (system, rigs, captures, jobs, events, webhooks):
         app.include_router(module.router, prefix="/v1")
     app.include_router(page.router)
     errors.install(app)

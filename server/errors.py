@@ -49,6 +49,10 @@ class PreconditionError(ServiceError):
     """What was to be changed is no longer what the client saw."""
 
 
+class TargetError(ServiceError):
+    """A webhook's address that is not spoken to."""
+
+
 class WorkerRunningError(ServiceError):
     """Another worker has this name."""
 
@@ -61,6 +65,7 @@ STATUS: dict[type[Exception], int] = {
     StateError: 409,
     UnknownReferenceError: 422,
     IdempotencyError: 422,
+    TargetError: 422,
     PreconditionError: 412,
     RigError: 422,
     ForeignRequestError: 403,

@@ -6,8 +6,9 @@ import ipaddress
 import sys
 import tempfile
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import BaseModel, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from rigs.errors import Spike4dgsError
@@ -41,6 +42,8 @@ class ServiceSettings(BaseSettings):
     """What the web process and the worker share: the data folder, the rigs, and how a stage is run.
 
     `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
+    Webhooks reach public addresses only, but any address of a host that `webhook_hosts` names. Jobs that ended more
+    than `keep_days` ago are deleted.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
     """
 
@@ -54,6 +57,8 @@ class ServiceSettings(BaseSettings):
     stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
     gpu: int | None = None
+    webhook_hosts: tuple[str, ...] = ()
+    keep_days: Annotated[float | None, Field(gt=0, le=36_500, allow_inf_nan=False)] = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 
     @field_validator("data")

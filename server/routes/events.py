@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncGenerator
-from typing import Annotated
+from typing import Annotated, Any
 
 import anyio
 from fastapi import APIRouter, Header, Query, Response
@@ -17,7 +17,7 @@ from server.services.hub import Hub
 
 router = APIRouter(tags=["events"])
 _SEND_S = 10.0  # a reader who takes longer for one event is gone
-_SHOWN = {
+_SHOWN: dict[int | str, dict[str, Any]] = {
     200: {"content": {"text/event-stream": {}}, "description": "`id` is the number, `data` an Event as JSON."},
     204: {"description": "It has ended, and the client has seen all of it: an EventSource does not come again."},
 }

@@ -12,7 +12,7 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from sqlalchemy.exc import SQLAlchemyError
 
 from server.schemas.progress import ACTIVE, Event
-from server.store import events as stored
+from server.store import event as stored
 from server.store.store import Store
 
 _POLL_S = 0.25

@@ -10,6 +10,7 @@ from server.services.health import HealthService
 from server.services.hub import Hub
 from server.services.jobs import JobService
 from server.services.queue import Queue
+from server.services.webhooks import WebhookService
 from server.settings import ServiceSettings
 from server.store.store import Store
 
@@ -31,16 +32,19 @@ class Services:
         self.artefacts = ArtefactService(self.store)
         self.health = HealthService(self.store, self.engine)
         self.hub = Hub(self.store)
+        self.webhooks = WebhookService(self.store, settings.webhook_hosts)
         self.announcer = Announcer(self.store, self.engine, queue)
 
     def start(self) -> None:
         """Begin what runs beside the requests; call it in the event loop."""
         self.hub.start()
         self.announcer.start()
+        self.webhooks.start()
 
     def close(self) -> None:
         """End it, and let go of the databases."""
         self.hub.close()
         self.announcer.stop()
+        self.webhooks.stop()
         self.engine.close()
         self.store.close()

@@ -4,26 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import sqlalchemy as sa
 
 from server.store.database import lock_writers
+from server.store.deliveries import owe
+from server.store.event import Event
 from server.store.tables import entries, events
-
-EventKind = Literal["status", "progress"]
-
-
-@dataclass(frozen=True)
-class Event:
-    """One thing that happened to an entry, at a time in seconds since 1970."""
-
-    seq: int
-    entry: str
-    at: float
-    kind: EventKind
-    data: dict[str, Any]
 
 
 class Events:
@@ -38,7 +27,7 @@ class Events:
         with self._engine.begin() as connection:
             lock_writers(connection)
             connection.execute(entries.update().where(entries.c.id == entry_id).values(progress=progress))
-            self._add(connection, entry_id, "progress", progress)
+            self._add(connection, Event(0, entry_id, self._clock(), "progress", progress))
 
     def tell(self, entry_id: str, before: str, status: str, data: dict[str, Any]) -> int | None:
         """Announce a new status, once: None where another process has announced something since `before`."""
@@ -47,7 +36,10 @@ class Events:
             mine = sa.and_(entries.c.id == entry_id, entries.c.told == before)
             if not connection.execute(entries.update().where(mine).values(told=status)).rowcount:
                 return None
-            return self._add(connection, entry_id, "status", {"status": status} | data)
+            event = Event(0, entry_id, self._clock(), "status", {"status": status} | data)
+            event = replace(event, seq=self._add(connection, event))
+            owe(connection, event)
+            return event.seq
 
     def after(self, seq: int, entry_id: str | None = None, limit: int = 500) -> list[Event]:
         """The next events, oldest first, of one entry or of all."""
@@ -68,6 +60,7 @@ class Events:
             old = sa.and_(events.c.entry == entry_id, events.c.kind == "progress", events.c.seq % 10 != 0)
             connection.execute(events.delete().where(old))
 
-    def _add(self, connection: sa.Connection, entry_id: str, kind: EventKind, data: dict[str, Any]) -> int:
-        row = {"entry": entry_id, "at": self._clock(), "kind": kind, "data": data}
+    @staticmethod
+    def _add(connection: sa.Connection, event: Event) -> int:
+        row = {"entry": event.entry, "at": event.at, "kind": event.kind, "data": event.data}
         return connection.execute(events.insert().values(row).returning(events.c.seq)).scalar_one()

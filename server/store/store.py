@@ -9,10 +9,12 @@ import sqlalchemy as sa
 from server.settings import ServiceSettings
 from server.store.artefacts import Artefacts
 from server.store.database import prepare_database
+from server.store.deliveries import Deliveries
 from server.store.entries import Entries
 from server.store.events import Events
 from server.store.files import DataFolder
 from server.store.idempotency import Idempotency
+from server.store.webhooks import Webhooks
 from server.store.workers import Workers
 
 
@@ -27,6 +29,8 @@ class Store:
     artefacts: Artefacts
     idempotency: Idempotency
     workers: Workers
+    webhooks: Webhooks
+    deliveries: Deliveries
 
     @classmethod
     def open(cls, settings: ServiceSettings) -> Store:
@@ -40,6 +44,8 @@ class Store:
             Artefacts(database),
             Idempotency(database),
             Workers(database),
+            Webhooks(database),
+            Deliveries(database),
         )
 
     def close(self) -> None:

@@ -121,6 +121,7 @@ def test_a_stream_follows_until_the_entry_ends(http: httpx.Client, services: Ser
         assert [json.loads(event["data"])["data"]["status"] for event in events] == ["running", "cancelled"]
 
 
+@pytest.mark.slow
 def test_two_hundred_listeners_share_one_reader_of_the_table(
     http: httpx.Client, services: Services, monkeypatch: pytest.MonkeyPatch, opened: ExitStack
 ) -> None:
