@@ -10,7 +10,8 @@ from fastapi import FastAPI
 
 from server import errors
 from server.guard import LoopbackGuard
-from server.routes import captures, events, jobs, page, rigs, system, webhooks
+from server.measured import Measured
+from server.routes import captures, events, jobs, metrics, page, rigs, system, webhooks
 from server.services.services import Services
 from server.settings import ServiceSettings
 
@@ -30,7 +31,9 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.state.services = services
     for module in (system, rigs, captures, jobs, events, webhooks):
         app.include_router(module.router, prefix="/v1")
+    app.include_router(metrics.router)
     app.include_router(page.router)
     errors.install(app)
     app.add_middleware(LoopbackGuard)
+    app.add_middleware(Measured, metrics=services.metrics)
     return app

@@ -144,3 +144,11 @@ class ServiceClient(EventCalls, WebhookCalls):
     def artefact(self, job_id: str, name: str) -> bytes:
         """One artefact."""
         return self._checked(self._http.get(f"/v1/jobs/{job_id}/artefacts/{name}")).content
+
+    def archive(self, job_id: str) -> bytes:
+        """All artefacts of an ended job as one zip."""
+        return self._checked(self._http.get(f"/v1/jobs/{job_id}/archive")).content
+
+    def thumbnail(self, job_id: str) -> bytes:
+        """A small picture of what was reconstructed."""
+        return self._checked(self._http.get(f"/v1/jobs/{job_id}/thumbnail")).content

@@ -12,21 +12,24 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from server.engine import Engine
 from server.services.queue import Queue
+from server.services.retention import Retention
 from server.store.entries import Entry
 from server.store.store import Store
 
 _LOOK_S = 0.5
 _LOST_S = 5.0
+_TIDY_S = 3600.0
 _LOG = logging.getLogger(__name__)
 
 
 class Announcer:
     """Compares what was told of entries with what the engine knows, twice a second, in a thread of its own."""
 
-    def __init__(self, store: Store, engine: Engine, queue: Queue) -> None:
+    def __init__(self, store: Store, engine: Engine, queue: Queue, retention: Retention) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
+        self._retention = retention
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="announcer", daemon=True)
 
@@ -55,10 +58,14 @@ class Announcer:
         self._queue.requeue(_is_old)
 
     def _run(self) -> None:
+        tidied = float("-inf")
         while not self._stop.wait(_LOOK_S):
             try:
                 self.look()
-            except (engine_errors.DBOSException, SQLAlchemyError):
+                if time.monotonic() - tidied >= _TIDY_S:
+                    tidied = time.monotonic()
+                    self._retention.tidy()
+            except (engine_errors.DBOSException, SQLAlchemyError, OSError):
                 _LOG.exception("the announcer goes on after an error")
 
 

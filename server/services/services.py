@@ -9,7 +9,9 @@ from server.services.captures import CaptureService, RigService
 from server.services.health import HealthService
 from server.services.hub import Hub
 from server.services.jobs import JobService
+from server.services.metrics import Metrics
 from server.services.queue import Queue
+from server.services.retention import Retention
 from server.services.webhooks import WebhookService
 from server.settings import ServiceSettings
 from server.store.store import Store
@@ -29,11 +31,13 @@ class Services:
         self.rigs = RigService(self.store, self.engine, queue, sources)
         self.captures = CaptureService(self.store, self.engine)
         self.jobs = JobService(self.store, self.engine, queue)
-        self.artefacts = ArtefactService(self.store)
+        self.artefacts = ArtefactService(self.store, self.engine)
         self.health = HealthService(self.store, self.engine)
         self.hub = Hub(self.store)
         self.webhooks = WebhookService(self.store, settings.webhook_hosts)
-        self.announcer = Announcer(self.store, self.engine, queue)
+        self.metrics = Metrics(settings, self.store, self.engine)
+        retention = Retention(self.store, self.engine, self.jobs, settings.keep_days)
+        self.announcer = Announcer(self.store, self.engine, queue, retention)
 
     def start(self) -> None:
         """Begin what runs beside the requests; call it in the event loop."""

@@ -14,6 +14,8 @@ from server.store.deliveries import owe
 from server.store.event import Event
 from server.store.tables import entries, events
 
+_ENDS = ("done", "failed", "cancelled")
+
 
 class Events:
     """The table of events, and the two columns of an entry that change with them."""
@@ -58,6 +60,28 @@ class Events:
         """Forget all but every tenth progress report of an entry that has ended."""
         with self._engine.begin() as connection:
             old = sa.and_(events.c.entry == entry_id, events.c.kind == "progress", events.c.seq % 10 != 0)
+            connection.execute(events.delete().where(old))
+
+    def ended(self, seq: int, limit: int) -> list[Event]:
+        """The next endings, oldest first."""
+        word = events.c.data["status"].as_string()
+        ending = sa.and_(events.c.seq > seq, events.c.kind == "status", word.in_(_ENDS))
+        with self._engine.connect() as connection:
+            query = sa.select(events).where(ending).order_by(events.c.seq).limit(limit)
+            return [Event(**row) for row in connection.execute(query).mappings()]
+
+    def ended_before(self, at: float) -> list[str]:
+        """Jobs that have ended, nothing having happened to them since a time."""
+        mine = sa.and_(entries.c.kind == "job", entries.c.told.in_(_ENDS))
+        query = sa.select(entries.c.id).join(events, events.c.entry == entries.c.id).where(mine)
+        with self._engine.connect() as connection:
+            return list(connection.scalars(query.group_by(entries.c.id).having(sa.func.max(events.c.at) < at)))
+
+    def prune_progress(self, before: float) -> None:
+        """Forget progress reports, older than a time, of entries that have ended."""
+        over = sa.select(entries.c.id).where(entries.c.told.in_(_ENDS))
+        old = sa.and_(events.c.kind == "progress", events.c.at < before, events.c.entry.in_(over))
+        with self._engine.begin() as connection:
             connection.execute(events.delete().where(old))
 
     @staticmethod
