@@ -27,6 +27,8 @@ class Measured:
             if message["type"] == "http.response.start":
                 # Never the path itself: what anyone may ask for would become a series each.
                 route = getattr(scope.get("route"), "path", "none")
+                if scope["path"].startswith("/v1/") and route.startswith("/") and not route.startswith("/v1/"):
+                    route = f"/v1{route}"  # the framework leaves out the prefix of the routers
                 method = scope["method"] if scope["method"] in _METHODS else "other"
                 self._metrics.request(method, route, message["status"], time.perf_counter() - began)
             await send(message)

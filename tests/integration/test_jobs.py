@@ -111,7 +111,7 @@ def test_filters_and_pages(http: TestClient, imported: str) -> None:
         if cursor is None:
             break
     assert [len(page) for page in pages] == [3, 3, 1]
-    assert sum(pages, []) == sorted((job.id for job in made), reverse=True)
+    assert [job for page in pages for job in page] == sorted((job.id for job in made), reverse=True)
     assert {job.name for job in client.jobs(name="n1")} == {"n1"}
     assert [job.id for job in client.jobs(status="cancelled")] == [made[0].id]
     assert len(client.jobs(status="queued", limit=4)) == 4
@@ -121,7 +121,9 @@ def test_filters_and_pages(http: TestClient, imported: str) -> None:
 
 
 def test_a_job_in_use_is_not_deleted(http: TestClient, services: Services, imported: str) -> None:
-    run = Entry("j20260101-000000-00000001", "job", "reconstruct", "2026-01-01", {}, capture=imported)
+    run = Entry(
+        "j20260101-000000-00000001", "job", "reconstruct", "2026-01-01", {"capture": imported}, capture=imported
+    )
     services.store.entries.add(run)
     services.store.events.tell(run.id, "new", "done", {})
     client = ServiceClient(http)
@@ -169,7 +171,7 @@ def test_figures(http: TestClient, services: Services, imported: str) -> None:
     } <= lines
     services.store.entries.change(other.id, progress={"seconds": {"verify": 6.0}})
     services.store.events.tell(other.id, "failed", "done", {})
-    assert 'spike4dgs_stage_seconds_total{stage="verify"} 6.0' in http.get("/v1/metrics").text
+    assert 'spike4dgs_stage_seconds_total{stage="verify"} 6.0' in http.get("/metrics").text
 
 
 def test_what_is_old_is_let_go(http: TestClient, services: Services, imported: str) -> None:

@@ -204,7 +204,17 @@ def test_a_name_that_turns_private_is_not_spoken_to(services: Services, receiver
             "100.64.0.1",
             "224.0.0.1",
         ),
-        *("::1", "::", "fe80::1%eth0", "fd00::1", "::ffff:10.0.0.1", "64:ff9b::a00:1", "2002:a00:1::", "ff02::1"),
+        *(
+            "224.0.0.1",
+            "::1",
+            "::",
+            "fe80::1%eth0",
+            "fd00::1",
+            "::ffff:10.0.0.1",
+            "64:ff9b::a00:1",
+            "2002:a00:1::",
+            "ff02::1",
+        ),
     ],
 )
 def test_private_addresses_are_refused(address: str) -> None:
