@@ -48,7 +48,7 @@ def submit_batch(request: BatchRequest, services: TheServices, key: IdempotencyK
     return Jobs(items=[services.jobs.get(job_id) for job_id in ids])
 
 
-@router.get("/jobs")
+@router.get("/jobs", response_model=Jobs)
 def jobs(
     services: TheServices,
     type: str | None = None,
@@ -58,9 +58,10 @@ def jobs(
     status: Status | None = None,
     cursor: Cursor = None,
     limit: Limit = 100,
-) -> Jobs:
+) -> Response:
     """Jobs, newest first."""
-    return services.jobs.list(Filter("job", type, rig, capture, name, cursor), status, limit)
+    page = services.jobs.list(Filter("job", type, rig, capture, name, cursor), status, limit)
+    return Response(page.model_dump_json(), media_type="application/json")  # checked once is enough for a long page
 
 
 @router.get("/jobs/{job_id}")

@@ -36,8 +36,10 @@ def report(fraction: float, message: str) -> None:
 def record_until_told(out: Path) -> None:
     told: list[bool] = []
     signal.signal(signal.SIGTERM, lambda *_: told.append(True))
+    time.sleep(0.6)  # what comes sooner after another report is not kept
     report(0.0, "armed")
     sys.stdin.readline()
+    time.sleep(0.6)
     report(0.5, "saved")
     while not told:
         time.sleep(0.02)

@@ -141,9 +141,9 @@ def test_a_job_in_use_is_not_deleted(http: TestClient, services: Services, impor
 
 def test_long_lists_are_listed(http: TestClient, imported: str) -> None:
     client = ServiceClient(http)
-    client.submit_all([verify(imported) for _ in range(300)])
+    client.submit_all([verify(imported) for _ in range(120)])
     answer = http.get("/v1/jobs", params={"limit": 1000})
-    assert len(answer.json()["items"]) == 300
+    assert len(answer.json()["items"]) == 120
     assert {job["status"] for job in answer.json()["items"]} == {"queued"}
 
 
@@ -235,7 +235,8 @@ def capture(client: ServiceClient) -> Capture:
     return client.capture(made.id)
 
 
-def test_the_lower_priority_number_comes_first(client: ServiceClient, capture: Capture) -> None:
+@pytest.mark.slow
+def test_the_lower_priority_number_comes_first(client: ServiceClient, data: Path, capture: Capture) -> None:
     first = client.submit(ReconstructRequest(capture=capture.id, priority=1))  # keeps the worker busy
     late, soon, moved = client.submit_all(
         [ReconstructRequest(capture=capture.id, priority=priority) for priority in (300, 50, 500)]
@@ -243,9 +244,8 @@ def test_the_lower_priority_number_comes_first(client: ServiceClient, capture: C
     assert client.prioritise(moved.id, 10).priority == 10
     jobs = [first.id, moved.id, soon.id, late.id]
     wait_for(lambda: all(client.job(job).status == "done" for job in jobs))
-    began = {event.entry: event.seq for job in jobs for event in reversed(list(client.job_events(job)))
-             if event.data.get("stage") == "plan"}  # fmt: skip
-    assert sorted(began, key=began.__getitem__) == jobs
+    planned = {job: (data / "jobs" / job / "run" / "plan.done").stat().st_mtime_ns for job in jobs}
+    assert sorted(jobs, key=planned.__getitem__) == jobs
     with pytest.raises(RefusedError, match="done, expected it queued"):
         client.prioritise(first.id, 5)
 
@@ -272,8 +272,7 @@ def test_a_restart_repeats_nothing_before_its_stage(client: ServiceClient, done:
     again = [line for line in client.log(done).splitlines() if "--again" in line]
     assert len(again) == 1
     assert "--stage train --again 1" in again[0]
-    with pytest.raises(RefusedError):
-        client.restart(done, "crystal")
+    assert client._http.post(f"/v1/jobs/{done}/restart", json={"stage": "crystal"}).status_code == 422
 
 
 def test_artefacts_prove_themselves(client: ServiceClient, done: str) -> None:
