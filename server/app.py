@@ -13,7 +13,8 @@ from server.gate import Gate
 from server.guard import LoopbackGuard
 from server.headers import SecurityHeaders
 from server.limits import BodyLimit
-from server.routes import calibrations, captures, jobs, page, rigs, system, uploads
+from server.measured import Measured
+from server.routes import calibrations, captures, events, jobs, metrics, page, rigs, system, uploads, webhooks
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.telemetry import trace_requests
@@ -32,8 +33,9 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     # The interactive pages of the framework load scripts from elsewhere; the document itself stays at /openapi.json.
     app = FastAPI(title="spike4dgs", version=version("spike4dgs"), docs_url=None, redoc_url=None, lifespan=lifespan)
     app.state.services = services
-    for module in (system, rigs, calibrations, uploads, captures, jobs):
+    for module in (system, rigs, calibrations, uploads, captures, jobs, events, webhooks):
         app.include_router(module.router, prefix="/v1")
+    app.include_router(metrics.router)
     app.include_router(page.router)
     errors.install(app)
     document.describe(app)
@@ -41,5 +43,6 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.add_middleware(Gate, access=services.access, settings=settings)
     app.add_middleware(LoopbackGuard, hosts=settings.hosts, origins=settings.origins)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Measured, metrics=services.metrics)
     trace_requests(app, settings)
     return app

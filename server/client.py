@@ -9,18 +9,20 @@ from typing import Any
 
 import httpx
 
-from server.client_calibrations import CalibrationCalls
-from server.client_captures import CaptureCalls
+from server.calls.calibrations import CalibrationCalls
+from server.calls.captures import CaptureCalls
+from server.calls.events import EventCalls
+from server.calls.transport import RefusedError
+from server.calls.webhooks import WebhookCalls
 from server.schemas.captures import Capture, CaptureRequest, Captures
 from server.schemas.jobs import Artefact, Artefacts, Job, JobBase, Jobs, PriorityRequest, RestartRequest, Step, Steps
 from server.schemas.rigs import RigInfo, Rigs
 from server.schemas.system import Check, Info, WorkerInfo, Workers
-from server.transport import RefusedError
 
 __all__ = ["RefusedError", "ServiceClient"]
 
 
-class ServiceClient(CalibrationCalls, CaptureCalls):
+class ServiceClient(CalibrationCalls, CaptureCalls, EventCalls, WebhookCalls):
     """Talks to a service; raises RefusedError for a problem and httpx.TransportError where nothing answers."""
 
     @classmethod
@@ -146,3 +148,11 @@ class ServiceClient(CalibrationCalls, CaptureCalls):
     def artefact(self, job_id: str, name: str) -> bytes:
         """One artefact."""
         return self._checked(self._http.get(f"/v1/jobs/{job_id}/artefacts/{name}")).content
+
+    def archive(self, job_id: str) -> bytes:
+        """All artefacts of an ended job as one zip."""
+        return self._checked(self._http.get(f"/v1/jobs/{job_id}/archive")).content
+
+    def thumbnail(self, job_id: str) -> bytes:
+        """A small picture of what was reconstructed."""
+        return self._checked(self._http.get(f"/v1/jobs/{job_id}/thumbnail")).content

@@ -112,6 +112,13 @@ class Engine:
         found = self._client.list_workflows(status="PENDING", load_input=False, load_output=False)
         return {one.workflow_id: one.executor_id or "" for one in found}
 
+    def ended(self) -> list[str]:
+        """All entries the engine remembers that are neither queued nor running."""
+        found = self._client.list_workflows(
+            name=WORKFLOW, status=["SUCCESS", "ERROR", "CANCELLED"], load_input=False, load_output=False
+        )
+        return [one.workflow_id for one in found]
+
     def cancel(self, entry_id: str) -> None:
         """Stop an entry that is queued or running."""
         self._client.cancel_workflow(entry_id)

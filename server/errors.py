@@ -125,6 +125,10 @@ class ExposedError(ServiceError):
     exit_code = 2
 
 
+class TargetError(ServiceError):
+    """A webhook's address that is not spoken to."""
+
+
 class WorkerRunningError(ServiceError):
     """Another worker has this name."""
 
@@ -137,6 +141,7 @@ STATUS: dict[type[Exception], int] = {
     StateError: 409,
     UnknownReferenceError: 422,
     IdempotencyError: 422,
+    TargetError: 422,
     PreconditionError: 412,
     PreconditionRequiredError: 428,
     RigMismatchError: 422,

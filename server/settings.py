@@ -49,6 +49,8 @@ class ServiceSettings(BaseSettings):
     `hosts` are the Host headers let in beside loopback names, with a port or for any; `origins` the pages let in beside
     the service's own, such as https://lab.example before a proxy. The body of a request has at most `body_bytes` and
     `body_s` seconds; a client may send `read_burst` reads at once and `read_rate` a second, and writes alike.
+    Webhooks reach public addresses only, but any address of a host that `webhook_hosts` names. Jobs that ended more
+    than `keep_days` ago are deleted.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
     A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
@@ -76,6 +78,8 @@ class ServiceSettings(BaseSettings):
     gpu: int | None = None
     log: Literal["text", "json"] = "text"
     otel: str | None = None
+    webhook_hosts: tuple[str, ...] = ()
+    keep_days: Annotated[float | None, Field(gt=0, le=36_500, allow_inf_nan=False)] = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 
     @field_validator("data")

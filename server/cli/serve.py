@@ -86,11 +86,9 @@ def serve_command(
     **shared: Any,
 ) -> None:
     """Serve the page and REST, on loopback unless told otherwise; the address is printed first."""
-    import uvicorn
-
     from server.app import create_app
+    from server.hosting import server_of
     from server.settings import settings_of
-    from server.telemetry import configure_logs
 
     names = {"hosts": hosts or None, "origins": origins or None}
     settings = settings_of(host=host, port=port, **names, **shared)
@@ -106,11 +104,7 @@ def serve_command(
             click.echo(f"http://{address}:{listener.getsockname()[1]}")
             sys.stdout.flush()
             with suppress(KeyboardInterrupt):  # the usual way to stop it
-                text = settings.log == "text"
-                level = "warning" if text else None
-                config = uvicorn.Config(app, log_level=level, access_log=not text, server_header=False)
-                configure_logs(settings)  # after uvicorn has set up its own
-                uvicorn.Server(config).run(sockets=[listener])
+                server_of(app, settings).run(sockets=[listener])
 
 
 @click.command()

@@ -1,9 +1,11 @@
 """Jobs and what they leave."""
 
-from typing import Annotated
+import base64
+from pathlib import Path
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Response
-from fastapi.responses import FileResponse, PlainTextResponse
+from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
 from server.routes.services import Cursor, IdempotencyKey, Limit, Named, TheServices, Word
 from server.schemas.jobs import (
@@ -17,9 +19,18 @@ from server.schemas.jobs import (
     Steps,
 )
 from server.schemas.progress import Status
+from server.store.artefacts import StoredArtefact
 from server.store.entries import Filter
 
 router = APIRouter(tags=["jobs"])
+IfNoneMatch = Annotated[str | None, Header(alias="If-None-Match", max_length=4000)]
+_FILE: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {}}, "description": "The file; ETag is its SHA-256."},
+    206: {"description": "The Range that was asked for."},
+    304: {"description": "The client has it."},
+    416: {"description": "There is no such Range."},
+}
+_ZIP: dict[int | str, dict[str, Any]] = {200: {"content": {"application/zip": {}}, "description": "A zip."}}
 
 
 @router.post("/jobs", status_code=202)
@@ -111,9 +122,42 @@ def artefacts(job_id: str, services: TheServices) -> Artefacts:
     return Artefacts(items=services.artefacts.list(job_id))
 
 
-@router.get("/jobs/{job_id}/artefacts/{name:path}", response_class=FileResponse)
-def artefact(job_id: str, name: str, services: TheServices) -> FileResponse:
-    """One artefact; a Range is honoured."""
-    path, found = services.artefacts.find(job_id, name)
-    headers = {"X-Content-Type-Options": "nosniff", "ETag": f'"{found.sha256}"'}
+@router.get("/jobs/{job_id}/artefacts/{name:path}", response_class=FileResponse, responses=_FILE)
+@router.head("/jobs/{job_id}/artefacts/{name:path}", include_in_schema=False)
+def artefact(
+    job_id: str, name: str, request: Request, services: TheServices, if_none_match: IfNoneMatch = None
+) -> Response:
+    """One artefact; Range, If-Range and If-None-Match are honoured, Repr-Digest proves it."""
+    return _file(*services.artefacts.find(job_id, name), "range" in request.headers, if_none_match)
+
+
+@router.get("/jobs/{job_id}/thumbnail", response_class=FileResponse, responses=_FILE)
+@router.head("/jobs/{job_id}/thumbnail", include_in_schema=False)
+def thumbnail(job_id: str, request: Request, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
+    """A small picture of what was reconstructed."""
+    found = services.artefacts.find(job_id, services.artefacts.thumbnail(job_id))
+    return _file(*found, "range" in request.headers, if_none_match)
+
+
+@router.get("/jobs/{job_id}/archive", response_class=StreamingResponse, responses=_ZIP)
+def archive(job_id: str, services: TheServices) -> StreamingResponse:
+    """All artefacts of an ended job as one zip."""
+    length, parts = services.artefacts.archive(job_id)
+    headers = {
+        "Content-Length": str(length),
+        "Content-Disposition": f'attachment; filename="{job_id}.zip"',
+        "X-Content-Type-Options": "nosniff",
+    }
+    return StreamingResponse(parts, media_type="application/zip", headers=headers)
+
+
+def _file(path: Path, found: StoredArtefact, in_parts: bool, if_none_match: str | None) -> Response:
+    tag = f'"{found.sha256}"'
+    digest = f"sha-256=:{base64.b64encode(bytes.fromhex(found.sha256)).decode()}:"
+    headers = {"ETag": tag, "Repr-Digest": digest, "Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
+    known = [one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")]
+    if tag in known or "*" in known:
+        return Response(status_code=304, headers=headers)
+    if not in_parts:  # what is sent is then the whole
+        headers["Content-Digest"] = digest
     return FileResponse(path, media_type=found.media_type, headers=headers)

@@ -13,21 +13,24 @@ from sqlalchemy.exc import SQLAlchemyError
 from server.engine import Engine
 from server.schemas.progress import ACTIVE, Status
 from server.services.queue import Queue
+from server.services.retention import Retention
 from server.store.entries import Entry
 from server.store.store import Store
 
 _LOOK_S = 0.5
 _LOST_S = 5.0
+_TIDY_S = 3600.0
 _LOG = logging.getLogger(__name__)
 
 
 class Announcer:
     """Compares what was told of entries with what the engine knows, twice a second, in a thread of its own."""
 
-    def __init__(self, store: Store, engine: Engine, queue: Queue) -> None:
+    def __init__(self, store: Store, engine: Engine, queue: Queue, retention: Retention) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
+        self._retention = retention
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="announcer", daemon=True)
 
@@ -64,10 +67,13 @@ class Announcer:
             before, now = now, latest
 
     def _run(self) -> None:
-        well = True
+        well, tidied = True, float("-inf")
         while not self._stop.wait(_LOOK_S):
             try:
                 self.look()
+                if time.monotonic() - tidied >= _TIDY_S:
+                    tidied = time.monotonic()
+                    self._retention.tidy()
                 well = True
             except (engine_errors.DBOSException, SQLAlchemyError, OSError) as error:
                 if well:  # once an outage

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
-from server.errors import NotFoundError
+from zipstream import ZipStream
+
+from server.engine import Engine
+from server.errors import NotFoundError, StateError
 from server.schemas.jobs import Artefact
-from server.store.artefacts import StoredArtefact, is_plain
+from server.schemas.progress import ACTIVE
+from server.store.artefacts import StoredArtefact, described, is_plain
+from server.store.entries import Entry
 from server.store.store import Store
 
 
 class ArtefactService:
     """The artefacts of a service's jobs."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, engine: Engine) -> None:
         self._store = store
+        self._engine = engine
 
     def list(self, job_id: str) -> list[Artefact]:
         """What the job has made so far; raises NotFoundError."""
@@ -25,13 +32,40 @@ class ArtefactService:
         ]
 
     def find(self, job_id: str, name: str) -> tuple[Path, StoredArtefact]:
-        """Path and description of an artefact that the catalogue names; raises NotFoundError."""
+        """Path and description, as it is now, of an artefact that the catalogue names; raises NotFoundError."""
         entry = self._store.entries.get("job", job_id)
-        folder = self._store.folder
-        root = folder.run(job_id) if entry.type == "reconstruct" else folder.out(job_id)
+        root = self._root(entry)
         found = [one for one in self._store.artefacts.of(entry.id) if one.name == name]
         if not found or not is_plain(root, name):
             raise NotFoundError(
                 f"found no artefact {name[:60]}, expected one that GET /v1/jobs/{job_id}/artefacts lists"
             )
-        return root / name, found[0]
+        return root / name, described(entry.id, root / name, name, found[0])  # a job at work may have written it again
+
+    def archive(self, job_id: str) -> tuple[int, Iterator[bytes]]:
+        """The bytes of a zip of all artefacts, made while they are read, and how many they are.
+
+        Raises NotFoundError, and StateError while the job may still change them.
+        """
+        entry = self._store.entries.get("job", job_id)
+        status = self._engine.statuses([entry])[entry.id]
+        if status in ACTIVE:
+            raise StateError(f"found {job_id} {status}, expected it ended; its artefacts may be had one by one")
+        root = self._root(entry)
+        archive = ZipStream(sized=True)  # stored as they are: pictures, films and digits of noise do not shrink
+        for one in self._store.artefacts.of(entry.id):
+            if is_plain(root, one.name):
+                archive.add_path(root / one.name, f"{job_id}/{one.name}")
+        return len(archive), iter(archive)
+
+    def thumbnail(self, job_id: str) -> str:
+        """The name of a small picture of what was reconstructed; raises NotFoundError."""
+        entry = self._store.entries.get("job", job_id)
+        for one in self._store.artefacts.of(entry.id):
+            if one.name.startswith("thumbnails/") and one.media_type.startswith("image/"):
+                return one.name
+        raise NotFoundError(f"found no thumbnail of {job_id}, expected a reconstruction that has its report")
+
+    def _root(self, entry: Entry) -> Path:
+        folder = self._store.folder
+        return folder.run(entry.id) if entry.type == "reconstruct" else folder.out(entry.id)

@@ -9,12 +9,16 @@ from server.services.artefacts import ArtefactService
 from server.services.calibrations import CalibrationService
 from server.services.captures import CaptureService, RigService
 from server.services.health import HealthService
+from server.services.hub import Hub
 from server.services.imports import ImportService
 from server.services.jobs import JobService
+from server.services.metrics import Metrics
 from server.services.previews import PreviewService
 from server.services.queue import Queue
+from server.services.retention import Retention
 from server.services.rig_jobs import RigJobService
 from server.services.uploads import UploadService
+from server.services.webhooks import WebhookService
 from server.settings import ServiceSettings
 from server.store.store import Store
 
@@ -34,21 +38,29 @@ class Services:
         self.captures = CaptureService(self.store, self.engine)
         self.jobs = JobService(self.store, self.engine, queue, self.rigs)
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
-        self.artefacts = ArtefactService(self.store)
+        self.artefacts = ArtefactService(self.store, self.engine)
         self.health = HealthService(self.store, self.engine)
         self.uploads = UploadService(self.store, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
         self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs)
         self.access = AccessService(self.store.tokens, settings)
-        self.announcer = Announcer(self.store, self.engine, queue)
+        self.hub = Hub(self.store)
+        self.webhooks = WebhookService(self.store, settings.webhook_hosts)
+        self.metrics = Metrics(settings, self.store, self.engine)
+        retention = Retention(self.store, self.engine, self.jobs, settings.keep_days)
+        self.announcer = Announcer(self.store, self.engine, queue, retention)
 
     def start(self) -> None:
-        """Begin what runs beside the requests."""
+        """Begin what runs beside the requests; call it in the event loop."""
+        self.hub.start()
         self.announcer.start()
+        self.webhooks.start()
 
     def close(self) -> None:
         """End it, and let go of the databases."""
+        self.hub.close()
         self.announcer.stop()
+        self.webhooks.stop()
         self.engine.close()
         self.store.close()

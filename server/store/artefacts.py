@@ -55,7 +55,7 @@ class Artefacts:
     def catalogue(self, entry_id: str, folder: Path, names: Iterator[str]) -> None:
         """Note the files `names` under `folder`; one that did not change is not read again."""
         known = {artefact.name: artefact for artefact in self.of(entry_id)}
-        found = [_described(entry_id, folder / name, name, known.get(name)) for name in names]
+        found = [described(entry_id, folder / name, name, known.get(name)) for name in names]
         with self._engine.begin() as connection:
             connection.execute(artefacts.delete().where(artefacts.c.entry == entry_id))
             if found:
@@ -82,7 +82,8 @@ def is_plain(folder: Path, name: str) -> bool:
     return path.is_file()
 
 
-def _described(entry_id: str, path: Path, name: str, known: StoredArtefact | None) -> StoredArtefact:
+def described(entry_id: str, path: Path, name: str, known: StoredArtefact | None) -> StoredArtefact:
+    """A file as it is; its digest is that of `known` where it has not changed since."""
     stat = path.stat()
     if known is not None and (known.bytes, known.modified_ns) == (stat.st_size, str(stat.st_mtime_ns)):
         return known

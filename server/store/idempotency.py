@@ -22,6 +22,11 @@ class Idempotency:
         self._engine = engine
         self._clock = clock
 
+    def prune(self) -> None:
+        """Forget keys older than a week."""
+        with self._engine.begin() as connection:
+            connection.execute(idempotency.delete().where(idempotency.c.at < self._clock() - _KEPT_S))
+
     def claim(self, key: str, asked: str, make_ids: Callable[[], list[str]]) -> list[str]:
         """The ids that belong to `key`: those of its first use, or new ones.
 

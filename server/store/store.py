@@ -10,6 +10,7 @@ from server.settings import ServiceSettings
 from server.store.artefacts import Artefacts
 from server.store.calibrations import Calibrations
 from server.store.database import prepare_database
+from server.store.deliveries import Deliveries
 from server.store.entries import Entries
 from server.store.events import Events
 from server.store.files import DataFolder
@@ -17,6 +18,7 @@ from server.store.idempotency import Idempotency
 from server.store.rig_files import RigFiles
 from server.store.tokens import Tokens
 from server.store.uploads import Uploads
+from server.store.webhooks import Webhooks
 from server.store.workers import Workers
 
 
@@ -35,6 +37,8 @@ class Store:
     rig_files: RigFiles
     uploads: Uploads
     tokens: Tokens
+    webhooks: Webhooks
+    deliveries: Deliveries
 
     @classmethod
     def open(cls, settings: ServiceSettings) -> Store:
@@ -53,6 +57,8 @@ class Store:
             RigFiles(folder, calibrations),
             Uploads(database),
             Tokens(database),
+            Webhooks(database),
+            Deliveries(database),
         )
 
     def close(self) -> None:

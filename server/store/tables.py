@@ -114,14 +114,17 @@ webhooks = Table(
     Column("statuses", JSON, nullable=False),
 )
 
+# What is owed to a webhook, with all that is sent: the entry may be deleted before it arrives.
+
 deliveries = Table(
     "deliveries",
     metadata,
     Column("webhook", String(32), primary_key=True),
     Column("event", Integer, primary_key=True),
+    Column("body", Text, nullable=False),
     Column("attempts", Integer, nullable=False),
-    Column("next", Float, nullable=False),
-    Column("status", String(12), nullable=False),  # waiting, delivered or given up
+    Column("next", Float, nullable=False),  # when it is due or, once it is over, when it ended
+    Column("status", String(12), nullable=False),  # waiting, delivered or failed
     Column("said", String(200), nullable=False),
     Index("deliveries_due", "status", "next"),
 )

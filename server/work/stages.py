@@ -52,6 +52,12 @@ _OUTAGE_POLL_S = 1.0
 ANSWERS = ("check-rig", "verify", "preflight")  # whose exit code 1 is an answer, not a failure
 
 
+def run_artefacts(run: Path) -> Iterator[str]:
+    """Names of what may be handed out of a run folder: not its checkpoints."""
+    yield from (name for name in RUN_ARTEFACTS if is_plain(run, name))
+    yield from (f"thumbnails/{name}" for name in plain_files(run / "thumbnails"))
+
+
 class Stages:
     """Runs the stages of captures and jobs of one service."""
 
@@ -175,7 +181,7 @@ class Stages:
         try:
             await self._supervise(entry, stage, arguments, [], trains=True)
         finally:
-            self._store.artefacts.catalogue(entry.id, run, (name for name in RUN_ARTEFACTS if is_plain(run, name)))
+            self._store.artefacts.catalogue(entry.id, run, run_artefacts(run))
 
     async def _task(self, entry: Entry, stage: str) -> None:
         out = self._folder.out(entry.id) if self._finished(entry, stage).exists() else self._fresh_out(entry)

@@ -195,7 +195,9 @@ def test_a_capture_becomes_a_reconstruction(client: ServiceClient, http: TestCli
     wait_for(lambda: client.job(job.id).status == "done")
     job = client.job(job.id)
     assert list(job.seconds) == ["plan", "poses", "images", "points", "train", "report"]
-    assert {artefact.name for artefact in client.artefacts(job.id)} == {"run.json", "metrics.json", "report.html"}
+    assert {artefact.name for artefact in client.artefacts(job.id)} == {
+        *("run.json", "metrics.json", "report.html", "thumbnails/render_000120.png")
+    }
     assert json.loads(client.artefact(job.id, "metrics.json"))["psnr_db"] == 32.5
     assert "--stage train --model auto" in client.log(job.id)
     part = http.get(f"/v1/jobs/{job.id}/artefacts/report.html", headers={"Range": "bytes=1-5"})

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from server.calls.transport import Transport
 from server.schemas.captures import Capture, ImportRequest, ManifestInfo
 from server.schemas.jobs import Job, LookRequest, PreflightRequest
 from server.schemas.rigs import RigStatus
 from server.schemas.uploads import Upload, UploadRequest, Uploads
-from server.transport import Transport
 
 _PIECE_BYTES = 16 << 20
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from server.calls.transport import Transport
 from server.etags import tag
 from server.schemas.calibrations import (
     Calibration,
@@ -13,7 +14,6 @@ from server.schemas.calibrations import (
     RigCheckRequest,
 )
 from server.schemas.jobs import Job
-from server.transport import Transport
 
 
 class CalibrationCalls(Transport):

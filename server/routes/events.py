@@ -1,0 +1,81 @@
+"""What happens to captures and jobs, as it happens: Server-Sent Events."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncGenerator
+from typing import Annotated, Any
+
+import anyio
+from fastapi import APIRouter, Header, Query, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
+from starlette.types import Message, Send
+
+from server.routes.services import TheServices
+from server.services.hub import Hub
+
+router = APIRouter(tags=["events"])
+_SEND_S = 10.0  # a reader who takes longer for one event is gone
+_SHOWN: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/event-stream": {}}, "description": "`id` is the number, `data` an Event as JSON."},
+    204: {"description": "It has ended, and the client has seen all of it: an EventSource does not come again."},
+}
+
+LastEventId = Annotated[
+    int | None, Header(alias="Last-Event-ID", ge=0, lt=2**63, description="The last number the client has seen.")
+]
+After = Annotated[int | None, Query(ge=0, lt=2**63, description="The same, for a client that cannot set the header.")]
+
+
+class EventStream(StreamingResponse):
+    """A stream that gives up on a reader who does not read."""
+
+    media_type = "text/event-stream"
+
+    def __init__(self, content: AsyncGenerator[bytes]) -> None:
+        super().__init__(content, headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
+        self._content = content
+
+    async def stream_response(self, send: Send) -> None:
+        """Send, each piece in its time."""
+
+        async def in_time(message: Message) -> None:
+            with anyio.fail_after(_SEND_S):
+                await send(message)
+
+        try:
+            with contextlib.suppress(TimeoutError):
+                await super().stream_response(in_time)
+        finally:
+            await self._content.aclose()
+
+
+@router.get("/events", response_class=EventStream, responses={200: _SHOWN[200]})
+async def events(services: TheServices, last: LastEventId = None, after: After = None) -> Response:
+    """What happens to all captures and jobs: from a number on or, without one, from now on."""
+    seq = last if last is not None else after
+    if seq is None:
+        seq = await run_in_threadpool(services.hub.newest)
+    return EventStream(services.hub.stream(seq))
+
+
+@router.get("/jobs/{job_id}/events", response_class=EventStream, responses=_SHOWN)
+async def job_events(job_id: str, services: TheServices, last: LastEventId = None, after: After = None) -> Response:
+    """What happens to one job, from its beginning or from a number on, until it ends."""
+    await run_in_threadpool(services.jobs.get, job_id)
+    return await _of_entry(services.hub, last or after or 0, job_id)
+
+
+@router.get("/captures/{capture_id}/events", response_class=EventStream, responses=_SHOWN)
+async def capture_events(
+    capture_id: str, services: TheServices, last: LastEventId = None, after: After = None
+) -> Response:
+    """What happens to one capture, from its beginning or from a number on, until it ends."""
+    await run_in_threadpool(services.captures.get, capture_id)
+    return await _of_entry(services.hub, last or after or 0, capture_id)
+
+
+async def _of_entry(hub: Hub, seq: int, entry_id: str) -> Response:
+    over = await run_in_threadpool(hub.is_over, seq, entry_id)
+    return Response(status_code=204) if over else EventStream(hub.stream(seq, entry_id))

@@ -1,0 +1,62 @@
+"""Webhooks: who is told of what, and what was said to them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field
+
+from server.schemas.progress import Request, Status
+
+Statuses = Annotated[list[Status], Field(min_length=1, max_length=5)]
+
+
+class WebhookRequest(Request):
+    """An address to be told when a capture or job gets one of `statuses`."""
+
+    url: Annotated[str, Field(min_length=8, max_length=2000, pattern=r"^https?://[\x21-\x7e]+$")]
+    statuses: Statuses = Field(default=["done", "failed", "cancelled"])
+
+
+class Webhook(BaseModel):
+    """An address that is told of captures and jobs."""
+
+    id: str
+    created: str
+    url: str
+    statuses: list[Status]
+
+
+class NewWebhook(Webhook):
+    """The same, with the secret that signs what it is sent; it is shown this once."""
+
+    secret: str
+
+
+class Webhooks(BaseModel):
+    """All webhooks."""
+
+    items: list[Webhook]
+
+
+class Delivery(BaseModel):
+    """An event on its way to a webhook: `said` is the last answer or fault, `due_in_s` when it is tried again."""
+
+    event: int
+    status: Literal["waiting", "delivered", "failed"]
+    attempts: int
+    said: str
+    due_in_s: float | None
+
+
+class Deliveries(BaseModel):
+    """Deliveries, newest first."""
+
+    items: list[Delivery]
+
+
+class Trial(BaseModel):
+    """Whether a test delivery was accepted, and what was said."""
+
+    ok: bool
+    said: str

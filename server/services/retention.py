@@ -1,0 +1,58 @@
+"""What is let go of: reports of progress, keys, deliveries, the engine's own memory and, where asked for, old jobs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from server.engine import Engine
+from server.errors import ServiceError
+from server.services.jobs import JobService
+from server.store.store import Store
+
+_DAY_S = 24 * 3600.0
+_PROGRESS_S = 7 * _DAY_S
+_PAGE = 500
+
+
+class Retention:
+    """Lets go of what is old; done by the announcer, once an hour."""
+
+    def __init__(
+        self,
+        store: Store,
+        engine: Engine,
+        jobs: JobService,
+        keep_days: float | None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._store = store
+        self._engine = engine
+        self._jobs = jobs
+        self._keep_days = keep_days
+        self._clock = clock
+
+    def tidy(self) -> None:
+        """Let go of everything that is due."""
+        self._store.events.prune_progress(self._clock() - _PROGRESS_S)
+        self._store.idempotency.prune()
+        self._store.deliveries.prune()
+        if self._keep_days is not None:
+            self._delete_jobs(self._clock() - self._keep_days * _DAY_S)
+        self._forget_deleted()
+
+    def _delete_jobs(self, before: float) -> None:
+        for job_id in self._store.events.ended_before(before):
+            try:
+                self._jobs.delete(job_id)
+            except ServiceError:  # at work again, or in use: its time will come
+                continue
+
+    def _forget_deleted(self) -> None:
+        known = self._engine.ended()
+        for start in range(0, len(known), _PAGE):
+            page = known[start : start + _PAGE]
+            kept = {entry.id for entry in self._store.entries.find(page)}
+            for entry_id in page:
+                if entry_id not in kept:
+                    self._engine.forget(entry_id)

@@ -1,0 +1,78 @@
+"""Where webhooks may lead: public addresses, and hosts that the settings name."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Collection
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from server.errors import TargetError
+
+_TRANSLATED = ipaddress.ip_network("64:ff9b::/96")  # an IPv4 address, as a NAT64 gateway is told it
+
+
+@dataclass(frozen=True)
+class Target:
+    """A URL taken apart."""
+
+    scheme: str
+    host: str
+    port: int
+    path: str
+
+    @property
+    def authority(self) -> str:
+        """Host and port, as a Host header has them."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        usual = {"http": 80, "https": 443}[self.scheme]
+        return host if self.port == usual else f"{host}:{self.port}"
+
+    def at(self, address: str) -> str:
+        """The URL with an address in place of the name."""
+        host = f"[{address}]" if ":" in address else address
+        return f"{self.scheme}://{host}:{self.port}{self.path}"
+
+
+def target_of(url: str) -> Target:
+    """Take a webhook's URL apart; raises TargetError."""
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        parts, host, port = None, None, None
+    if parts is None or not host or parts.scheme not in ("http", "https") or "@" in parts.netloc or parts.fragment:
+        raise TargetError(f"found the webhook {url[:80]!r}, expected http(s)://HOST[:PORT]/PATH without a user")
+    path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+    return Target(parts.scheme, host, port or {"http": 80, "https": 443}[parts.scheme], path)
+
+
+def addresses_of(target: Target) -> list[str]:
+    """What a target's name stands for now; raises TargetError where it stands for nothing."""
+    try:
+        found = socket.getaddrinfo(target.host, target.port, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError) as error:
+        raise TargetError(f"found no address of {target.host[:80]}, expected a host that can be resolved") from error
+    return [str(one[4][0]) for one in found]
+
+
+def allowed_address(target: Target, addresses: list[str], hosts: Collection[str]) -> str:
+    """The address to connect to; raises TargetError where any is private and `hosts` does not name the target."""
+    if target.host not in {host.lower() for host in hosts}:
+        for address in addresses:
+            if not _is_public(address):
+                raise TargetError(
+                    f"found {target.host[:80]} at the private address {address}, expected a public one; "
+                    "name the host in SPIKE4DGS_WEBHOOK_HOSTS to allow it"
+                )
+    return addresses[0]
+
+
+def _is_public(text: str) -> bool:
+    address = ipaddress.ip_address(text.partition("%")[0])
+    if isinstance(address, ipaddress.IPv6Address) and (
+        address.ipv4_mapped or address.sixtofour or address.teredo or address in _TRANSLATED
+    ):  # an IPv4 address inside
+        return False
+    return address.is_global and not address.is_multicast and not address.is_reserved

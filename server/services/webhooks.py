@@ -1,0 +1,165 @@
+"""Webhooks: who is told, and the telling: signed, once at least, and again until it is heard."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+import httpx
+from sqlalchemy.exc import SQLAlchemyError
+from standardwebhooks.webhooks import Webhook as Signer
+
+from server.errors import NotFoundError, TargetError
+from server.schemas.webhooks import Deliveries, Delivery, NewWebhook, Trial, Webhook, WebhookRequest, Webhooks
+from server.services.targets import addresses_of, allowed_address, target_of
+from server.store import deliveries as stored
+from server.store.store import Store
+from server.store.webhooks import Webhook as StoredWebhook
+
+BACKOFF_S = (5.0, 30.0, 120.0, 600.0, 3600.0, 4 * 3600.0, 12 * 3600.0)
+_TIMEOUT_S = 10.0
+_TOGETHER = 20
+_LOOK_S = 1.0
+_GONE = 410
+_LOG = logging.getLogger(__name__)
+
+
+class WebhookService:
+    """The webhooks of a service, and a thread that tells them; several web processes share the work."""
+
+    def __init__(
+        self,
+        store: Store,
+        hosts: tuple[str, ...],
+        resolve: Callable[..., list[str]] = addresses_of,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._store = store
+        self._hosts = hosts
+        self._resolve = resolve
+        self._clock = clock
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
+
+    def start(self) -> None:
+        """Begin to deliver."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, when what is under way has been delivered or has timed out."""
+        self._stop.set()
+        self._thread.join()
+
+    def add(self, request: WebhookRequest) -> NewWebhook:
+        """A new webhook with its secret; raises TargetError for an address that is not spoken to."""
+        target = target_of(request.url)
+        allowed_address(target, self._resolve(target), self._hosts)
+        made = self._store.webhooks.add(request.url, list(dict.fromkeys(request.statuses)))
+        return NewWebhook.model_validate(vars(made))
+
+    def list(self) -> Webhooks:
+        """All webhooks."""
+        return Webhooks(items=[_shown(one) for one in self._store.webhooks.all()])
+
+    def get(self, webhook_id: str) -> Webhook:
+        """One webhook; raises NotFoundError."""
+        return _shown(self._store.webhooks.get(webhook_id))
+
+    def remove(self, webhook_id: str) -> None:
+        """Forget a webhook; raises NotFoundError."""
+        self._store.webhooks.remove(webhook_id)
+
+    def deliveries(self, webhook_id: str, limit: int) -> Deliveries:
+        """The newest deliveries to a webhook; raises NotFoundError."""
+        self._store.webhooks.get(webhook_id)
+        return Deliveries(
+            items=[
+                Delivery.model_validate(
+                    {
+                        **{name: getattr(one, name) for name in ("event", "status", "attempts", "said")},
+                        "due_in_s": max(0.0, one.next - self._clock()) if one.status == "waiting" else None,
+                    }
+                )
+                for one in self._store.deliveries.of(webhook_id, limit)
+            ]
+        )
+
+    def test(self, webhook_id: str) -> Trial:
+        """Send a message of type `test` now, once; raises NotFoundError."""
+        webhook = self._store.webhooks.get(webhook_id)
+        at = datetime.fromtimestamp(self._clock(), UTC)
+        body = json.dumps({"type": "test", "timestamp": at.isoformat("T", "milliseconds"), "data": {}})
+        ok, said, _ = asyncio.run(self._send(webhook, f"msg_{webhook.id}_test_{int(at.timestamp() * 1000)}", body))
+        return Trial(ok=ok, said=said)
+
+    def look(self) -> int:
+        """Try what is due; how much that was."""
+        due = self._store.deliveries.claim(_TOGETHER)
+        if due:
+            asyncio.run(self._deliver(due))
+        return len(due)
+
+    def _run(self) -> None:
+        busy = False
+        while not self._stop.wait(0 if busy else _LOOK_S):
+            try:
+                busy = self.look() == _TOGETHER
+            except SQLAlchemyError:
+                busy = False
+                _LOG.exception("webhooks go on after an error")
+
+    async def _deliver(self, due: list[stored.Delivery]) -> None:
+        await asyncio.gather(*(self._attempt(one) for one in due))
+
+    async def _attempt(self, delivery: stored.Delivery) -> None:
+        try:
+            webhook = await asyncio.to_thread(self._store.webhooks.get, delivery.webhook)
+        except NotFoundError:  # deleted meanwhile, and the delivery with it
+            return
+        ok, said, for_ever = await self._send(webhook, f"msg_{webhook.id}_{delivery.event}", delivery.body)
+        again = delivery.attempts < len(BACKOFF_S) and not for_ever
+        status = "delivered" if ok else "waiting" if again else "failed"
+        wait_s = BACKOFF_S[delivery.attempts] if status == "waiting" else 0.0
+        await asyncio.to_thread(self._store.deliveries.settle, delivery, status, wait_s, said)
+
+    async def _send(self, webhook: StoredWebhook, message_id: str, body: str) -> tuple[bool, str, bool]:
+        """Whether it was accepted, what was said, and whether to leave it at that."""
+        try:
+            async with asyncio.timeout(_TIMEOUT_S):
+                status = await self._post(webhook, message_id, body)
+        except TimeoutError:
+            return False, f"found no answer in {_TIMEOUT_S:g} s", False
+        except (TargetError, httpx.HTTPError, OSError) as error:
+            return False, " ".join(str(error).split()) or type(error).__name__, False
+        return 200 <= status < 300, f"HTTP {status}", status == _GONE
+
+    async def _post(self, webhook: StoredWebhook, message_id: str, body: str) -> int:
+        """The status of the answer; the name is resolved once, and that very address spoken to."""
+        target = target_of(webhook.url)
+        address = allowed_address(target, await asyncio.to_thread(self._resolve, target), self._hosts)
+        at = int(self._clock())
+        headers = {
+            "Host": target.authority,
+            "Content-Type": "application/json",
+            "User-Agent": "spike4dgs",
+            "webhook-id": message_id,
+            "webhook-timestamp": str(at),
+            "webhook-signature": Signer(webhook.secret).sign(message_id, datetime.fromtimestamp(at, UTC), body),
+        }
+        extensions = {"sni_hostname": target.host} if target.scheme == "https" else {}
+        async with httpx.AsyncClient(timeout=_TIMEOUT_S, trust_env=False, follow_redirects=False) as client:
+            request = client.build_request(
+                "POST", target.at(address), content=body, headers=headers, extensions=extensions
+            )
+            answer = await client.send(request, stream=True)
+            await answer.aclose()
+            return answer.status_code
+
+
+def _shown(webhook: StoredWebhook) -> Webhook:
+    return Webhook.model_validate({name: value for name, value in vars(webhook).items() if name != "secret"})
