@@ -51,7 +51,7 @@ class EventStream(StreamingResponse):
             await self._content.aclose()
 
 
-@router.get("/events", response_class=EventStream, responses={200: _SHOWN[200]})
+@router.get("/events", status_code=200, response_class=EventStream, responses={200: _SHOWN[200]})
 async def events(services: TheServices, last: LastEventId = None, after: After = None) -> Response:
     """What happens to all captures and jobs: from a number on or, without one, from now on."""
     seq = last if last is not None else after
@@ -60,14 +60,14 @@ async def events(services: TheServices, last: LastEventId = None, after: After =
     return EventStream(services.hub.stream(seq))
 
 
-@router.get("/jobs/{job_id}/events", response_class=EventStream, responses=_SHOWN)
+@router.get("/jobs/{job_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
 async def job_events(job_id: str, services: TheServices, last: LastEventId = None, after: After = None) -> Response:
     """What happens to one job, from its beginning or from a number on, until it ends."""
     await run_in_threadpool(services.jobs.get, job_id)
     return await _of_entry(services.hub, last or after or 0, job_id)
 
 
-@router.get("/captures/{capture_id}/events", response_class=EventStream, responses=_SHOWN)
+@router.get("/captures/{capture_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
 async def capture_events(
     capture_id: str, services: TheServices, last: LastEventId = None, after: After = None
 ) -> Response:

@@ -36,7 +36,7 @@ def services(app: FastAPI) -> Services:
 @pytest.fixture
 def http(app: FastAPI) -> Iterator[httpx.Client]:
     with listening("127.0.0.1", 0) as listener:
-        server = server_of(app, settings)
+        server = server_of(app, app.state.services.settings)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         limits = httpx.Limits(max_connections=None)
