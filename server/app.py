@@ -8,12 +8,12 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from server import document, errors
-from server.gate import Gate
-from server.guard import LoopbackGuard
-from server.headers import SecurityHeaders
-from server.limits import BodyLimit
-from server.measured import Measured
+from server.middleware import document, problems
+from server.middleware.gate import Gate
+from server.middleware.guard import LoopbackGuard
+from server.middleware.headers import SecurityHeaders
+from server.middleware.limits import BodyLimit
+from server.middleware.measured import Measured
 from server.routes import calibrations, captures, events, jobs, metrics, page, rigs, system, uploads, webhooks
 from server.services.services import Services
 from server.settings import ServiceSettings
@@ -37,7 +37,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         app.include_router(module.router, prefix="/v1")
     app.include_router(metrics.router)
     app.include_router(page.router)
-    errors.install(app)
+    problems.install(app)
     document.describe(app)
     app.add_middleware(BodyLimit, settings=settings)  # the last added meets a request first
     app.add_middleware(Gate, access=services.access, settings=settings)

@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 
 from server.engine import stages_of
-from server.errors import problem
+from server.middleware.problems import problem
 from server.routes.services import TheServices
 from server.schemas.jobs import JOB_TYPES
 from server.schemas.system import Check, Info, Workers

@@ -22,8 +22,9 @@ from reconstruction.rendering.render import render
 from reconstruction.report.pictures import depth_colours, grey
 from rigs.camera import Camera
 from rigs.transform import Transform
-from server import errors
-from server.guard import LoopbackGuard
+from server.errors import NotFoundError
+from server.middleware import problems
+from server.middleware.guard import LoopbackGuard
 from server.routes import page
 
 playwright = pytest.importorskip("playwright.sync_api", reason="found no playwright; install it with the dev extra")
@@ -155,13 +156,13 @@ def address(jobs: Path) -> Iterator[str]:
     """The page's own routes, guard and headers, with artefacts from a folder."""
     app = FastAPI()
     app.include_router(page.router)
-    errors.install(app)
+    problems.install(app)
     app.add_middleware(LoopbackGuard)
 
     @app.get("/v1/jobs/{job}/artefacts/{name}")
     def artefact(job: str, name: str) -> FileResponse:
         if not (jobs / job / name).is_file():
-            raise errors.NotFoundError(f"found no artefact {name} of {job}, expected one")
+            raise NotFoundError(f"found no artefact {name} of {job}, expected one")
         return FileResponse(jobs / job / name)
 
     with socket.create_server(("127.0.0.1", 0)) as listener:

@@ -9,7 +9,7 @@ from fastapi.testclient import TestClient
 
 from server.app import create_app
 from server.errors import SlowBodyError
-from server.limits import BodyLimit
+from server.middleware.limits import BodyLimit
 from server.settings import ServiceSettings
 
 JSON = {"Content-Type": "application/json"}

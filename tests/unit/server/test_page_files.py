@@ -7,7 +7,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from server import errors
+from server.middleware import problems
 from server.routes import page
 
 FOLDER = Path(page.__file__).parents[1] / "page" / "viewer"
@@ -18,7 +18,7 @@ SCRIPTS = sorted(FOLDER.glob("*.js"))
 def http() -> TestClient:
     app = FastAPI()
     app.include_router(page.router)
-    errors.install(app)
+    problems.install(app)
     return TestClient(app)
 
 

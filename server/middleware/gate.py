@@ -10,8 +10,9 @@ from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from server.errors import BusyClientError, ServiceError, UnauthorizedError, problem, problem_of
-from server.limits import ClientRates, address_of
+from server.errors import BusyClientError, ServiceError, UnauthorizedError
+from server.middleware.limits import ClientRates, address_of
+from server.middleware.problems import problem, problem_of
 from server.services.access import AccessService
 from server.settings import ServiceSettings
 from server.store.tokens import Token

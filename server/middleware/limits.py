@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.errors import BusyClientError, MalformedError, SlowBodyError, TooLargeError, problem_of
+from server.errors import BusyClientError, MalformedError, SlowBodyError, TooLargeError
+from server.middleware.problems import problem_of
+from server.middleware.strict import check_json
 from server.settings import ServiceSettings
-from server.strict import check_json
 
 _MOST_CLIENTS = 10_000
 _READS = ("GET", "HEAD", "OPTIONS")

@@ -12,7 +12,8 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from server.errors import ForeignRequestError, problem_of
+from server.errors import ForeignRequestError
+from server.middleware.problems import problem_of
 
 _HOSTS = ("127.0.0.1", "localhost", "::1")
 

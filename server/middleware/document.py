@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from server.gate import is_guarded
+from server.middleware.gate import is_guarded
 
 _MEDIA_TYPE = "application/problem+json"
 _METHODS = ("get", "put", "post", "patch", "delete")
