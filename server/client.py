@@ -14,8 +14,10 @@ from server.calls.captures import CaptureCalls
 from server.calls.events import EventCalls
 from server.calls.transport import RefusedError
 from server.calls.webhooks import WebhookCalls
+from server.schemas.artefacts import Artefact, Artefacts
 from server.schemas.captures import Capture, CaptureRequest, Captures
-from server.schemas.jobs import Artefact, Artefacts, Job, JobBase, Jobs, PriorityRequest, RestartRequest, Step, Steps
+from server.schemas.job_types import JobBase, PriorityRequest, RestartRequest
+from server.schemas.jobs import Job, Jobs, Step, Steps
 from server.schemas.rigs import RigInfo, Rigs
 from server.schemas.system import Check, Info, WorkerInfo, Workers
 

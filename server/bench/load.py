@@ -21,7 +21,7 @@ from server.bench.deployment import Deployment
 from server.client import RefusedError, ServiceClient
 from server.errors import ServiceError
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
 
 _BATCH = 250
 _READY_S = 120.0

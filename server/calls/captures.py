@@ -7,7 +7,8 @@ from pathlib import Path
 
 from server.calls.transport import Transport
 from server.schemas.captures import Capture, ImportRequest, ManifestInfo
-from server.schemas.jobs import Job, LookRequest, PreflightRequest
+from server.schemas.job_types import LookRequest, PreflightRequest
+from server.schemas.jobs import Job
 from server.schemas.rigs import RigStatus
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 

@@ -20,7 +20,14 @@ from server.cli.progress import progress_of
 from server.cli.serve import stop_process
 from server.errors import ServiceError
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.jobs import Images, Init, Job, Model, ReconstructRequest, Supervision
+from server.schemas.job_types import (
+    Images,
+    Init,
+    Model,
+    ReconstructRequest,
+    Supervision,
+)
+from server.schemas.jobs import Job
 
 if TYPE_CHECKING:
     from server.client import ServiceClient

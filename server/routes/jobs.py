@@ -8,16 +8,9 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
 from server.routes.services import Cursor, IdempotencyKey, Limit, Named, TheServices, Word
-from server.schemas.jobs import (
-    Artefacts,
-    BatchRequest,
-    Job,
-    JobRequest,
-    Jobs,
-    PriorityRequest,
-    RestartRequest,
-    Steps,
-)
+from server.schemas.artefacts import Artefacts
+from server.schemas.job_types import BatchRequest, JobRequest, PriorityRequest, RestartRequest
+from server.schemas.jobs import Job, Jobs, Steps
 from server.schemas.progress import Status
 from server.store.artefacts import StoredArtefact
 from server.store.entries import Filter

@@ -5,7 +5,8 @@ from fastapi import APIRouter, Request, Response
 from server.routes.pictures import PNG, answer
 from server.routes.services import IdempotencyKey, TheServices
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.jobs import Job, LookRequest, PreflightRequest
+from server.schemas.job_types import LookRequest, PreflightRequest
+from server.schemas.jobs import Job
 from server.schemas.rigs import RigInfo, Rigs, RigStatus
 
 router = APIRouter(prefix="/rigs", tags=["rigs"])

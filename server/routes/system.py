@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse
 from server.engine import stages_of
 from server.middleware.problems import problem
 from server.routes.services import TheServices
-from server.schemas.jobs import JOB_TYPES
+from server.schemas.job_types import JOB_TYPES
 from server.schemas.system import Check, Info, Workers
 
 router = APIRouter(tags=["system"])

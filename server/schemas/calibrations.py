@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
-from server.schemas.jobs import BoardSpec, EntryId, JobBase
+from server.schemas.job_types import BoardSpec, EntryId, JobBase
 from server.schemas.progress import Request
 
 MOST_TOML = 64_000  # characters; nine cameras take 3,000

@@ -9,7 +9,7 @@ from zipstream import ZipStream
 
 from server.engine import Engine
 from server.errors import NotFoundError, StateError
-from server.schemas.jobs import Artefact
+from server.schemas.artefacts import Artefact
 from server.schemas.progress import ACTIVE
 from server.store.artefacts import StoredArtefact, described, is_plain
 from server.store.entries import Entry

@@ -24,7 +24,7 @@ from server.schemas.calibrations import (
     RigCheckRequest,
 )
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import CalibrateRequest, CheckRigRequest
+from server.schemas.job_types import CalibrateRequest, CheckRigRequest
 from server.services.captures import RigService
 from server.services.jobs import JobService
 from server.services.queue import Key, Queue

@@ -11,14 +11,13 @@ from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
 from rigs.toml import GRID_ID, dump_rig, load_rig
 from server.engine import TASKS
-from server.errors import NotFoundError, StateError, UnknownReferenceError
+from server.errors import NotFoundError, UnknownReferenceError
 from server.schemas.captures import ImportRequest, OfRig
 from server.services.captures import RigService
 from server.services.queue import Key, Queue
 from server.services.uploads import UploadService
 from server.store.entries import Entry
 from server.store.store import Store
-from server.store.uploads import StoredUpload
 
 _MOST_CAMERA_BYTES = 16 << 20
 
@@ -44,7 +43,7 @@ class ImportService:
         named = isinstance(request.uploads, dict)
         ids = list(request.uploads.values() if isinstance(request.uploads, dict) else request.uploads)
         for upload_id in ids:
-            self._committed(upload_id)
+            self._store.uploads.committed(upload_id)
         if len(set(ids)) < len(ids):
             raise UnknownReferenceError("found an upload twice, expected one for each camera")
         folder = self._store.folder.entry(capture_id)
@@ -68,22 +67,13 @@ class ImportService:
         self._queue.add(entry)
         return capture_id
 
-    def _committed(self, upload_id: str) -> StoredUpload:
-        try:
-            upload = self._store.uploads.get(upload_id)
-        except NotFoundError as error:
-            raise UnknownReferenceError(str(error)) from error
-        if upload.state != "committed":
-            raise StateError(f"found the upload {upload_id} {upload.state}, expected it committed")
-        return upload
-
     def _cameras(self, request: ImportRequest, folder: Path) -> Path:
         """The cameras' file, copied into the entry's folder and read once to see that it fits."""
         if isinstance(request.cameras, OfRig):
             path, said = folder / "cameras.toml", f"rig {request.cameras.rig}"
             self._write_rig(request.cameras.rig, path)
         else:
-            upload = self._committed(request.cameras)
+            upload = self._store.uploads.committed(request.cameras)
             if upload.bytes > _MOST_CAMERA_BYTES:
                 raise UnknownReferenceError(
                     f"found {upload.bytes} bytes of cameras, expected a transforms.json or a RIG.toml of at most "

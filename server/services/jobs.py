@@ -7,20 +7,19 @@ from collections.abc import Mapping, Sequence
 from rigs.toml import load_rig
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
 from server.errors import NotFoundError, RigMismatchError, StateError, UnknownReferenceError
-from server.schemas.jobs import (
+from server.schemas.job_types import (
     JOB_TYPES,
     RIG_JOB_TYPES,
     CalibrateRequest,
     CheckRigRequest,
     ExportRequest,
-    Job,
     JobBase,
-    Jobs,
     OfCapture,
     OfJob,
     ReconstructRequest,
-    Steps,
+    RenderRequest,
 )
+from server.schemas.jobs import Job, Jobs, Steps
 from server.schemas.progress import ACTIVE, Status
 from server.services.captures import RigService
 from server.services.listing import page_of
@@ -200,6 +199,8 @@ class JobService:
             self._expect_done(target)
             self._check_cameras(request, target)
             self._check_rig(request, target)
+        if isinstance(request, RenderRequest):
+            self._store.uploads.committed(request.cameras)
         return target
 
     def _expect_done(self, target: Entry) -> None:

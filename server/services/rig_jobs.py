@@ -13,7 +13,7 @@ from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, StateError
-from server.schemas.jobs import LookRequest, PreflightRequest
+from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.progress import ACTIVE
 from server.schemas.rigs import CalibrationInUse, CameraState, Look, Preflight, RigStatus, Room, Work
 from server.services.captures import RigService

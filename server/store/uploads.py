@@ -11,7 +11,7 @@ from typing import Literal
 
 import sqlalchemy as sa
 
-from server.errors import NotFoundError
+from server.errors import NotFoundError, StateError, UnknownReferenceError
 from server.store.entries import now
 from server.store.tables import uploads
 
@@ -61,6 +61,16 @@ class Uploads:
         if not found:
             raise NotFoundError(f"found no upload {upload_id[:60]}, expected one that GET /v1/uploads lists")
         return found[0]
+
+    def committed(self, upload_id: str) -> StoredUpload:
+        """One upload that is whole; raises UnknownReferenceError, and StateError before it is committed."""
+        try:
+            upload = self.get(upload_id)
+        except NotFoundError as error:
+            raise UnknownReferenceError(str(error)) from error
+        if upload.state != "committed":
+            raise StateError(f"found the upload {upload_id} {upload.state}, expected it committed")
+        return upload
 
     def page(self, before: str | None, limit: int) -> list[StoredUpload]:
         """The newest uploads older than the id `before`, at most `limit`."""

@@ -37,10 +37,12 @@ def task_arguments(
     *,
     dark: Path | None = None,
     rig: Path | None = None,
+    cameras: Path | None = None,
 ) -> list[str]:
     """Arguments of `spike4dgs` that do any other job; what it prints is its result.
 
-    `dark` is the recording without light of a pixel calibration, `rig` the file that `check-rig` compares with.
+    `dark` is the recording without light of a pixel calibration, `rig` the file that `check-rig` compares with,
+    `cameras` the upload that `render` looks from.
     """
     match request["type"]:
         case "images":
@@ -56,6 +58,8 @@ def task_arguments(
         case "evaluate":
             truth = recording / "truth"
             return ["evaluate", str(run), *(["--truth", str(truth)] if truth.is_dir() else []), "--json"]
+        case "render":
+            return ["render", str(run), "--cameras", str(cameras), "--out", str(out)]
         case "export":
             options = {"at": request["at_s"], "frames": request["frames"], "camera": request["camera"]}
             name = EXPORT_NAMES[request["format"]]

@@ -206,7 +206,8 @@ class Stages:
         dark = folder.recording(request["dark"]) if request.get("dark") else None
         of_rig = entry.type == "check-rig" and request.get("rig")
         rig = write_current(self._store, self._settings, of_rig, out) if of_rig else None
-        return task_arguments(request, recording, run, out, dark=dark, rig=rig)
+        cameras = folder.upload(request["cameras"]) / "data" if entry.type == "render" else None
+        return task_arguments(request, recording, run, out, dark=dark, rig=rig, cameras=cameras)
 
     async def _supervise(
         self,

@@ -28,6 +28,7 @@ def boot() -> Path:
 
 
 @pytest.mark.usbvm
+@pytest.mark.slow
 def test_the_drivers_hold_their_contract_on_a_real_usb_stack(boot, tmp_path, capsys):
     guest = tmp_path / "guest.sh"
     guest.write_text(GUEST.format(root=shlex.quote(str(ROOT)), python=shlex.quote(sys.executable)))

@@ -103,6 +103,7 @@ def small_rig(tmp_path):
     return tmp_path / "small.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_until_stopped_ends_cleanly(spike4dgs, recording, tmp_path, how):
     process = recording("--until-stopped")
@@ -117,6 +118,7 @@ def test_a_run_until_stopped_ends_cleanly(spike4dgs, recording, tmp_path, how):
     assert spike4dgs("verify", tmp_path / "rec")[0] == 0
 
 
+@pytest.mark.slow
 def test_a_run_of_fixed_length_that_is_stopped_keeps_what_it_has(spike4dgs, recording, tmp_path):
     process = recording("--ticks", 100_000)
     wait_for_bytes(process, tmp_path / "rec.partial")
@@ -144,6 +146,7 @@ def test_a_line_saves_from_before_it(recording, tmp_path):
     assert 0 <= manifest.trigger_plane <= 100
 
 
+@pytest.mark.slow
 def test_a_second_operator_is_refused_by_the_rigs_name(spike4dgs, recording, tmp_path, small_rig):
     process = recording("--until-stopped")
     wait_for_bytes(process, tmp_path / "rec.partial")
@@ -208,6 +211,7 @@ def test_import_takes_what_a_shell_pattern_gives(spike4dgs, recorded, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.slow
 def test_import_takes_its_size_from_spikecv_and_doubts_a_bit_order(spike4dgs, tmp_path):
     source = tmp_path / "source"
     made = spike4dgs(

@@ -17,7 +17,8 @@ from server.app import create_app
 from server.client import RefusedError, ServiceClient
 from server.schemas.calibrations import CalibrationChoice, CalibrationRequest
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.jobs import CalibrateRequest, Job
+from server.schemas.job_types import CalibrateRequest
+from server.schemas.jobs import Job
 from server.settings import RigSource, ServiceSettings
 from server.store.calibrations import Found
 

@@ -316,6 +316,7 @@ def small() -> Rig:
     return catalog_rig("lab3x3").scaled(40, 25)
 
 
+@pytest.mark.slow
 def test_a_simulation_is_repeatable_and_has_its_truth(tmp_path, small):
     simulation = Simulation("fan_and_ball", seed=3, truth_every=30)
     simulate(simulation, small, 50, tmp_path / "a")

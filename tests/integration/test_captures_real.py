@@ -24,7 +24,7 @@ from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import Capture, CaptureRequest, ImportRequest
-from server.schemas.jobs import LookRequest, PreflightRequest, VerifyRequest
+from server.schemas.job_types import LookRequest, PreflightRequest, VerifyRequest
 from server.schemas.uploads import UploadRequest
 from server.settings import RigSource, ServiceSettings
 

@@ -19,7 +19,7 @@ from schemathesis.core.failures import Failure, FailureGroup
 from server.app import create_app
 from server.cli.serve import listening
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.store.entries import Filter

@@ -81,6 +81,7 @@ def test_a_choice_that_cannot_be_met_is_one_line(run, tmp_path):
     assert json.loads((run / "run.json").read_text())["status"] == "finished"
 
 
+@pytest.mark.slow
 def test_export_refuses_what_it_cannot_use(tmp_path):
     out = ("--out", tmp_path / "out")
     assert refused(export(tmp_path, "--format", "ply", *out), "run.json")

@@ -20,7 +20,7 @@ from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.jobs import JOB_TYPES, JobBase, ReconstructRequest
+from server.schemas.job_types import JOB_TYPES, JobBase, ReconstructRequest
 from server.schemas.progress import Progress
 from server.services.retention import Retention
 from server.services.services import Services

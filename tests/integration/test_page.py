@@ -15,7 +15,7 @@ import pytest
 
 from server.client import ServiceClient
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.jobs import ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
 
 playwright = pytest.importorskip("playwright.sync_api", reason="found no playwright; install it with the dev extra")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -19,7 +19,7 @@ from sqlalchemy import event
 from server.app import create_app
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.jobs import ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
 from server.settings import ServiceSettings
 from server.store.files import is_locked
 from server.store.workers import Workers

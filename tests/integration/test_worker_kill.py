@@ -16,7 +16,7 @@ from fastapi.testclient import TestClient
 from server.app import create_app
 from server.client import ServiceClient
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
 from server.settings import ServiceSettings
 
 FAKE = json.dumps([sys.executable, str(Path(__file__).with_name("fake_stage.py"))])

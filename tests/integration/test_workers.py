@@ -18,7 +18,7 @@ from server.bench.postgresql import PostgresqlMissingError
 from server.bench.verdict import STAGES, read_trace
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
 
 pytestmark = pytest.mark.slow
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]

@@ -86,6 +86,7 @@ def test_an_ordinary_scene_gives_the_cameras(room, error, seed):
     assert 0.5 < real / said < 2
 
 
+@pytest.mark.slow
 def test_a_flat_wall_is_enough():
     images = pictures(wall(0))
     assert errors_of(calibrate_natural(misplaced(RIG, 2, 1), images, DATE), images).rotation_deg < 0.01
@@ -104,12 +105,14 @@ def test_a_pattern_that_repeats_is_refused():
         calibrate_natural(misplaced(RIG, 2, 1), pictures(wall(1)), DATE)
 
 
+@pytest.mark.slow
 def test_exchanged_views_are_named(room):
     swapped = {**room, "cam01": room["cam12"], "cam12": room["cam01"]}
     with pytest.raises(GeometryError, match="found cam01 and cam12 in each other's place"):
         calibrate_natural(misplaced(RIG, 2, 1), swapped, DATE)
 
 
+@pytest.mark.slow
 def test_a_moved_camera_is_named(room):
     nominal = misplaced(RIG, 1, 1)
     moved = tuple(
@@ -224,6 +227,7 @@ def test_a_calibration_that_fits_is_said_to_fit(room):
     assert all(c.fits for c in checks)
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_knocked_is_named(room):
     _, checks = check_rig(turned(RIG, "cam02", 0.3), room, DATE)
     assert [c.camera for c in checks if not c.fits] == ["cam02"]

@@ -10,7 +10,7 @@ from rigs.errors import RigError
 from server.cli.main import cli
 from server.cli.serve import PortError, listening
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import JOB_TYPES, ReconstructRequest
+from server.schemas.job_types import JOB_TYPES, ReconstructRequest
 from server.settings import RigSource, ServiceSettings, SettingsError, settings_of
 from server.work.commands import reconstruct_arguments, record_arguments, task_arguments
 
@@ -66,6 +66,8 @@ def test_arguments_of_the_tasks(request_: dict[str, object], arguments: str) -> 
         {"type": "check-rig", "capture": "c"},
         {"type": "verify", "capture": "c"},
         {"type": "evaluate", "job": "j"},
+        {"type": "render", "job": "j", "cameras": "u"},
+        {"type": "export", "job": "j", "format": "spz", "at_s": 0.01},
     ],
     ids=str,
 )
