@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel
 
-from server.schemas.job_types import JobRequest
+from server.schemas.job_types import JobRequest, RigJobRequest
 from server.schemas.progress import Progress, Status
 
 
