@@ -49,10 +49,14 @@ class Queued(Protocol):
     """What has an id and, where there is anything to do, a queue."""
 
     @property
-    def id(self) -> str: ...
+    def id(self) -> str:
+        """The entry's id."""
+        ...
 
     @property
-    def queue(self) -> str | None: ...
+    def queue(self) -> str | None:
+        """Where it is queued, if it is."""
+        ...
 
 
 class Engine:

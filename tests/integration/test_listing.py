@@ -67,11 +67,12 @@ def add(services: Services, number: int, kind: str, entry_type: str, request: di
 @pytest.mark.parametrize("kind", [*JOB_TYPES, *RIG_JOB_TYPES])
 def test_a_listed_job_is_the_job(http: TestClient, services: Services, kind: str) -> None:
     model = (JOB_TYPES | RIG_JOB_TYPES)[kind]
-    for number, asked in enumerate(ASKED[kind]):
-        kept = model.model_validate(asked | {"type": kind}).model_dump(exclude={"name", "priority"})
+    requests = [model.model_validate(asked | {"type": kind}) for asked in ASKED[kind]]
+    for number, kept in enumerate(request.model_dump(exclude={"name", "priority"}) for request in requests):
         more = {"rig": "lab3x3", "name": 'a "name" of Ünï', "priority": 7} if number else {}
         progress = FAR.model_dump() if number else {}
         add(services, number, "job", kind, kept, progress=progress, **more)
+    kept = requests[0].model_dump(exclude={"name", "priority"})
     add(services, 9, "job", kind, kept, queue="tasks", progress=FAR.model_dump() | {"error": "broke"})
     listed = http.get("/v1/jobs").json()["items"]
     assert len(listed) == len(ASKED[kind]) + 1
