@@ -1,10 +1,13 @@
 """A service under many clients: nobody is refused or forgotten while a stage burns a core."""
 
+import asyncio
+import socket
 from pathlib import Path
 
 import pytest
 
 from server.bench.load import run_load, summarise
+from server.cli.serve import listening
 
 
 def test_figures_of_known_answers() -> None:
@@ -14,6 +17,25 @@ def test_figures_of_known_answers() -> None:
     assert [row["kind"] for row in rows] == ["event", "job", "sse"]
     assert (summary["requests"], summary["events"]) == (101, 1)
     assert (summary["answers.200"], summary["answers.500"]) == (100, 1)
+
+
+def test_an_answer_in_two_pieces_does_not_wait_for_the_first_to_be_acknowledged() -> None:
+    """Nagle's algorithm and a client's delayed acknowledgement would make 40 ms of it."""
+    found: list[int] = []
+
+    async def main(listener: socket.socket) -> None:
+        async def answer(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            found.append(writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        async with await asyncio.start_server(answer, sock=listener.dup()):
+            reader, writer = await asyncio.open_connection(*listener.getsockname())
+            assert await reader.read() == b""
+            writer.close()
+
+    with listening("127.0.0.1", 0) as listener:
+        asyncio.run(main(listener))
+    assert found[0] != 0
 
 
 @pytest.mark.slow
