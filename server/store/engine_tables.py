@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import ARRAY
@@ -42,7 +43,7 @@ class EngineTables:
         """Let go of the database."""
         self._engine.dispose()
 
-    def _query(self) -> sa.Select[tuple[str, str]]:
+    def _query(self) -> sa.Select[Any, Any]:
         """All ids are one parameter: thousands of them cost more to prepare than to look up."""
         ids = sa.bindparam("ids")
         if self._on_sqlite:
