@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
 from dbos import error as engine_errors
@@ -44,6 +45,20 @@ def capture_queue(rig_id: str) -> str:
     return f"captures-{rig_id}"
 
 
+class Queued(Protocol):
+    """What has an id and, where there is anything to do, a queue."""
+
+    @property
+    def id(self) -> str:
+        """The entry's id."""
+        ...
+
+    @property
+    def queue(self) -> str | None:
+        """Where it is queued, if it is."""
+        ...
+
+
 class Engine:
     """A client of the job engine; entries are workflows of the same id."""
 
@@ -79,17 +94,15 @@ class Engine:
         }
         self._client.enqueue(options, entry.id, list(stages_of(entry.type)))
 
-    def statuses(self, entries: Sequence[Entry]) -> dict[str, Status]:
+    def statuses(self, entries: Sequence[Queued]) -> dict[str, Status]:
         """The status of each entry; one without work is done, one that is yet to be queued is queued."""
+        return {entry_id: status or "queued" for entry_id, status in self.known(entries).items()}
+
+    def known(self, entries: Sequence[Queued]) -> dict[str, Status | None]:
+        """The same, but None for what should be queued and is not, nor ever was since the engine forgot it."""
         found = self._tables.statuses([entry.id for entry in entries if entry.queue is not None])
         known: dict[str, Status] = {entry_id: _STATUS.get(status, "failed") for entry_id, status in found.items()}
-        return {entry.id: known.get(entry.id, "queued") if entry.queue else "done" for entry in entries}
-
-    def unknown(self, entries: Sequence[Entry]) -> list[Entry]:
-        """Those of the entries that should be queued and are not, nor ever were since the engine forgot them."""
-        ids = [entry.id for entry in entries if entry.queue is not None]
-        known = self._tables.statuses(ids)
-        return [entry for entry in entries if entry.queue is not None and entry.id not in known]
+        return {entry.id: known.get(entry.id) if entry.queue else "done" for entry in entries}
 
     def active(self, queue: str) -> str | None:
         """An entry of the queue that is queued or running, if any."""
@@ -100,12 +113,8 @@ class Engine:
 
     def count(self) -> dict[tuple[str, Status], int]:
         """How many entries of each queue are queued or running."""
-        found = self._client.list_workflows(status=["ENQUEUED", "PENDING"], load_input=False, load_output=False)
-        counts: dict[tuple[str, Status], int] = {}
-        for one in found:
-            key = (one.queue_name or "", _STATUS[one.status])
-            counts[key] = counts.get(key, 0) + 1
-        return counts
+        found = self._tables.count(["ENQUEUED", "PENDING"])
+        return {(queue, _STATUS[status]): number for (queue, status), number in found.items()}
 
     def running(self) -> dict[str, str]:
         """Every running entry's id, and the worker that has it."""

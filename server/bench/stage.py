@@ -1,6 +1,7 @@
 """Stands in for every stage: sleeps instead of computing, and keeps a trace that nothing is ever taken from.
 
-Run by path, without the packages, so that a campaign costs little: the trace holds `begin` and `end` of every attempt.
+With BENCH_BURN=1 it keeps one core as busy as a training would. Run by path, without the packages, so that a campaign
+costs little: the trace holds `begin` and `end` of every attempt.
 """
 
 import json
@@ -38,7 +39,7 @@ def _stage(run: Path, stage: str, again: int) -> None:
     steps = 20 if stage == "train" else 3
     _trace(run, f"begin {stage} {again} {steps - state['done']}")
     while state["done"] < steps:
-        time.sleep(float(os.environ.get("BENCH_STEP_S", "0.05")))
+        _step(float(os.environ.get("BENCH_STEP_S", "0.05")))
         state["done"] += 1
         _write(checkpoint, state)
         event = {"event": "progress", "stage": stage, "fraction": state["done"] / steps, "message": "asleep"}
@@ -53,6 +54,15 @@ def _stage(run: Path, stage: str, again: int) -> None:
         _write(run / "metrics.json", {"psnr_db": 30.0})
         _write(run / "run.json", {"status": "finished"} | attempt)
     _trace(run, f"end {stage} {again} 0")
+
+
+def _step(seconds: float) -> None:
+    if os.environ.get("BENCH_BURN") != "1":
+        time.sleep(seconds)
+        return
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        sum(range(10_000))
 
 
 def _trace(run: Path, text: str) -> None:

@@ -12,7 +12,7 @@ from server.store.entries import Filter
 router = APIRouter(tags=["captures"])
 
 
-@router.get("/captures")
+@router.get("/captures", response_model=Captures)
 def captures(
     services: TheServices,
     rig: Word = None,
@@ -20,9 +20,10 @@ def captures(
     status: Status | None = None,
     cursor: Cursor = None,
     limit: Limit = 100,
-) -> Captures:
+) -> Response:
     """Captures, newest first."""
-    return services.captures.list(Filter("capture", rig=rig, name=name, before=cursor), status, limit)
+    page = services.captures.page(Filter("capture", rig=rig, name=name, before=cursor), status, limit)
+    return Response(page, media_type="application/json")
 
 
 @router.get("/captures/{capture_id}")

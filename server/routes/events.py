@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from typing import Annotated, Any
 
 import anyio
@@ -63,8 +63,7 @@ async def events(services: TheServices, last: LastEventId = None, after: After =
 @router.get("/jobs/{job_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
 async def job_events(job_id: str, services: TheServices, last: LastEventId = None, after: After = None) -> Response:
     """What happens to one job, from its beginning or from a number on, until it ends."""
-    await run_in_threadpool(services.jobs.get, job_id)
-    return await _of_entry(services.hub, last or after or 0, job_id)
+    return await _of_entry(services.hub, services.jobs.get, last or after or 0, job_id)
 
 
 @router.get("/captures/{capture_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
@@ -72,10 +71,12 @@ async def capture_events(
     capture_id: str, services: TheServices, last: LastEventId = None, after: After = None
 ) -> Response:
     """What happens to one capture, from its beginning or from a number on, until it ends."""
-    await run_in_threadpool(services.captures.get, capture_id)
-    return await _of_entry(services.hub, last or after or 0, capture_id)
+    return await _of_entry(services.hub, services.captures.get, last or after or 0, capture_id)
 
 
-async def _of_entry(hub: Hub, seq: int, entry_id: str) -> Response:
-    over = await run_in_threadpool(hub.is_over, seq, entry_id)
-    return Response(status_code=204) if over else EventStream(hub.stream(seq, entry_id))
+async def _of_entry(hub: Hub, get: Callable[[str], object], seq: int, entry_id: str) -> Response:
+    def over() -> bool:
+        get(entry_id)  # raises NotFoundError
+        return hub.is_over(seq, entry_id)
+
+    return Response(status_code=204) if await run_in_threadpool(over) else EventStream(hub.stream(seq, entry_id))

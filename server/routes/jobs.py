@@ -53,8 +53,8 @@ def jobs(
     limit: Limit = 100,
 ) -> Response:
     """Jobs, newest first."""
-    page = services.jobs.list(Filter("job", type, rig, capture, name, cursor), status, limit)
-    return Response(page.model_dump_json(), media_type="application/json")  # valid already: not checked again
+    page = services.jobs.page(Filter("job", type, rig, capture, name, cursor), status, limit)
+    return Response(page, media_type="application/json")
 
 
 @router.get("/jobs/{job_id}")

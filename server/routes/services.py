@@ -8,7 +8,7 @@ from server.schemas.captures import SHOWN
 from server.services.services import Services
 
 
-def _services(request: Request) -> Services:
+async def _services(request: Request) -> Services:  # a plain function would cost every request a turn of a thread
     return request.app.state.services
 
 

@@ -45,18 +45,22 @@ class Announcer:
 
     def look(self) -> None:
         """Tell what has changed since the last look, and queue what was never queued."""
-        open_entries = self._store.entries.unfinished()
-        status = self._engine.statuses(open_entries)
+        open_entries = self._store.entries.open()
+        known = self._engine.known(open_entries)
+        lost = []
         for entry in open_entries:
-            now = status[entry.id]
+            now = known[entry.id]
+            if entry.told == "new" or now is None:
+                lost.append(entry.id)
             if entry.told == "new":
                 continue
+            now = now or "queued"
             if now != entry.told:
-                (latest,) = self._store.entries.find([entry.id]) or [entry]
-                self._tell(latest, entry.told, now)
+                for latest in self._store.entries.find([entry.id]):
+                    self._tell(latest, entry.told, now)
             if now not in ACTIVE:
                 self._store.events.thin(entry.id)
-        self._queue.requeue(_is_old)
+        self._queue.requeue(lost, _is_old)
 
     def _tell(self, entry: Entry, before: str, now: Status) -> None:
         """Announce, and look again after an end: the entry may have been queued again while it was announced."""

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, RigBusyError, StateError
-from server.schemas.captures import Capture, CaptureRequest, Captures
+from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.progress import ACTIVE, Status
 from server.schemas.rigs import CameraInfo, RigInfo, Rigs
-from server.services.listing import page_of
+from server.services.listing import capture_document, page_of
 from server.services.queue import Key, Queue
 from server.settings import RigSource
 from server.store.entries import Entry, Filter
@@ -94,10 +94,9 @@ class CaptureService:
         """One capture; raises NotFoundError."""
         return self._shown([self._store.entries.get("capture", capture_id)])[0]
 
-    def list(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> Captures:
-        """A page of captures, newest first."""
-        items, cursor = page_of(self._store, self._engine, wanted, status, limit)
-        return Captures(items=self._shown(items), next=cursor)
+    def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
+        """A page of captures, newest first: `Captures` as JSON."""
+        return page_of(self._store, self._engine, wanted, status, limit, capture_document)
 
     def tell(self, capture_id: str, word: str) -> Capture:
         """`stop` a capture, or `save` what its pre-trigger kept; raises NotFoundError, StateError."""

@@ -96,11 +96,13 @@ class Hub:
         async with self._listening(entry_id) as listener:
             status = await asyncio.to_thread(self._told, entry_id)
             while frames := await asyncio.to_thread(self._read, after, entry_id):
-                for frame in frames:
-                    after, status = frame.seq, frame.status or status
-                    yield frame.content
+                after = frames[-1].seq
+                status = next((frame.status for frame in reversed(frames) if frame.status), status)
+                yield b"".join(frame.content for frame in frames)
                 if self._closed:
                     return
+                if len(frames) < _PAGE:  # what comes from now on is given to the listener
+                    break
             if entry_id is not None and status not in ACTIVE:
                 return
             async for frame in self._live(listener, after):

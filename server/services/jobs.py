@@ -22,7 +22,7 @@ from server.schemas.job_types import (
 from server.schemas.jobs import Job, Jobs, Steps
 from server.schemas.progress import ACTIVE, Status
 from server.services.captures import RigService
-from server.services.listing import page_of
+from server.services.listing import job_document, page_of
 from server.services.queue import Key, Queue
 from server.store.entries import Entry, Filter
 from server.store.files import is_locked
@@ -67,10 +67,9 @@ class JobService:
         """One job; raises NotFoundError."""
         return self._shown([self._store.entries.get("job", job_id)])[0]
 
-    def list(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> Jobs:
-        """A page of jobs, newest first."""
-        items, cursor = page_of(self._store, self._engine, wanted, status, limit)
-        return Jobs(items=self._shown(items), next=cursor)
+    def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
+        """A page of jobs, newest first: `Jobs` as JSON."""
+        return page_of(self._store, self._engine, wanted, status, limit, job_document)
 
     def steps(self, job_id: str) -> Steps:
         """The stages of a job and how far each is; raises NotFoundError."""

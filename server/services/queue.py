@@ -53,14 +53,17 @@ class Queue:
         if entry.told == "new":
             self._store.events.tell(entry.id, "new", "queued" if entry.queue else "done", {})
 
-    def requeue(self, is_old: Callable[[Entry], bool]) -> None:
-        """Queue what was kept but is not queued: its capture was not made yet, or a process died between the two."""
-        old = [entry for entry in self._store.entries.unfinished() if is_old(entry)]
-        unknown = {entry.id for entry in self._engine.unknown(old)}
-        status = self._engine.statuses([entry for entry in old if entry.told == "new"])
+    def requeue(self, entry_ids: Sequence[str], is_old: Callable[[Entry], bool]) -> None:
+        """Queue what was kept but is not queued: its capture was not made yet, or a process died between the two.
+
+        `entry_ids` seemed to be so a moment ago.
+        """
+        old = [entry for entry in self._store.entries.find(entry_ids) if is_old(entry)] if entry_ids else []
+        known = self._engine.known(old)
         for entry in old:
-            if (entry.told == "new" or entry.id in unknown) and not self._waits(entry):
-                self._start_again(entry, cancelled=status.get(entry.id) == "cancelled")
+            cancelled = entry.told == "new" and known[entry.id] == "cancelled"
+            if (entry.told == "new" or (entry.told in ACTIVE and known[entry.id] is None)) and not self._waits(entry):
+                self._start_again(entry, cancelled=cancelled)
 
     def prioritise(self, entry: Entry, priority: int) -> None:
         """Queue a queued entry anew: the engine has no other way. `requeue` mends what a crash leaves half done."""

@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import sqlalchemy as sa
 
@@ -17,6 +17,7 @@ from server.store.tables import artefacts, entries, events
 
 Kind = Literal["capture", "job"]
 _ID = re.compile(r"[cj]\d{8}-\d{6}-[0-9a-f]{8}")
+_GOES_ON = ("new", "queued", "running")
 
 
 def now() -> datetime:
@@ -41,6 +42,28 @@ class Entry:
     progress: dict[str, Any] = field(default_factory=dict)
     restart: dict[str, Any] | None = None
     told: str = "new"
+
+
+class Listed(NamedTuple):
+    """An entry as lists need it, quick to read by the thousand: `request` and `progress` are JSON, as they are kept."""
+
+    id: str
+    type: str
+    created: str
+    rig: str | None
+    name: str | None
+    queue: str | None
+    priority: int
+    request: str
+    progress: str
+
+
+class Open(NamedTuple):
+    """An entry that has not ended, as far as was announced."""
+
+    id: str
+    queue: str | None
+    told: str
 
 
 @dataclass(frozen=True)
@@ -99,16 +122,23 @@ class Entries:
 
     def page(self, wanted: Filter, limit: int) -> list[Entry]:
         """The newest entries that fit, at most `limit`."""
-        clauses = [
-            entries.c[name] == value for name, value in vars(wanted).items() if name != "before" and value is not None
-        ]
-        if wanted.before is not None:
-            clauses.append(entries.c.id < wanted.before)
-        return self._select(*clauses, limit=limit)
+        return self._select(*_clauses(wanted), limit=limit)
+
+    def listed(self, wanted: Filter, limit: int) -> list[Listed]:
+        """The same, as lists need them."""
+        query = sa.select(*_LISTED).where(*_clauses(wanted)).order_by(entries.c.id.desc()).limit(limit)
+        with self._engine.connect() as connection:
+            return [Listed(*row) for row in connection.execute(query).all()]
 
     def unfinished(self) -> list[Entry]:
         """Entries whose last announced status is not an end."""
-        return self._select(entries.c.told.in_(("new", "queued", "running")))
+        return self._select(entries.c.told.in_(_GOES_ON))
+
+    def open(self) -> list[Open]:
+        """The same, as who compares them with the engine needs them."""
+        query = sa.select(entries.c.id, entries.c.queue, entries.c.told).where(entries.c.told.in_(_GOES_ON))
+        with self._engine.connect() as connection:
+            return [Open(*row) for row in connection.execute(query).all()]
 
     def change(self, entry_id: str, **columns: Any) -> None:
         """Set columns of an entry."""
@@ -125,3 +155,15 @@ class Entries:
         query = sa.select(entries).where(*clauses).order_by(entries.c.id.desc()).limit(limit)
         with self._engine.connect() as connection:
             return [Entry(**row) for row in connection.execute(query).mappings()]
+
+
+def _clauses(wanted: Filter) -> list[sa.ColumnElement[bool]]:
+    columns = {name: value for name, value in vars(wanted).items() if name != "before" and value is not None}
+    clauses = [entries.c[name] == value for name, value in columns.items()]
+    return clauses if wanted.before is None else [*clauses, entries.c.id < wanted.before]
+
+
+_LISTED = [
+    sa.cast(column, sa.Text) if isinstance(column.type, sa.JSON) else column
+    for column in (entries.c[name] for name in Listed._fields)
+]

@@ -24,6 +24,7 @@ entries = Table(
     Column("restart", JSON),  # {"stage", "attempt"}: from which stage a job was told to begin again
     Column("told", String(12), nullable=False),
     Index("entries_by_kind", "kind", "id"),
+    Index("entries_by_told", "told"),
 )
 
 # What happened to an entry, numbered in the order in which it became visible.

@@ -18,8 +18,10 @@ from schemathesis.core.failures import Failure, FailureGroup
 
 from server.app import create_app
 from server.cli.serve import listening
-from server.schemas.captures import CaptureRequest
+from server.schemas.captures import Capture, CaptureRequest, Captures
 from server.schemas.job_types import ReconstructRequest
+from server.schemas.jobs import Jobs
+from server.schemas.progress import Status
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.store.entries import Filter
@@ -28,9 +30,13 @@ LOOPBACK = "http://127.0.0.1"
 EXAMPLES = 15
 
 
+def captures_of(services: Services, status: Status) -> list[Capture]:
+    return Captures.model_validate_json(services.captures.page(Filter("capture"), status)).items
+
+
 def seeded(services: Services) -> tuple[str, str]:
     """A capture and a reconstruction of it, both done, though no worker has run."""
-    for capture in services.captures.list(Filter("capture"), "queued").items:  # one that was asked for in passing
+    for capture in captures_of(services, "queued"):  # one that was asked for in passing
         _done(services, capture.id)
     capture_id = services.rigs.start("lab3x3", CaptureRequest(ticks=40, name="seed"))
     _done(services, capture_id)
@@ -107,8 +113,8 @@ def test_answers_are_as_described(schema, app, address: str, mode: GenerationMod
 def _aim(case: Any, services: Services) -> None:
     """Two of three requests are about what is there, which a request before may have deleted."""
     if case.path_parameters and hash(json.dumps(case.path_parameters, sort_keys=True, default=str)) % 3:
-        captures = services.captures.list(Filter("capture"), "done", 1).items
-        jobs = services.jobs.list(Filter("job"), "done", 1).items
+        captures = captures_of(services, "done")
+        jobs = Jobs.model_validate_json(services.jobs.page(Filter("job"), "done", 1)).items
         known = (captures[0].id, jobs[0].id) if captures and jobs else seeded(services)
         there = dict(zip(("capture_id", "job_id"), known, strict=True)) | {"rig_id": "lab3x3", "name": "metrics.json"}
         case.path_parameters.update({name: there[name] for name in case.path_parameters if name in there})
