@@ -55,6 +55,11 @@ class Deployment:
         """Those that ended by themselves, which none should."""
         return [name for name, process in self.processes.items() if process.poll() is not None]
 
+    def last_words(self, name: str) -> str:
+        """How a process ended, and the last line of its log."""
+        lines = (self.data / f"{name}.log").read_text(errors="replace").splitlines()
+        return f"exit {self.processes[name].poll()}, {lines[-1] if lines else 'no log'}"
+
     def stages(self) -> list[int]:
         """Process ids of the stages that run now."""
         return [pid for pid in self.family() if _command(pid)[:4] == list(STAGE)]

@@ -110,7 +110,7 @@ class Campaign:
             else:
                 self._deployment.start(name)
         for name in self._deployment.dead():
-            self.ended_alone.append(name)
+            self.ended_alone.append(f"{name} ended alone: {self._deployment.last_words(name)}")
             self._deployment.start(name)
 
     def _kill(self, target: str) -> None:
@@ -208,7 +208,8 @@ def run_campaign(data: Path, jobs: int, database: str, seed: int, limit_s: float
     finally:
         deployment.close()
     summary |= {"seed": float(seed), "seconds": time.monotonic() - began}
-    return BenchDocument("faults", rows=rows, summary={f"{database}.{name}": n for name, n in summary.items()})
+    summary = {f"{database}.{name}": n for name, n in summary.items()}
+    return BenchDocument("faults", [{"database": database} | row for row in rows], campaign.ended_alone, summary)
 
 
 @click.command()
