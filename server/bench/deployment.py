@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from server.bench.postgresql import Postgresql
@@ -17,9 +18,21 @@ STAGE = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stage.py")))
 
 
 class Deployment:
-    """Processes by name (`api`, and workers by their own), each started, killed and started again at will."""
+    """Processes by name (`api`, and workers by their own), each started, killed and started again at will.
 
-    def __init__(self, data: Path, *, postgresql: bool, dead_s: float = 5.0, step_s: float = 0.05) -> None:
+    `stage` is the command of every stage: one that sleeps unless told otherwise.
+    """
+
+    def __init__(
+        self,
+        data: Path,
+        *,
+        postgresql: bool,
+        dead_s: float = 5.0,
+        step_s: float = 0.05,
+        stage: Sequence[str] = STAGE,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.data = data
         data.mkdir(parents=True, exist_ok=True)
         self.database = Postgresql() if postgresql else None
@@ -28,9 +41,10 @@ class Deployment:
         self.address = f"http://127.0.0.1:{self.port}"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._environment = os.environ | {
-            "SPIKE4DGS_STAGE_COMMAND": json.dumps(STAGE),
+            "SPIKE4DGS_STAGE_COMMAND": json.dumps(stage),
             "SPIKE4DGS_DEAD_S": str(dead_s),
             "BENCH_STEP_S": str(step_s),
+            **(environment or {}),
         }
         if self.database is not None:
             self._environment["SPIKE4DGS_DATABASE"] = self.database.url

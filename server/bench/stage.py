@@ -48,7 +48,7 @@ def _stage(run: Path, stage: str, again: int) -> None:
         if told:
             sys.exit(143)
     if stage == "report":
-        (run / "report.html").write_text("x" * 100_000)
+        _write(run / "report.html", "x" * 100_000)
         _write(run / "metrics.json", {"psnr_db": 30.0})
         document["status"] = "finished"
     document["seconds"][stage] = 1.0
@@ -77,8 +77,12 @@ def _trace(run: Path, text: str) -> None:
 
 def _write(path: Path, document: object) -> None:
     aside = path.with_suffix(".partial")
-    aside.write_text(json.dumps(document))
-    aside.replace(path)
+    try:
+        aside.write_text(json.dumps(document))
+        aside.replace(path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        sys.exit(f"{path.name}: {error.strerror}")
 
 
 if __name__ == "__main__":

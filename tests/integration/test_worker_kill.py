@@ -108,3 +108,23 @@ def test_a_capture_is_made_again_and_a_finished_one_kept(
     wait_for(lambda: client.capture(capture.id).status == "done")
     assert list(recording.iterdir()) == []
     assert client.rig("lab3x3").busy is None
+
+
+def test_a_stage_that_the_run_calls_finished_is_not_begun_again(
+    client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    worker = start_worker()
+    job = start_job(client)
+    run = tmp_path / "jobs" / job / "run"
+    wait_for(lambda: (run / "checkpoint.json").exists())
+    worker.kill()
+    worker.wait(20)
+    document = {"status": "unfinished", "seconds": dict.fromkeys(("plan", "poses", "images", "points", "train"), 1.0)}
+    (run / "run.json").write_text(
+        json.dumps(document)
+    )  # as if the worker had died between the stage's end and the mark
+    start_worker()
+    wait_for(lambda: client.job(job).status == "done")
+    assert len(attempts(run)) == 1
+    assert [step.fraction for step in client.steps(job)] == [1.0] * 6
+    assert "run.json" in [one.name for one in client.artefacts(job)]

@@ -150,7 +150,8 @@ def test_who_starts_before_the_database_waits_for_it(deployment: Deployment) -> 
     deployment.database.kill()
     for name in ("api", "a"):
         deployment.start(name)
-    wait_for(lambda: all("waits for the database" in deployment.last_words(name) for name in ("api", "a")))
+    logs = [deployment.data / f"{name}.log" for name in ("api", "a")]
+    wait_for(lambda: all("waits for the database" in log.read_text() for log in logs))
     assert deployment.dead() == []
     deployment.database.start()
     with ServiceClient.at(deployment.address) as service:
