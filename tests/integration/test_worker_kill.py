@@ -126,5 +126,5 @@ def test_a_stage_that_the_run_calls_finished_is_not_begun_again(
     start_worker()
     wait_for(lambda: client.job(job).status == "done")
     assert len(attempts(run)) == 1
-    assert [step.fraction for step in client.steps(job)] == [1.0] * 6
+    assert {step.status for step in client.steps(job)} == {"done"}
     assert "run.json" in [one.name for one in client.artefacts(job)]
