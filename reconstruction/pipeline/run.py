@@ -68,13 +68,10 @@ def reconstruct(
         for name in _due(run, stage, last):
             work[name](progress_of(name))
             now = time.monotonic()
-            run.finish_stage(
-                name, budget.elapsed_s() - sum(run.document["seconds"].values()) if name == "train" else now - began
-            )
+            trained = name == "train"
+            spent = budget.elapsed_s() - sum(run.document["seconds"].values()) if trained else now - began
+            run.finish_stage(name, spent, last=name == STAGES[-1])
             began = now
-        if all(run.has(name) for name in STAGES):
-            run.document["status"] = "finished"
-            run.save()
     return run
 
 

@@ -105,9 +105,11 @@ class RunFolder:
         """Whether a stage is complete."""
         return stage in self.document["seconds"]
 
-    def finish_stage(self, stage: str, seconds: float) -> None:
-        """Record a stage as complete."""
+    def finish_stage(self, stage: str, seconds: float, *, last: bool = False) -> None:
+        """Record a stage as complete, and with the `last` one the run: at once, lest a kill come between the two."""
         self.document["seconds"][stage] = round(seconds, 3)
+        if last:
+            self.document["status"] = "finished"
         self.save()
 
     def forget(self, stages: Sequence[str], attempt: int) -> None:

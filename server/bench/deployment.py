@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from server.bench.postgresql import Postgresql
@@ -18,7 +18,10 @@ STAGE = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stage.py")))
 
 
 class Deployment:
-    """Processes by name (`api`, and workers by their own), each started, killed and started again at will."""
+    """Processes by name (`api`, and workers by their own), each started, killed and started again at will.
+
+    `stage` is the command of every stage: one that sleeps unless told otherwise.
+    """
 
     def __init__(
         self,
@@ -27,6 +30,7 @@ class Deployment:
         postgresql: bool,
         dead_s: float = 5.0,
         step_s: float = 0.05,
+        stage: Sequence[str] = STAGE,
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self.data = data
@@ -37,7 +41,7 @@ class Deployment:
         self.address = f"http://127.0.0.1:{self.port}"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._environment = os.environ | {
-            "SPIKE4DGS_STAGE_COMMAND": json.dumps(STAGE),
+            "SPIKE4DGS_STAGE_COMMAND": json.dumps(stage),
             "SPIKE4DGS_DEAD_S": str(dead_s),
             "BENCH_STEP_S": str(step_s),
             **(environment or {}),
@@ -64,6 +68,11 @@ class Deployment:
     def dead(self) -> list[str]:
         """Those that ended by themselves, which none should."""
         return [name for name, process in self.processes.items() if process.poll() is not None]
+
+    def last_words(self, name: str) -> str:
+        """How a process ended, and the last line of its log."""
+        lines = (self.data / f"{name}.log").read_text(errors="replace").splitlines()
+        return f"exit {self.processes[name].poll()}, {lines[-1] if lines else 'no log'}"
 
     def stages(self) -> list[int]:
         """Process ids of the stages that run now."""

@@ -1,6 +1,6 @@
 """Kills parts of a running service at random while clients use it, and counts what is lost, repeated or left behind.
 
-`python -m server.bench.faults --jobs 50 --database sqlite|postgres --seed 1 --out faults.json`
+`python -m server.bench.faults --jobs 50 --seed 1 --out faults.json`, for the databases that `--database` names or both.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from server.errors import ServiceError
 _PATIENCE_S = 120.0
 _WORKERS = ("a", "b")
 _AGAIN = (409, 503)
+DATABASES = ("sqlite", "postgres")
 
 
 class Client:
@@ -110,7 +111,7 @@ class Campaign:
             else:
                 self._deployment.start(name)
         for name in self._deployment.dead():
-            self.ended_alone.append(name)
+            self.ended_alone.append(f"{name} ended alone: {self._deployment.last_words(name)}")
             self._deployment.start(name)
 
     def _kill(self, target: str) -> None:
@@ -208,18 +209,24 @@ def run_campaign(data: Path, jobs: int, database: str, seed: int, limit_s: float
     finally:
         deployment.close()
     summary |= {"seed": float(seed), "seconds": time.monotonic() - began}
-    return BenchDocument("faults", rows=rows, summary={f"{database}.{name}": n for name, n in summary.items()})
+    summary = {f"{database}.{name}": n for name, n in summary.items()}
+    return BenchDocument("faults", [{"database": database} | row for row in rows], campaign.ended_alone, summary)
 
 
 @click.command()
 @click.option("--jobs", type=click.IntRange(1, 500), default=50, show_default=True)
-@click.option("--database", type=click.Choice(["sqlite", "postgres"]), default="sqlite", show_default=True)
+@click.option("--database", "databases", type=click.Choice(DATABASES), multiple=True, default=DATABASES)
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True)
-def main(jobs: int, database: str, seed: int, out: Path) -> None:
-    """Run one campaign and write its counts."""
-    with tempfile.TemporaryDirectory(prefix="spike4dgs-faults-") as folder:
-        document = run_campaign(Path(folder) / "data", jobs, database, seed)
+def main(jobs: int, databases: tuple[str, ...], seed: int, out: Path) -> None:
+    """Run a campaign on each database, one after the other, and write their counts."""
+    document = BenchDocument("faults")
+    for database in databases:
+        with tempfile.TemporaryDirectory(prefix="spike4dgs-faults-") as folder:
+            one = run_campaign(Path(folder) / "data", jobs, database, seed)
+        document.rows += one.rows
+        document.omissions += one.omissions
+        document.summary |= one.summary
     write_json(out, document.to_json())
     for name, value in document.summary.items():
         click.echo(f"{name:28} {value:g}")

@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 
 def main() -> None:
@@ -32,12 +33,13 @@ def main() -> None:
 def _stage(run: Path, stage: str, again: int) -> None:
     told: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
+    document = _document(run, stage, again)
     checkpoint = run / f"{stage}.json"
-    state = json.loads(checkpoint.read_text()) if checkpoint.exists() else {"done": 0, "again": 0}
-    if again > state["again"]:
-        state = {"done": 0, "again": again}
+    state = {"done": 0, "attempt": document["attempt"]}
+    if checkpoint.exists() and (kept := json.loads(checkpoint.read_text()))["attempt"] == document["attempt"]:
+        state = kept
     steps = 20 if stage == "train" else 3
-    _trace(run, f"begin {stage} {again} {steps - state['done']}")
+    _trace(run, f"begin {stage} {again} {0 if stage in document['seconds'] else max(1, steps - state['done'])}")
     while state["done"] < steps:
         _step(float(os.environ.get("BENCH_STEP_S", "0.05")))
         state["done"] += 1
@@ -46,13 +48,12 @@ def _stage(run: Path, stage: str, again: int) -> None:
         sys.stderr.write(json.dumps(event) + "\n")
         if told:
             sys.exit(143)
-    if again:
-        _write(run / "attempt.json", {"attempt": again})
     if stage == "report":
-        attempt = json.loads((run / "attempt.json").read_text()) if (run / "attempt.json").exists() else {"attempt": 0}
-        (run / "report.html").write_text("x" * 100_000)
+        _write(run / "report.html", "x" * 100_000)
         _write(run / "metrics.json", {"psnr_db": 30.0})
-        _write(run / "run.json", {"status": "finished"} | attempt)
+        document["status"] = "finished"
+    document["seconds"][stage] = 1.0
+    _write(run / "run.json", document)  # the stage is finished from here on
     _trace(run, f"end {stage} {again} 0")
 
 
@@ -65,6 +66,18 @@ def _step(seconds: float) -> None:
         sum(range(10_000))
 
 
+def _document(run: Path, stage: str, again: int) -> dict[str, Any]:
+    """run.json; a restart with a higher number forgets its stage and those after it first."""
+    path = run / "run.json"
+    document = json.loads(path.read_text()) if path.exists() else {"status": "unfinished", "attempt": 0, "seconds": {}}
+    if again > document["attempt"]:
+        names = list(document["seconds"])
+        kept = names[: names.index(stage)] if stage in names else names
+        document = {"status": "unfinished", "attempt": again, "seconds": {name: 1.0 for name in kept}}
+        _write(path, document)
+    return document
+
+
 def _trace(run: Path, text: str) -> None:
     line = f"{text} {os.getpid()}\n".encode()
     descriptor = os.open(run.parent / "trace.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
@@ -74,8 +87,12 @@ def _trace(run: Path, text: str) -> None:
 
 def _write(path: Path, document: object) -> None:
     aside = path.with_suffix(".partial")
-    aside.write_text(json.dumps(document))
-    aside.replace(path)
+    try:
+        aside.write_text(json.dumps(document))
+        aside.replace(path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        sys.exit(f"{path.name}: {error.strerror}")
 
 
 if __name__ == "__main__":

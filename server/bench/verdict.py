@@ -15,11 +15,13 @@ STAGES = stages_of("reconstruct")
 def read_trace(job: Path) -> dict[str, int]:
     """Counts of a job's trace: `begun` and `ended` stages, `completed` runs, and what was done again without a restart.
 
-    `repeated` did work again; `reopened` found its work done: it was killed, or its worker was, in the moment between
-    its last line and its end. Both should be 0, but only the first is lost time.
+    A stage is finished when run.json says so. `repeated` ones had ended and worked again; `reopened` ones were begun
+    although they were finished. Both should be 0, but only the first is lost time. `missing` are not finished.
 
     A begin with a higher number is a restart: that stage and the later ones may be done again.
     """
+    run = job / "run" / "run.json"
+    finished = json.loads(run.read_text())["seconds"] if run.exists() else {}
     ended: set[str] = set()
     counts = {"begun": 0, "ended": 0, "completed": 0, "repeated": 0, "reopened": 0}
     newest = 0
@@ -34,9 +36,9 @@ def read_trace(job: Path) -> dict[str, int]:
         if int(again) > newest:
             newest = int(again)
             ended -= set(STAGES[STAGES.index(stage) :])
-        if stage in ended:
-            counts["repeated" if int(left) else "reopened"] += 1
-    return counts | {"missing": len(set(STAGES) - ended)}
+        counts["repeated"] += stage in ended and int(left) > 0
+        counts["reopened"] += int(left) == 0
+    return counts | {"missing": len(set(STAGES) - set(finished))}
 
 
 def torn(job: Path, artefacts: list[Artefact]) -> list[str]:

@@ -4,6 +4,7 @@ import importlib
 import os
 import sys
 import time
+from pathlib import Path
 
 import click
 
@@ -76,8 +77,14 @@ def main() -> None:
     """Console entry: expected errors become one line and an exit code, never a traceback."""
     if not (_trains(sys.argv[1:]) and os.getloadavg()[0] <= (os.cpu_count() or 1) / 2):
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    mark = os.environ.pop("SPIKE4DGS_FINISHED", None)  # set by the service around a stage's process
     try:
         cli(obj=time.monotonic())  # a budget counts from here, the heavy imports included
+    except SystemExit as end:
+        if mark is not None and not end.code:
+            sys.stdout.flush()
+            Path(mark).touch()
+        raise
     except Spike4dgsError as error:
         click.echo(f"spike4dgs: {error}", err=True)
         sys.exit(error.exit_code)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import sqlite3
+import time
+from collections.abc import Callable
 from typing import Any
 
 import sqlalchemy as sa
@@ -17,8 +20,12 @@ from server.store.tables import metadata
 
 _BUSY_S = 30
 _CONNECT_S = 5
+_START_S = 60.0
+_POLL_S = 1.0
 _CONNECTIONS = 20
+_PASSING = ("the database system is", "terminating connection")
 _FULL = ("disk is full", "No space left")
+_LOG = logging.getLogger(__name__)
 
 
 class DatabaseError(ServiceError):
@@ -27,26 +34,49 @@ class DatabaseError(ServiceError):
     exit_code = 2
 
 
-def prepare_database(settings: ServiceSettings) -> sa.Engine:
+def prepare_database(settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> sa.Engine:
     """Create or bring up to date all tables; a client of the engine never does, and processes start in any order.
 
-    Returns a pool of connections to the service's own tables. Raises DatabaseError naming the database.
+    A database that does not answer is waited for, a minute at most: it may be starting too. `pause` sleeps in between,
+    and ends the wait where it returns a truth. Returns a pool of connections to the service's own tables. Raises
+    DatabaseError naming the database.
     """
     settings.data.mkdir(parents=True, exist_ok=True)
     engine = open_database(settings)
-    try:
-        DBOS.migrate(settings.engine_url)
-        with engine.begin() as connection:
-            lock_writers(connection)  # two processes may start at once
-            metadata.create_all(connection)
-    except SQLAlchemyError as error:
-        engine.dispose()
-        reason = str(getattr(error, "orig", error)).splitlines()[0]
-        raise DatabaseError(
-            f"{settings.database_name}: found {reason}, expected the service's database; give another --data or "
-            "mend SPIKE4DGS_DATABASE"
-        ) from error
-    return engine
+    deadline, waits = time.monotonic() + _START_S, False
+    while True:
+        try:
+            _create_tables(settings, engine)
+            return engine
+        except SQLAlchemyError as error:
+            reason = _reason(error)
+            if _may_come(error) and time.monotonic() < deadline and not pause(_POLL_S):
+                if not waits:
+                    _LOG.warning("%s: waits for the database: %s", settings.database_name, reason)
+                waits = True
+                continue
+            engine.dispose()
+            raise DatabaseError(
+                f"{settings.database_name}: found {reason}, expected the service's database; give another --data or "
+                "mend SPIKE4DGS_DATABASE"
+            ) from error
+
+
+def _create_tables(settings: ServiceSettings, engine: sa.Engine) -> None:
+    DBOS.migrate(settings.engine_url)
+    with engine.begin() as connection:
+        lock_writers(connection)  # two processes may start at once
+        metadata.create_all(connection)
+
+
+def _may_come(error: SQLAlchemyError) -> bool:
+    """Whether nothing answers, or a server that starts or stops; what a server refuses, it will refuse again."""
+    text = str(getattr(error, "orig", error))
+    return is_outage(error) and ("FATAL:" not in text or any(words in text for words in _PASSING))
+
+
+def _reason(error: SQLAlchemyError) -> str:
+    return str(getattr(error, "orig", error)).splitlines()[0]
 
 
 def open_database(settings: ServiceSettings) -> sa.Engine:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import sqlalchemy as sa
@@ -41,9 +43,9 @@ class Store:
     deliveries: Deliveries
 
     @classmethod
-    def open(cls, settings: ServiceSettings) -> Store:
-        """Open, create or bring up to date; raises DatabaseError."""
-        database = prepare_database(settings)
+    def open(cls, settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> Store:
+        """Open, create or bring up to date; `pause` as in `prepare_database`. Raises DatabaseError."""
+        database = prepare_database(settings, pause)
         folder, calibrations = DataFolder(settings.data), Calibrations(database)
         return cls(
             database,

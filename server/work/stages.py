@@ -173,13 +173,13 @@ class Stages:
 
     async def _reconstruct(self, entry: Entry, stage: str) -> None:
         run = self._folder.run(entry.id)
-        if _finished(run, entry.restart):  # by a worker that was killed before it could say so
-            return
         assert entry.capture is not None
         recording = self._folder.recording(entry.capture)
         arguments = reconstruct_arguments(entry.request, stage, recording, run, entry.restart)
         try:
-            await self._supervise(entry, stage, arguments, [], trains=True)
+            await self._supervise(
+                entry, stage, arguments, [], trains=True, is_due=lambda: not _finished(run, stage, entry.restart)
+            )
         finally:
             self._store.artefacts.catalogue(entry.id, run, run_artefacts(run))
 
@@ -220,6 +220,7 @@ class Stages:
         stdout: Path | None = None,
         trains: bool = False,
         repeats: bool = False,
+        is_due: Callable[[], bool] = lambda: True,
     ) -> None:
         """Run the stage's process; one that `repeats` leaves no mark, since its results do not outlive its worker."""
         reporter = Reporter(self._store, entry.id, stage)
@@ -229,6 +230,7 @@ class Stages:
                 folders=[self._folder.entry(entry.id), *locks, *(self._accelerator() if trains else ())],
                 log=self._folder.log(entry.id),
                 finished=None if repeats else self._finished(entry, stage),
+                is_due=is_due,
                 on_progress=reporter,
                 grace_s=self._settings.grace_s,
                 control=control,
@@ -261,9 +263,10 @@ def _is_full(error: OSError) -> bool:
     return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
-def _finished(run: Path, restart: dict[str, Any] | None) -> bool:
+def _finished(run: Path, stage: str, restart: dict[str, Any] | None) -> bool:
+    """Whether the run says so itself; who ran the stage may have died before it could."""
     if not (run / "run.json").exists():
         return False
     document = json.loads((run / "run.json").read_text())
     attempt = 0 if restart is None else restart["attempt"]
-    return document.get("status") == "finished" and document.get("attempt", 0) == attempt
+    return stage in document.get("seconds", {}) and document.get("attempt", 0) == attempt

@@ -9,7 +9,7 @@ import json
 import os
 import signal
 from asyncio.subprocess import DEVNULL, PIPE
-from collections.abc import AsyncIterator, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -48,18 +48,21 @@ async def supervise(
     answers: bool = False,
     environment: Mapping[str, str] | None = None,
     finished: Path | None = None,
+    is_due: Callable[[], bool] = lambda: True,
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
 
-    `finished` is the mark of its success: where it is there already, nothing is done.
+    `finished` is the mark of its success, which the command leaves itself where it can, so that nobody's death comes
+    between its end and the mark. Where it is there, or the work is not `is_due`, nothing is done.
 
     The process inherits the locks, so they last until it is gone even where this process dies first. Cancelling sends
     SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone. What it prints goes to `log`, or to
     `stdout`. Where it `answers`, an exit code of 1 with an answer is no failure.
     """
     async with _locked(folders) as locks:
-        if finished is not None and finished.exists():
+        if (finished is not None and finished.exists()) or not is_due():
             return
+        mark = {} if finished is None else {"SPIKE4DGS_FINISHED": str(finished)}
         with log.open("a") as text, stdout.open("w") if stdout else contextlib.nullcontext(text) as printed:
             relay = _Relay(text, on_progress)
             transport, _ = await asyncio.get_running_loop().subprocess_exec(
@@ -68,7 +71,7 @@ async def supervise(
                 stdin=PIPE if control else DEVNULL,
                 stdout=printed,
                 stderr=PIPE,
-                env=os.environ | {"SPIKE4DGS_PROGRESS": "json"} | dict(environment or {}),
+                env=os.environ | {"SPIKE4DGS_PROGRESS": "json"} | mark | dict(environment or {}),
                 start_new_session=True,
                 pass_fds=locks,
             )

@@ -28,6 +28,7 @@ from server.engine import (
 from server.errors import WorkerRunningError
 from server.pickles import refuse_pickles
 from server.settings import ServiceSettings
+from server.store.database import is_outage
 from server.store.store import Store
 from server.store.workers import Worker
 from server.telemetry import configure_logs, engine_tracing
@@ -41,10 +42,21 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
     """Work on `kinds` of queues (captures, reconstructions, tasks) until `stop` is set.
 
     Stages then running are stopped, and taken up again by the next worker of this `name` or, where others are alive,
-    by one of them. Raises WorkerRunningError where another worker has the name.
+    by one of them. Raises WorkerRunningError where another worker has the name, and DatabaseError.
     """
     with _exclusive(settings, name):
-        store = Store.open(settings)
+        while not stop.is_set():
+            try:
+                return _serve(settings, name, kinds, stop)
+            except SQLAlchemyError as error:  # lost while the worker was starting: it starts again, and waits for it
+                if not is_outage(error):
+                    raise
+                logging.getLogger(__name__).warning("the worker starts again: %s", str(error).splitlines()[0])
+
+
+def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: threading.Event) -> None:
+    store = Store.open(settings, pause=stop.wait)
+    try:
         queues = _queues(settings, kinds)
         me = store.workers.enter(name, queues)
         stages = Stages(settings, store)
@@ -57,7 +69,8 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
             DBOS.destroy()
             with suppress(SQLAlchemyError):  # a database that is gone will see it from the beats
                 store.workers.leave(me)
-            store.close()
+    finally:
+        store.close()
 
 
 def _refresh(settings: ServiceSettings, store: Store) -> None:

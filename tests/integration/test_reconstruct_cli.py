@@ -24,6 +24,15 @@ def refused(result, *words):
     return True
 
 
+def test_a_stage_leaves_its_mark_only_where_it_succeeds(tmp_path, monkeypatch):
+    mark = tmp_path / "finished"
+    monkeypatch.setenv("SPIKE4DGS_FINISHED", str(mark))
+    assert refused(spike4dgs("verify", tmp_path), "recording")
+    assert not mark.exists()
+    assert spike4dgs("--version").returncode == 0
+    assert mark.exists()
+
+
 @pytest.fixture
 def dat(tmp_path):
     planes = np.random.default_rng(0).integers(0, 2, (64, 26, 41))

@@ -3,21 +3,27 @@
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 from fastapi.testclient import TestClient
+from sqlalchemy.exc import OperationalError
 
 from server.app import create_app
 from server.client import ServiceClient
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import ReconstructRequest
 from server.settings import ServiceSettings
+from server.store.store import Store
+from server.work import worker
 
 FAKE = json.dumps([sys.executable, str(Path(__file__).with_name("fake_stage.py"))])
 pytestmark = pytest.mark.slow
@@ -41,9 +47,9 @@ def start_worker(tmp_path: Path) -> Iterator[Callable[[], subprocess.Popen[bytes
         return workers[-1]
 
     yield start
-    for worker in workers:
-        worker.terminate()
-        worker.wait(20)
+    for one in workers:
+        one.terminate()
+        one.wait(20)
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
@@ -70,12 +76,12 @@ def start_job(client: ServiceClient) -> str:
 def test_training_goes_on_from_its_checkpoint(
     client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path, number: signal.Signals
 ) -> None:
-    worker = start_worker()
+    killed = start_worker()
     job = start_job(client)
     run = tmp_path / "jobs" / job / "run"
     wait_for(lambda: (run / "checkpoint.json").exists())
-    worker.send_signal(number)
-    assert worker.wait(20) == (0 if number == signal.SIGTERM else -signal.SIGKILL)
+    killed.send_signal(number)
+    assert killed.wait(20) == (0 if number == signal.SIGTERM else -signal.SIGKILL)
     ((pid, first),) = attempts(run)
     wait_for(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
     done = json.loads((run / "checkpoint.json").read_text())["done"]
@@ -95,11 +101,11 @@ def test_training_goes_on_from_its_checkpoint(
 def test_a_capture_is_made_again_and_a_finished_one_kept(
     client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path
 ) -> None:
-    worker = start_worker()
+    killed = start_worker()
     capture = client.start_capture("lab3x3", CaptureRequest(ticks=40))
     wait_for(lambda: any((tmp_path / "captures").glob(".*.aside")))
-    worker.kill()
-    worker.wait(20)
+    killed.kill()
+    killed.wait(20)
     assert client.capture(capture.id).status == "running"
     assert client.rig("lab3x3").busy == capture.id
     recording = tmp_path / "captures" / capture.id
@@ -108,3 +114,49 @@ def test_a_capture_is_made_again_and_a_finished_one_kept(
     wait_for(lambda: client.capture(capture.id).status == "done")
     assert list(recording.iterdir()) == []
     assert client.rig("lab3x3").busy is None
+
+
+def test_a_stage_that_the_run_calls_finished_is_not_begun_again(
+    client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    killed = start_worker()
+    job = start_job(client)
+    run = tmp_path / "jobs" / job / "run"
+    wait_for(lambda: (run / "checkpoint.json").exists())
+    killed.kill()
+    killed.wait(20)
+    document = {"status": "unfinished", "seconds": dict.fromkeys(("plan", "poses", "images", "points", "train"), 1.0)}
+    (run / "run.json").write_text(
+        json.dumps(document)
+    )  # as if the worker had died between the stage's end and the mark
+    start_worker()
+    wait_for(lambda: client.job(job).status == "done")
+    assert len(attempts(run)) == 1
+    assert {step.status for step in client.steps(job)} == {"done"}
+    assert "run.json" in [one.name for one in client.artefacts(job)]
+
+
+def test_a_worker_that_loses_its_database_while_it_starts_starts_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    launch, tries = worker._launch, []
+
+    def launch_badly(*arguments: Any) -> None:
+        launch(*arguments)
+        tries.append(arguments)
+        if len(tries) == 1:
+            raise OperationalError("INSERT", {}, sqlite3.OperationalError("database is locked"))
+
+    monkeypatch.setattr(worker, "_launch", launch_badly)
+    stop = threading.Event()
+    settings = ServiceSettings(data=tmp_path)
+    thread = threading.Thread(target=worker.run_worker, args=(settings, "a", ("tasks",), stop))
+    thread.start()
+    wait_for(lambda: len(tries) == 2)
+    store = Store.open(settings)
+    wait_for(lambda: [one.id for one in store.workers.alive()] == ["a"])
+    stop.set()
+    thread.join(20)
+    assert not thread.is_alive()
+    assert store.workers.alive() == []
+    store.close()

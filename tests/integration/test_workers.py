@@ -66,6 +66,10 @@ def captured(client: ServiceClient) -> str:
     return made.id
 
 
+def trace(job: Path) -> str:
+    return (job / "trace.txt").read_text() if (job / "trace.txt").exists() else ""
+
+
 def owner(deployment: Deployment, job_id: str) -> str | None:
     """The worker whose stage works on the job now."""
     for pid in deployment.stages():
@@ -140,12 +144,26 @@ def test_a_job_outlives_its_database(client: ServiceClient, deployment: Deployme
     wait_for(lambda: {one.id for one in client.workers()} == {"a", "b"})
 
 
+def test_who_starts_before_the_database_waits_for_it(deployment: Deployment) -> None:
+    if deployment.database is None:
+        pytest.skip("SQLite has no process to start")
+    deployment.database.kill()
+    for name in ("api", "a"):
+        deployment.start(name)
+    logs = [deployment.data / f"{name}.log" for name in ("api", "a")]
+    wait_for(lambda: all("waits for the database" in log.read_text() for log in logs))
+    assert deployment.dead() == []
+    deployment.database.start()
+    with ServiceClient.at(deployment.address) as service:
+        wait_for(lambda: answers(service) and [one.id for one in service.workers()] == ["a"])
+
+
 def test_a_campaign_of_faults_loses_nothing(deployment: Deployment) -> None:
     campaign = Campaign(deployment, 25, random.Random(7))
     campaign.run(limit_s=900)
     rows, counts = campaign.judge()
     assert [row for row in rows if row["status"] != "done"] == []
-    for name in ("lost", "undone", "repeated", "torn", "orphans", "locked", "ended_alone", "answers.500"):
+    for name in ("lost", "undone", "repeated", "reopened", "torn", "orphans", "locked", "ended_alone", "answers.500"):
         assert counts.get(name, 0) == 0, name
     assert counts["kills.worker"] > 0
     assert counts["kills.stage"] > 0
@@ -153,11 +171,12 @@ def test_a_campaign_of_faults_loses_nothing(deployment: Deployment) -> None:
 
 def test_a_killed_stage_is_resumed_where_it_stopped(client: ServiceClient, deployment: Deployment) -> None:
     job = client.submit(ReconstructRequest(capture=captured(client))).id
-    wait_for(lambda: client.job(job).stage == "train" and deployment.stages() != [])
+    folder = deployment.data / "jobs" / job
+    wait_for(lambda: "begin train" in trace(folder) and deployment.stages() != [])
     os.kill(deployment.stages()[0], signal.SIGKILL)
     wait_for(lambda: client.job(job).status == "failed")
     assert client.job(job).error == "the stage ended with SIGKILL and no message"
     client.resume(job)
     wait_for(lambda: client.job(job).status == "done")
-    count = read_trace(deployment.data / "jobs" / job)
+    count = read_trace(folder)
     assert (count["begun"], count["completed"], count["repeated"]) == (len(STAGES) + 1, 1, 0)

@@ -38,6 +38,12 @@ def test_a_finished_run_is_not_overwritten(tmp_path):
         start(tmp_path)
 
 
+def test_the_last_stage_finishes_the_run(tmp_path):
+    start(tmp_path).finish_stage("report", 1.5, last=True)
+    document = RunFolder.open(tmp_path / "run").document
+    assert (document["status"], document["seconds"]) == ("finished", {"report": 1.5})
+
+
 def test_a_folder_of_other_things_is_refused(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.tex").write_text("x")

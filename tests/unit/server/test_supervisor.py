@@ -1,6 +1,7 @@
 import asyncio
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -10,7 +11,15 @@ from server.store.files import is_locked
 from server.work.supervisor import StageError, supervise
 
 
-def run(code: str, folder: Path, *, grace_s: float = 5.0, cancel_when: str | None = None) -> list[tuple[float, str]]:
+def run(
+    code: str,
+    folder: Path,
+    *,
+    grace_s: float = 5.0,
+    cancel_when: str | None = None,
+    finished: Path | None = None,
+    is_due: Callable[[], bool] = lambda: True,
+) -> list[tuple[float, str]]:
     """Supervise `python -c code`, cancelling once a progress message equals `cancel_when`."""
     reports: list[tuple[float, str]] = []
 
@@ -29,6 +38,8 @@ def run(code: str, folder: Path, *, grace_s: float = 5.0, cancel_when: str | Non
                 log=folder / "log.txt",
                 on_progress=on_progress,
                 grace_s=grace_s,
+                finished=finished,
+                is_due=is_due,
             )
         )
         if cancel_when is not None:
@@ -143,3 +154,23 @@ def test_a_locked_folder_is_waited_for(tmp_path: Path) -> None:
 
     asyncio.run(main())
     assert order == ["begin", "end", "begin", "end"]
+
+
+def test_a_command_is_not_run_again_once_it_left_its_mark(tmp_path: Path) -> None:
+    mark = tmp_path / "finished"
+    code = "import os; open(os.environ['SPIKE4DGS_FINISHED'], 'w').close(); os.kill(os.getpid(), 9)"
+    with pytest.raises(StageError):
+        run(code, tmp_path, finished=mark)
+    run(code, tmp_path, finished=mark)
+
+
+def test_what_is_not_due_is_not_begun(tmp_path: Path) -> None:
+    locked: list[bool] = []
+
+    def is_due() -> bool:
+        locked.append(is_locked(tmp_path))
+        return False
+
+    run("raise SystemExit(3)", tmp_path, finished=tmp_path / "finished", is_due=is_due)
+    assert locked == [True]
+    assert not (tmp_path / "finished").exists()
