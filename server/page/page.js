@@ -1,6 +1,6 @@
 // The operator's page: what the service holds, kept up to date by events, or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { get, learnRoutes, offers, post, setToken, token } from './operator/api.js';
+import { get, learnRole, learnRoutes, looksOn, offers, post } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { capture } from './operator/captures.js';
 import { element, keepingFocus, patchChildren } from './operator/dom.js';
@@ -8,6 +8,7 @@ import { job } from './operator/jobs.js';
 import { follow } from './operator/live.js';
 import * as results from './operator/results.js';
 import { rig } from './operator/rigs.js';
+import { setToken, token } from './token.js';
 
 const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, TAIL_MS = 1000;
 const PAGE = { captures: 20, jobs: 30 };
@@ -181,7 +182,8 @@ function heard(live) {
 
 async function learnService() {
   await learnRoutes();
-  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), get('/info')]);
+  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
+  place('role').hidden = !looksOn();
 }
 
 async function start() {

@@ -1,5 +1,5 @@
 // A rig: what its cameras see and how they are, its calibration, and the form that makes a capture.
-import { offers, post } from './api.js';
+import { looksOn, offers, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
 import { ago, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
@@ -57,7 +57,7 @@ function look(item, status) {
 }
 
 function watching(item, context) {
-  if (!offers('POST', '/rigs/{}/look')) return null;
+  if (!offers('POST', '/rigs/{}/look') || looksOn()) return null;
   const box = element('input', { type: 'checkbox', id: `live-${item.id}` });
   box.onchange = (event) => context.watch(item.id, event.currentTarget.checked);
   return element('label', { className: 'check' }, box, 'Live');
@@ -125,6 +125,5 @@ export function rig(item, context) {
     cameras(status),
     checks(status),
     calibration(item, context),
-    element('h4', {}, 'Record'),
-    form(item));
+    looksOn() ? null : [element('h4', {}, 'Record'), form(item)]);
 }
