@@ -19,6 +19,7 @@ const state = { rigs: [], captures: [], jobs: [], next: {}, limits: { ...PAGE },
 const context = {
   options: {}, stages: [], rigs: new Map(), captures: [], names: new Map(),
   statuses: new Map(), calibrations: new Map(), manifests: new Map(),
+  entry: (id) => [...state.captures, ...state.jobs].find((one) => one.id === id),
   nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
   camerasOf: (item) => {
     const id = item.rig ?? state.captures.find((one) => one.id === item.request?.capture)?.rig;
@@ -119,7 +120,7 @@ async function learnSlowly() {
 }
 
 function happened(event) {
-  const item = [...state.captures, ...state.jobs].find((one) => one.id === event.entry);
+  const item = context.entry(event.entry);
   if (event.kind === 'progress' && item) {
     if (item.status === 'running' || item.status === 'queued') Object.assign(item, event.data, { status: 'running' });
     results.progressed(event.entry, event);

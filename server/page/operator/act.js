@@ -2,6 +2,7 @@
 import { looksOn } from './api.js';
 import { element } from './dom.js';
 
+const SAID_MS = 6000;
 const VIEWER = "A viewer's token only looks on; this needs an operator's.";
 
 let refresh = async () => {};
@@ -10,6 +11,8 @@ export const onChange = (told) => { refresh = told; };
 export function say(text) {
   const place = document.getElementById('said');
   if (place.textContent !== text) place.textContent = text;
+  clearTimeout(say.gone);
+  say.gone = setTimeout(() => { place.textContent = ''; }, SAID_MS);
 }
 
 export function complain(text) {
