@@ -129,7 +129,7 @@ function happened(event) {
   }
   if (event.kind === 'status' && item) item.status = event.data.status;
   clearTimeout(happened.soon);
-  happened.soon = setTimeout(refresh, 100);
+  happened.soon = setTimeout(() => refresh().then(learnSlowly), 100);
 }
 
 async function look(id) {
@@ -217,5 +217,8 @@ place('token-form').onsubmit = (event) => {
   location.reload(); // pictures and links are made with the token from the start
 };
 place('jobs-status').onchange = () => refresh();
-onChange(refresh);
+onChange(async () => {
+  await refresh();
+  learnSlowly();
+});
 begin();

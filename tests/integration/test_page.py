@@ -27,6 +27,7 @@ pytestmark = [
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
 EVIL = "<img src=x onerror=alert(1)> & <b>bold</b>"
 LONG_MS = 60_000
+VIEWER = "A viewer's token only looks on; this needs an operator's."
 
 
 @dataclass
@@ -170,6 +171,59 @@ def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., 
     assert page.frames[1].title() == "report"
     assert seen.faults == []
     assert seen.hosts <= {service.address, "about:/srcdoc", "about:srcdoc", "data:,"}
+
+
+def test_a_rig_is_looked_at_checked_and_calibrated(
+    service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    page = open_page()
+    rig = page.locator("#rig-lab3x3")
+    page.click("#look-lab3x3")
+    expect(rig.locator(".title")).to_contain_text("looking")
+    drawn(page, "#rig-lab3x3 figure img")
+    drawn(page, f"#capture-{capture.id} img.preview")
+    page.click("#preflight-lab3x3")
+    expect(rig.locator("p.failed")).to_have_text(["disk speed: found 9 MB/s, expected 99 MB/s; a faster disk"])
+    expect(page.locator("#jobs > li").first).to_contain_text("Not ready: disk speed 9 MB/s")
+    expect(rig).to_contain_text("Calibration: version 0, as drawn")
+    page.click(f"#more-{capture.id} summary")
+    page.click(f"#calibrate-{capture.id}")
+    page.locator("#dialog-go").click()
+    expect(page.locator("#said")).to_have_text("The calibration is queued")
+    expect(rig).to_contain_text("Calibration: version 1, from a scene, just now, 0.10 px residual")
+    page.click("#calibrations-lab3x3 summary")
+    page.click("#use-lab3x3-0")
+    expect(rig).to_contain_text("Calibration: version 0, as drawn")
+    page.click(f"#calibrate-{capture.id}")
+    page.locator("#dialog summary").click()
+    page.get_by_label("Use it at once").uncheck()
+    page.locator("#dialog-go").click()
+    expect(rig.locator("#use-lab3x3-2")).to_be_visible()
+    assert service.client.current_calibration("lab3x3").version == 0
+    assert seen.faults == []
+
+
+def drawn(page: Any, selector: str) -> None:
+    """Wait for a picture, and for its pixels."""
+    page.locator(selector).scroll_into_view_if_needed()
+    page.wait_for_function("(s) => document.querySelector(s)?.naturalWidth > 100", arg=selector)
+
+
+def test_a_viewers_token_changes_nothing(capture: Capture, done: str, open_page: Callable[..., Any]) -> None:
+    def looking_on(page: Any) -> None:
+        def answer(route: Any) -> None:
+            route.fulfill(json=route.fetch().json() | {"role": "viewer"})
+
+        page.route("**/v1/info", answer)
+
+    page = open_page(prepare=looking_on)
+    expect(page.locator("#role")).to_be_visible()
+    expect(page.locator(f"#export-{done}")).to_be_disabled()
+    expect(page.locator(f"#reconstruct-{capture.id}")).to_have_attribute("title", VIEWER)
+    assert page.locator("#form-lab3x3").count() == 0
+    enabled = page.locator("main button:not(:disabled)").all_inner_texts()
+    assert [text for text in enabled if not text.startswith("Older")] == []
+    expect(page.get_by_role("link", name="Report", exact=True).first).to_be_visible()
 
 
 def test_cancel_resume_and_restart_by_keyboard(

@@ -5,7 +5,7 @@ import { readEvents } from './live.js';
 import { artefact } from './media.js';
 
 const MOST_TEXT = 40_000; // characters of a log or result on the page
-const HISTORY_MS = 3000;
+const HISTORY_MS = 3000, QUIET_MS = 300;
 const known = new Map();
 let work = Promise.resolve(); // one request after another: a long list shall not flood the service
 
@@ -42,8 +42,14 @@ async function learnResults(item, found) {
 async function learnHistory(item, draw) {
   if (!offers('GET', '/jobs/{}/events')) return;
   const stop = new AbortController();
-  setTimeout(() => stop.abort(), HISTORY_MS);
-  await readEvents(`/v1/jobs/${item.id}/events?after=0`, (event) => { progressed(item.id, event); draw(); }, { after: 0, signal: stop.signal });
+  let quiet = setTimeout(() => stop.abort(), HISTORY_MS);
+  const told = (event) => {
+    clearTimeout(quiet);
+    quiet = setTimeout(() => stop.abort(), QUIET_MS); // the past comes at once, the present twice a second
+    progressed(item.id, event);
+    draw();
+  };
+  await readEvents(`/v1/jobs/${item.id}/events?after=0`, told, { after: 0, signal: stop.signal });
 }
 
 // Ask for what the page lacks of a job; `draw` is called when it has come.
