@@ -61,6 +61,7 @@ function taken({ rigs, captures, jobs }) {
   context.captures = state.captures;
   context.rigs = new Map(state.rigs.map((item) => [item.id, item]));
   for (const item of state.captures) context.names.set(item.id, item.name ?? item.id);
+  for (const item of state.jobs) context.names.set(item.id, item.name ?? item.id);
   results.forgetAllBut(new Set(state.jobs.map((item) => item.id)));
   for (const item of state.jobs) {
     results.learn(item, draw);

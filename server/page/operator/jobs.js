@@ -160,14 +160,14 @@ function about(item, context) {
   const { type, capture, job, name: given, priority: rank, ...request } = item.request;
   const options = Object.entries(request).filter(([, value]) => value !== null && value !== 'auto' && value !== false)
     .map(([name, value]) => (ABOUT[name] ?? ((given) => `${name} ${given}`))(value)).filter(Boolean);
-  const target = item.name && (job ?? context.nameOf(capture));
+  const target = item.name && context.nameOf(job ?? capture);
   return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
 }
 
 function heading(item, context) {
   const word = WORDS[item.type] ?? item.type;
   const { job, capture } = item.request;
-  return item.name ?? (job || capture ? `${word} of ${job ?? context.nameOf(capture)}` : word);
+  return item.name ?? (job || capture ? `${word} of ${context.nameOf(job ?? capture)}` : word);
 }
 
 export function job(item, context) {
