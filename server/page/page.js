@@ -1,6 +1,6 @@
 // The operator's page: what the service holds, kept up to date by events, or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { get, learnRoutes, offers, post, setToken, token } from './operator/api.js';
+import { get, learnRole, learnRoutes, looksOn, offers, post } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { capture } from './operator/captures.js';
 import { element, keepingFocus, patchChildren } from './operator/dom.js';
@@ -8,6 +8,7 @@ import { job } from './operator/jobs.js';
 import { follow } from './operator/live.js';
 import * as results from './operator/results.js';
 import { rig } from './operator/rigs.js';
+import { setToken, token } from './token.js';
 
 const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, TAIL_MS = 1000;
 const PAGE = { captures: 20, jobs: 30 };
@@ -18,6 +19,7 @@ const state = { rigs: [], captures: [], jobs: [], next: {}, limits: { ...PAGE },
 const context = {
   options: {}, stages: [], rigs: new Map(), captures: [], names: new Map(),
   statuses: new Map(), calibrations: new Map(), manifests: new Map(),
+  entry: (id) => [...state.captures, ...state.jobs].find((one) => one.id === id),
   nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
   camerasOf: (item) => {
     const id = item.rig ?? state.captures.find((one) => one.id === item.request?.capture)?.rig;
@@ -59,6 +61,7 @@ function taken({ rigs, captures, jobs }) {
   context.captures = state.captures;
   context.rigs = new Map(state.rigs.map((item) => [item.id, item]));
   for (const item of state.captures) context.names.set(item.id, item.name ?? item.id);
+  for (const item of state.jobs) context.names.set(item.id, item.name ?? item.id);
   results.forgetAllBut(new Set(state.jobs.map((item) => item.id)));
   for (const item of state.jobs) {
     results.learn(item, draw);
@@ -118,7 +121,7 @@ async function learnSlowly() {
 }
 
 function happened(event) {
-  const item = [...state.captures, ...state.jobs].find((one) => one.id === event.entry);
+  const item = context.entry(event.entry);
   if (event.kind === 'progress' && item) {
     if (item.status === 'running' || item.status === 'queued') Object.assign(item, event.data, { status: 'running' });
     results.progressed(event.entry, event);
@@ -127,7 +130,7 @@ function happened(event) {
   }
   if (event.kind === 'status' && item) item.status = event.data.status;
   clearTimeout(happened.soon);
-  happened.soon = setTimeout(refresh, 100);
+  happened.soon = setTimeout(() => refresh().then(learnSlowly), 100);
 }
 
 async function look(id) {
@@ -181,7 +184,8 @@ function heard(live) {
 
 async function learnService() {
   await learnRoutes();
-  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), get('/info')]);
+  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
+  place('role').hidden = !looksOn();
 }
 
 async function start() {
@@ -214,5 +218,8 @@ place('token-form').onsubmit = (event) => {
   location.reload(); // pictures and links are made with the token from the start
 };
 place('jobs-status').onchange = () => refresh();
-onChange(refresh);
+onChange(async () => {
+  await refresh();
+  learnSlowly();
+});
 begin();

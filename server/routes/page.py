@@ -57,6 +57,12 @@ def script() -> FileResponse:
     return FileResponse(_FOLDER / "page.js", headers=_HEADERS)
 
 
+@router.get("/token.js")
+def token() -> FileResponse:
+    """What the pages share: the token in their requests."""
+    return FileResponse(_FOLDER / "token.js", headers=_HEADERS)
+
+
 @router.get("/viewer.html")
 def viewer() -> FileResponse:
     """The page that plays a job's scene; the job is named in the query."""

@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse
 
 from server.engine import stages_of
@@ -10,14 +10,17 @@ from server.middleware.problems import problem
 from server.routes.services import TheServices
 from server.schemas.job_types import JOB_TYPES
 from server.schemas.system import Check, Info, Workers
+from server.store.tokens import Token
 
 router = APIRouter(tags=["system"])
 
 
 @router.get("/info")
-def info() -> Info:
-    """Name, version, and the stages of a reconstruction."""
-    return Info(name="spike4dgs", version=version("spike4dgs"), stages=stages_of("reconstruct"))
+def info(request: Request) -> Info:
+    """Name, version, the stages of a reconstruction, and what the request's token allows."""
+    token: Token | None = request.state.token
+    role = token.role if token else None
+    return Info(name="spike4dgs", version=version("spike4dgs"), stages=stages_of("reconstruct"), role=role)
 
 
 @router.get("/options")

@@ -1,14 +1,17 @@
 """What the service is and how it is."""
 
+from typing import Literal
+
 from pydantic import BaseModel
 
 
 class Info(BaseModel):
-    """What this service is; `role` is what the request's token allows."""
+    """What this service is; `role` is what the request's token allows, null where none is needed."""
 
     name: str
     version: str
     stages: tuple[str, ...]
+    role: Literal["viewer", "operator"] | None = None
 
 
 class Check(BaseModel):

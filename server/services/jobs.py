@@ -19,7 +19,7 @@ from server.schemas.job_types import (
     ReconstructRequest,
     RenderRequest,
 )
-from server.schemas.jobs import Job, Jobs, Steps
+from server.schemas.jobs import Job, Steps
 from server.schemas.progress import ACTIVE, Status
 from server.services.captures import RigService
 from server.services.listing import job_document, page_of

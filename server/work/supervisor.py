@@ -20,6 +20,7 @@ from server.work.leash import leashed
 
 _LOCK_POLL_S = 0.1
 _CONTROL_POLL_S = 0.05
+_START_S = 10.0  # until a process that says nothing is taken to be able to end in order
 _LONGEST_LINE = 65536
 _LAST_WORDS_S = 1.0
 
@@ -75,7 +76,7 @@ async def supervise(
                 start_new_session=True,
                 pass_fds=locks,
             )
-            teller = asyncio.ensure_future(_tell(transport, control)) if control else None
+            teller = asyncio.ensure_future(_tell(transport, relay, control)) if control else None
             try:
                 await relay.over.wait()
             finally:
@@ -98,16 +99,18 @@ def _judge(code: int, relay: _Relay, answer: Path | None) -> None:
         raise StageError(relay.last.removeprefix("spike4dgs: ") or f"the stage ended with {ended} and no message")
 
 
-async def _tell(transport: asyncio.SubprocessTransport, control: Control) -> None:
-    """Pass on what the files say, each once."""
+async def _tell(transport: asyncio.SubprocessTransport, relay: _Relay, control: Control) -> None:
+    """Pass on what the files say, each once; SIGTERM would kill a process that has not reported anything yet."""
     line = transport.get_pipe_transport(0)
     assert isinstance(line, asyncio.WriteTransport)
+    clock = asyncio.get_running_loop().time
+    patient_until = clock() + _START_S
     saved = False
     while True:
         if control.save.exists() and not saved:
             saved = True
             line.write(b"\n")
-        if control.stop.exists():
+        if control.stop.exists() and (relay.began or clock() > patient_until):
             os.killpg(transport.get_pid(), signal.SIGTERM)
             return
         await asyncio.sleep(_CONTROL_POLL_S)
@@ -135,11 +138,12 @@ class _Relay(asyncio.SubprocessProtocol):
     """Takes the process's standard error apart, to its very end: callbacks go on where a cancelled task would not.
 
     `gone` is set when the process is, `closed` at the end of its output, `over` when it is gone or a fault of ours,
-    such as a full disk, leaves no reason to wait for it.
+    such as a full disk, leaves no reason to wait for it; `began` says that it has reported progress.
     """
 
     def __init__(self, log: TextIO, on_progress: Progress) -> None:
         self.gone, self.closed, self.over = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self.began = False
         self.last = ""
         self.fault: OSError | None = None
         self._log = log
@@ -168,10 +172,12 @@ class _Relay(asyncio.SubprocessProtocol):
 
     def _pass_on(self, line: str) -> None:
         try:
-            if not _reported(line, self._on_progress):
-                self._log.write(f"{line}\n")
-                self._log.flush()
-                self.last = line.strip() or self.last
+            if _reported(line, self._on_progress):
+                self.began = True
+                return
+            self._log.write(f"{line}\n")
+            self._log.flush()
+            self.last = line.strip() or self.last
         except OSError as error:
             self.fault = self.fault or error
             self.over.set()

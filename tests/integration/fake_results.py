@@ -1,11 +1,18 @@
 """What a reconstruction leaves, small and made up, but of the right form: for pages that show it."""
 
 import json
+import shutil
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
+
+from acquisition.recording.importing import ImportOptions, import_recording
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from rigs.rig import Rig
+from rigs.toml import dump_rig
 
 SIZE = (160, 100)
 
@@ -33,3 +40,17 @@ def frame(turn: float) -> np.ndarray:
     centre = (80 + 50 * np.cos(2 * np.pi * turn), 50 + 20 * np.sin(2 * np.pi * turn))
     cv2.circle(picture, tuple(int(c) for c in centre), 14, (210, 210, 210), -1)
     return picture
+
+
+def write_recording(out: Path, rig: Rig, ticks: int) -> None:
+    """A recording that can be read: each camera's left part is dark, the more the later its place in the grid."""
+    folder = out.with_name(f".{out.name}.dats")
+    folder.mkdir()
+    for number, camera in enumerate(rig.cameras):
+        planes = np.zeros((ticks, camera.height, camera.width), np.uint8)
+        planes[::2, :, 40 * number :] = 1
+        (folder / f"{camera.id}.dat").write_bytes(pack(planes, PlaneLayout(camera.width, camera.height)).tobytes())
+    (folder / "rig.toml").write_text(dump_rig(rig))
+    dats = [f"{camera.id}={folder / camera.id}.dat" for camera in rig.cameras]
+    import_recording(dats, folder / "rig.toml", out, ImportOptions(rig.tick_rate_hz))
+    shutil.rmtree(folder)

@@ -14,7 +14,8 @@ from server.bench.postgresql import PostgresqlMissingError
 from server.bench.verdict import read_trace, torn
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import Job, ReconstructRequest
+from server.schemas.job_types import ReconstructRequest
+from server.schemas.jobs import Job
 
 pytestmark = pytest.mark.slow
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]

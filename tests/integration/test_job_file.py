@@ -13,7 +13,7 @@ from server.bench.deployment import Deployment
 from server.bench.postgresql import PostgresqlMissingError
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
-from server.schemas.jobs import BatchRequest, ExportRequest
+from server.schemas.job_types import BatchRequest, ExportRequest
 
 pytestmark = [pytest.mark.slow, pytest.mark.postgres]
 STAGE = (sys.executable, "-P", "-m", "server.cli")

@@ -27,6 +27,7 @@ pytestmark = [
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
 EVIL = "<img src=x onerror=alert(1)> & <b>bold</b>"
 LONG_MS = 60_000
+VIEWER = "A viewer's token only looks on; this needs an operator's."
 
 
 @dataclass
@@ -172,6 +173,59 @@ def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., 
     assert seen.hosts <= {service.address, "about:/srcdoc", "about:srcdoc", "data:,"}
 
 
+def test_a_rig_is_looked_at_checked_and_calibrated(
+    service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    page = open_page()
+    rig = page.locator("#rig-lab3x3")
+    page.click("#look-lab3x3")
+    expect(rig.locator(".title")).to_contain_text("looking")
+    drawn(page, "#rig-lab3x3 figure img")
+    drawn(page, f"#capture-{capture.id} img.preview")
+    page.click("#preflight-lab3x3")
+    expect(rig.locator("p.failed")).to_have_text(["disk speed: found 9 MB/s, expected 99 MB/s; a faster disk"])
+    expect(page.locator("#jobs > li").first).to_contain_text("Not ready: disk speed 9 MB/s")
+    expect(rig).to_contain_text("Calibration: version 0, as drawn")
+    page.click(f"#more-{capture.id} summary")
+    page.click(f"#calibrate-{capture.id}")
+    page.locator("#dialog-go").click()
+    expect(page.locator("#said")).to_have_text("The calibration is queued")
+    expect(rig).to_contain_text("Calibration: version 1, from a scene, just now, 0.10 px residual")
+    page.click("#calibrations-lab3x3 summary")
+    page.click("#use-lab3x3-0")
+    expect(rig).to_contain_text("Calibration: version 0, as drawn")
+    page.click(f"#calibrate-{capture.id}")
+    page.locator("#dialog summary").click()
+    page.get_by_label("Use it at once").uncheck()
+    page.locator("#dialog-go").click()
+    expect(rig.locator("#use-lab3x3-2")).to_be_visible()
+    assert service.client.current_calibration("lab3x3").version == 0
+    assert seen.faults == []
+
+
+def drawn(page: Any, selector: str) -> None:
+    """Wait for a picture, and for its pixels."""
+    page.locator(selector).scroll_into_view_if_needed()
+    page.wait_for_function("(s) => document.querySelector(s)?.naturalWidth > 100", arg=selector)
+
+
+def test_a_viewers_token_changes_nothing(capture: Capture, done: str, open_page: Callable[..., Any]) -> None:
+    def looking_on(page: Any) -> None:
+        def answer(route: Any) -> None:
+            route.fulfill(json=route.fetch().json() | {"role": "viewer"})
+
+        page.route("**/v1/info", answer)
+
+    page = open_page(prepare=looking_on)
+    expect(page.locator("#role")).to_be_visible()
+    expect(page.locator(f"#export-{done}")).to_be_disabled()
+    expect(page.locator(f"#reconstruct-{capture.id}")).to_have_attribute("title", VIEWER)
+    assert page.locator("#form-lab3x3").count() == 0
+    enabled = page.locator("main button:not(:disabled)").all_inner_texts()
+    assert [text for text in enabled if not text.startswith("Older")] == []
+    expect(page.get_by_role("link", name="Report", exact=True).first).to_be_visible()
+
+
 def test_cancel_resume_and_restart_by_keyboard(
     service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen
 ) -> None:
@@ -207,7 +261,7 @@ def test_cancel_resume_and_restart_by_keyboard(
     page.locator(f"#stage-{job_id}").select_option("train")
     page.focus(f"#restart-{job_id}")
     page.keyboard.press("Enter")
-    wait_for(lambda: service.client.log(job_id).count("--stage train") == 3)
+    wait_for(lambda: service.client.log(job_id).count("--stage train") >= 3)
     service.wait(job_id, "done")
     expect(page.locator(f"#delete-{job_id}")).to_be_visible(timeout=LONG_MS)
     page.focus(f"#delete-{job_id}")
@@ -229,7 +283,6 @@ def test_an_endless_capture_is_stopped(service: Service, open_page: Callable[...
     page.click("#record-lab3x3")
     card = page.locator("#captures > li", has_text="endless")
     expect(card.locator(".status")).to_have_text("recording")
-    expect(card).to_contain_text("planes")  # a process that only starts cannot end in order yet
     expect(page.locator("#record-lab3x3")).to_be_disabled()
     expect(page.locator("#ticks-lab3x3")).to_be_disabled()
     made = service.client.captures(limit=1)[0]
@@ -336,7 +389,7 @@ def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any])
     expect(page.locator("#token-form")).to_be_hidden()
     page.click(f"#results-{done} summary")
     page.wait_for_function("document.querySelector('video').readyState > 0")
-    assert page.locator("video").get_attribute("src").startswith("blob:")
+    assert page.locator(f"#results-{done} video").get_attribute("src").startswith("blob:")
     with page.expect_download() as download:
         page.locator(f"#results-{done}").get_by_role("link", name="metrics.json").click()
     assert json.loads(Path(download.value.path()).read_text())["psnr_db"] == 32.5

@@ -428,3 +428,25 @@ def test_a_missing_renderer_says_what_to_run(open_page, browser: Any, address: s
     view.locator("#message[role=alert]").wait_for()
     assert 'run "make viewer"' in view.inner_text("#message")
     view.close()
+
+
+def test_depth_colours_follow_a_view_that_stands_farther_away(open_page) -> None:
+    view = open_page()
+    settle(view)
+    view.click("#depth")
+    before, _, after, _ = view.inner_text("#legend").split()
+    assert float(before) > 1.2  # the first view stands behind the rig
+    assert float(after) - float(before) == pytest.approx(3.5 - 1.2, abs=0.02)
+    view.focus("#picture")
+    view.keyboard.press("-")
+    settle(view)
+    assert float(view.inner_text("#legend").split()[0]) > float(before)
+
+
+def test_a_token_goes_with_what_the_viewer_asks_for(open_page) -> None:
+    sent: list[str | None] = []
+    view = open_page(script="sessionStorage.setItem('spike4dgs-token', 'secret');")
+    view.on("request", lambda asked: sent.append(asked.headers.get("authorization")) if "/v1/" in asked.url else None)
+    view.reload()
+    settle(view)
+    assert sent == ["Bearer secret", "Bearer secret"]

@@ -1,5 +1,9 @@
 // Buttons that ask the service for something and say what came of it.
+import { looksOn } from './api.js';
 import { element } from './dom.js';
+
+const SAID_MS = 6000;
+const VIEWER = "A viewer's token only looks on; this needs an operator's.";
 
 let refresh = async () => {};
 export const onChange = (told) => { refresh = told; };
@@ -7,6 +11,8 @@ export const onChange = (told) => { refresh = told; };
 export function say(text) {
   const place = document.getElementById('said');
   if (place.textContent !== text) place.textContent = text;
+  clearTimeout(say.gone);
+  say.gone = setTimeout(() => { place.textContent = ''; }, SAID_MS);
 }
 
 export function complain(text) {
@@ -35,9 +41,10 @@ export async function performed(act, done) {
   await refresh();
 }
 
-export function button(label, id, act, { plain = true, disabled = false, done = '', danger = false, hint = '' } = {}) {
-  const made = element('button', { type: 'button', id, disabled, className: danger ? 'plain danger' : plain ? 'plain' : '' }, label);
-  if (hint) made.title = hint;
+// A button that changes something, so one that is off for a viewer's token.
+export function button(label, id, act, { plain = true, disabled = false, done = '', danger = false } = {}) {
+  const className = danger ? 'plain danger' : plain ? 'plain' : '';
+  const made = element('button', { type: 'button', id, disabled: disabled || looksOn(), title: looksOn() ? VIEWER : '', className }, label);
   made.onclick = async (event) => {
     const pressed = event.currentTarget;
     if (pressed.ariaBusy) return; // a second click of the same wish

@@ -1,5 +1,6 @@
-// What the page asks of the service. A token is kept for this tab alone, and only where the service wants one.
-const KEY = 'spike4dgs-token';
+// What the page asks of the service.
+import { token, withToken } from '../token.js';
+
 const MOST_KEPT = 200; // pictures fetched with a token
 const fetched = new Map(); // path to promise of a blob's address
 let offered = null; // "GET /v1/jobs/{}" of every route
@@ -11,17 +12,8 @@ export class Refused extends Error {
   }
 }
 
-export const token = () => sessionStorage.getItem(KEY);
-
-export function setToken(text) {
-  if (text) sessionStorage.setItem(KEY, text);
-  else sessionStorage.removeItem(KEY);
-}
-
 export async function request(path, { method = 'GET', body, headers = {}, signal } = {}) {
-  const all = { ...headers };
-  if (token()) all.Authorization = `Bearer ${token()}`;
-  if (body !== undefined) all['Content-Type'] = 'application/json';
+  const all = withToken(body === undefined ? headers : { ...headers, 'Content-Type': 'application/json' });
   let response;
   try {
     response = await fetch(path, { method, headers: all, signal, body: body === undefined ? undefined : JSON.stringify(body) });
@@ -63,6 +55,15 @@ export async function learnRoutes() {
   const { paths } = await (await request('/openapi.json')).json();
   offered = new Set(Object.entries(paths).flatMap(([path, methods]) => Object.keys(methods).map((method) => route(method, path))));
 }
+
+// What the token allows; a viewer's changes nothing, so the page offers it no button that would.
+let role = null;
+export async function learnRole() {
+  const found = await get('/info');
+  role = found.role;
+  return found;
+}
+export const looksOn = () => role === 'viewer';
 
 const route = (method, path) => `${method.toUpperCase()} ${path.replace(/\{[^}]*\}/g, '{}')}`;
 export const offers = (method, path) => offered?.has(route(method, `/v1${path}`)) ?? false;

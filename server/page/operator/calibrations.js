@@ -7,8 +7,10 @@ import { picture } from './media.js';
 
 const figure = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)} ${unit}` : null);
 
+const SOURCES = { nominal: 'as drawn', natural: 'from a scene', board: 'from a board', pixels: 'of the pixels', uploaded: 'from a file' };
+
 function inWords(found) {
-  return [`version ${found.version}`, found.source, found.created && ago((Date.now() - Date.parse(found.created)) / 1000),
+  return [`version ${found.version}`, SOURCES[found.source] ?? found.source, found.created && ago((Date.now() - Date.parse(found.created)) / 1000),
     figure(found.residual_px, 2, 'px residual'), figure(found.rotation_sd_deg, 3, '° sd')].filter(Boolean).join(', ');
 }
 
@@ -21,22 +23,29 @@ async function choose(rig, version) {
 function versions(item, context, current) {
   const listed = context.calibrations.get(item.id)?.items ?? [];
   const all = [...listed, { version: 0, source: 'nominal', created: null }];
-  return element('ul', { className: 'rows' }, all.map((one) => element('li', { data: { key: String(one.version) } }, inWords(one),
-    one.version === current.version ? element('strong', {}, ' in use')
+  return element('ul', { className: 'rows' }, all.map((one) => element('li', { className: 'choice', data: { key: String(one.version) } }, element('span', {}, inWords(one)),
+    one.version === current.version ? element('strong', {}, 'in use')
       : actions(button('Use', `use-${item.id}-${one.version}`, () => choose(item.id, one.version), { done: `Version ${one.version} is in use` })))));
 }
 
+// A form for a calibration of a rig from one of `captures`: of its cameras or, with a dark capture too, of its pixels.
+export function calibrateDialog(heading, rig, captures, context) {
+  const { board, apply, name, priority } = context.options.calibrate.properties;
+  const named = (ids) => ({ type: 'string', enum: ids, names: ids.map(context.nameOf) });
+  const dark = context.captures.filter((one) => one.rig === rig && one.status === 'done').map((one) => one.id);
+  const asked = { ...context.options.calibrate, required: ['from'],
+    properties: { ...(captures.length > 1 && { from: named(captures) }), board, name, apply: { ...apply, default: true }, dark: named(dark), priority } };
+  const submit = ({ from = captures[0], dark: without, ...values }) => performed(
+    () => post(`/rigs/${rig}/calibrations`, { ...(without ? { flat: from, dark: without } : { capture: from }), ...values }), 'The calibration is queued');
+  jobDialog(heading, asked, [], submit, 'Queue');
+}
+
 function calibrate(item, context) {
-  const captures = context.captures.filter((one) => one.rig === item.id && one.status === 'done');
-  const schema = context.options.calibrate;
-  if (!schema || !captures.length) return quiet('Record a capture to calibrate from.');
+  const captures = context.captures.filter((one) => one.rig === item.id && one.status === 'done').map((one) => one.id);
+  if (!context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
+  if (!captures.length) return quiet('Record a capture to calibrate from.');
   const made = button('Calibrate…', `calibrate-${item.id}`, async () => {});
-  const choices = { enum: captures.map((one) => one.id), default: captures[0].id };
-  const asked = { ...schema, properties: { from: choices, ...schema.properties } };
-  const submit = ({ from, priority, ...values }) => performed(() => (offers('POST', '/rigs/{}/calibrations')
-    ? post(`/rigs/${item.id}/calibrations`, { capture: from, ...values })
-    : post('/jobs', { type: 'calibrate', capture: from, priority, ...values })), 'The calibration is queued');
-  made.onclick = () => jobDialog(`Calibrate ${item.name}`, asked, [], submit, 'Queue');
+  made.onclick = () => calibrateDialog(`Calibrate ${item.name}`, item.id, captures, context);
   return actions(made);
 }
 

@@ -1,6 +1,7 @@
 // Captures: what was recorded, what it lacks, and what to do with it.
 import { offers, post, send } from './api.js';
 import { actions, button, performed } from './act.js';
+import { calibrateDialog } from './calibrations.js';
 import { confirmed, jobDialog } from './dialogs.js';
 import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
 import { picture } from './media.js';
@@ -48,17 +49,24 @@ function running(item) {
       button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
 }
 
-const WORDS = { reconstruct: 'Reconstruct', calibrate: 'Calibrate the rig from', 'check-rig': 'Check the rig against', images: 'Images of' };
+const WORDS = { reconstruct: 'Reconstruct', 'check-rig': 'Check the rig against', images: 'Images of' };
 
 function asking(label, type, item, context, plain = true) {
   const schema = context.options[type];
   if (!schema) return null;
   const made = button(label, `${type}-${item.id}`, async () => {}, { plain });
-  const calibrates = type === 'calibrate' && offers('POST', '/rigs/{}/calibrations');
-  const submit = ({ priority, ...values }) => performed(() => (calibrates
-    ? post(`/rigs/${item.rig}/calibrations`, { capture: item.id, ...values })
-    : post('/jobs', { type, capture: item.id, priority, ...values })), `${WORDS[type]} ${item.name ?? item.id}: queued`);
-  made.onclick = () => jobDialog(`${WORDS[type]} ${item.name ?? item.id}`, schema, context.camerasOf(item), submit, 'Queue');
+  const heading = `${WORDS[type]} ${item.name ?? item.id}`;
+  const { rig, ...properties } = schema.properties;
+  const asked = { ...schema, properties: rig ? { ...properties, rig: { type: 'string', enum: [...context.rigs.keys()] } } : properties };
+  const submit = (values) => performed(() => post('/jobs', { type, capture: item.id, ...values }), `${heading}: queued`);
+  made.onclick = () => jobDialog(heading, asked, context.camerasOf(item), submit, 'Queue');
+  return made;
+}
+
+function calibrating(item, context) {
+  if (!item.rig || !context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
+  const made = button('Calibrate…', `calibrate-${item.id}`, async () => {});
+  made.onclick = () => calibrateDialog(`Calibrate ${item.rig} from ${item.name ?? item.id}`, item.rig, [item.id], context);
   return made;
 }
 
@@ -74,7 +82,7 @@ function offered(item, context) {
   const verify = () => post('/jobs', { type: 'verify', capture: item.id });
   const more = element('div', {}, actions(
     item.status === 'done' && [
-      item.rig && asking('Calibrate…', 'calibrate', item, context),
+      calibrating(item, context),
       asking('Check rig…', 'check-rig', item, context),
       asking('Images…', 'images', item, context),
       button('Verify', `verify-${item.id}`, verify, { done: 'The check of every byte is queued' }),

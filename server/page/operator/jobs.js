@@ -10,6 +10,8 @@ import { ended, of } from './results.js';
 const WORDS = { reconstruct: 'Reconstruction', images: 'Images', calibrate: 'Calibration', 'check-rig': 'Rig check', verify: 'Verification', evaluate: 'Evaluation', export: 'Export', preflight: 'Preflight', import: 'Import' };
 const SCORES = [['psnr_db', 'PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
 
+const MOST_LINKS = 3;
+
 const stagesOf = (item, context) => (item.type === 'reconstruct' ? context.stages : [item.type]);
 const path = (item, rest = '') => `/jobs/${item.id}${rest}`;
 
@@ -19,7 +21,7 @@ function stages(item, context) {
   const at = item.status === 'done' ? names.length : names.indexOf(item.stage);
   return element('ol', { className: 'stages', ariaLabel: 'Stages' }, names.map((name, i) => {
     const state = i < at ? 'done' : i > at || at < 0 ? 'waiting' : item.status;
-    const took = item.seconds[name] === undefined ? '' : ` ${seconds(item.seconds[name])}`;
+    const took = item.seconds[name] ? ` ${seconds(item.seconds[name])}` : '';
     return element('li', { className: state, ariaCurrent: i === at ? 'step' : null },
       name, took, element('span', { className: 'hidden' }, ` ${state}`));
   }));
@@ -37,14 +39,24 @@ function scores(item) {
   const found = of(item.id).scores;
   if (item.status !== 'done' || !found) return null;
   const parts = SCORES.filter(([key]) => Number.isFinite(found[key])).map(([key, name, unit, digits]) => `${name} ${found[key].toFixed(digits)} ${unit}`.trim());
-  return parts.length ? element('p', {}, `On ${found.held_out ?? 'the held-out camera'}: ${parts.join(', ')}`) : null;
+  const { steps } = of(item.id);
+  const after = steps ? `, after ${steps} step${steps > 1 ? 's' : ''} of training` : '';
+  return parts.length ? element('p', {}, `On ${found.held_out ?? 'the held-out camera'}: ${parts.join(', ')}${after}`) : null;
 }
 
+const VERDICTS = {
+  ready: ['Ready', 'Not ready'], sound: ['Every byte is as it was written', 'Damaged since it was written'],
+  fits: ['The calibration still fits', 'The calibration no longer fits'],
+};
+
+// What a job that answers a question found, in a line.
 function verdict(item) {
   const found = of(item.id).answer;
-  if (!found) return null;
-  const word = ['verdict', 'ready', 'sound', 'fits', 'passed', 'ok'].find((name) => name in found);
-  return word ? element('p', { className: found[word] === false ? 'failed' : '' }, `${word}: ${found[word]}`) : null;
+  if (!found || item.status !== 'done') return null;
+  const word = Object.keys(VERDICTS).find((name) => name in found);
+  if (!word) return found.summary ? element('p', {}, found.summary) : null;
+  const more = [...(found.checks ?? []).filter((check) => check.passed === false).map((check) => `${check.name} ${check.found}`), ...(found.moved ?? [])];
+  return element('p', { className: found[word] ? '' : 'failed' }, `${VERDICTS[word][found[word] ? 0 : 1]}${more.length ? `: ${more.join(', ')}` : ''}`);
 }
 
 function curveOf(item) {
@@ -118,10 +130,19 @@ function manage(item, context) {
   return active ? null : fold(`manage-${item.id}`, 'Manage', content);
 }
 
+// What a person came for, without opening anything: the files of an export.
+function files(item) {
+  if (item.type !== 'export' || item.status !== 'done') return [];
+  const made = of(item.id).artefacts.filter((one) => one.name !== 'result.json');
+  if (made.length > MOST_LINKS) return [download(`saved-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, `Download ${made.length} files`)];
+  return made.map((one) => download(`save-${item.id}-${one.name}`, artefact(item.id, one.name), one.name.split('/').at(-1), `Download ${one.name} (${size(one.bytes)})`));
+}
+
 function main(item, context) {
   const has = (name) => of(item.id).artefacts.some((one) => one.name === name);
   const resumable = item.status === 'failed' || item.status === 'cancelled';
   return actions(
+    files(item),
     has('report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
     has('viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
     item.status === 'done' && item.type === 'reconstruct' && asking('Export…', `export-${item.id}`, 'export', item, context),
@@ -130,17 +151,23 @@ function main(item, context) {
     priority(item));
 }
 
+const ABOUT = {
+  holdout: (camera) => `scored on ${camera}`, budget_s: (s) => `budget ${s} s`, views: (cameras) => `trained on ${cameras.length} cameras`,
+  disk_seconds: () => null, rig: () => null, apply: () => 'to be used at once', at_s: (s) => `at ${s} s`, tick_stride: (n) => `every ${n} planes`,
+};
+
 function about(item, context) {
   const { type, capture, job, name: given, priority: rank, ...request } = item.request;
-  const options = Object.entries(request).filter(([, value]) => value !== null && value !== 'auto').map(([name, value]) => `${name} ${value}`);
-  const target = item.name && (job ?? context.nameOf(capture));
+  const options = Object.entries(request).filter(([, value]) => value !== null && value !== 'auto' && value !== false)
+    .map(([name, value]) => (ABOUT[name] ?? ((given) => `${name} ${given}`))(value)).filter(Boolean);
+  const target = item.name && context.nameOf(job ?? capture);
   return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
 }
 
 function heading(item, context) {
   const word = WORDS[item.type] ?? item.type;
   const { job, capture } = item.request;
-  return item.name ?? (job || capture ? `${word} of ${job ?? context.nameOf(capture)}` : word);
+  return item.name ?? (job || capture ? `${word} of ${context.nameOf(job ?? capture)}` : word);
 }
 
 export function job(item, context) {

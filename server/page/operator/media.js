@@ -1,5 +1,6 @@
 // Pictures, videos and downloads, with or without a token.
-import { address, token } from './api.js';
+import { token } from '../token.js';
+import { address } from './api.js';
 import { element } from './dom.js';
 
 function sourced(made, path) {

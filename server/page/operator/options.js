@@ -8,9 +8,14 @@ const WORDS = {
   holdout: 'Camera to score on', views: 'Cameras to train on', tick_stride: 'Planes between instants',
   budget_s: 'Time budget (s)', steps: 'Steps', seed: 'Seed', name: 'Name', priority: 'Priority (lower is sooner)',
   board: 'Board', method: 'Method', ticks: 'Planes A:B:STEP', format: 'Format', at_s: 'Instant (s)', frames: 'Frames',
-  camera: 'Camera', from: 'Capture', apply: 'Use it at once',
+  camera: 'Camera', from: 'Capture', apply: 'Use it at once', dark: 'Calibrate the pixels: the capture without light',
+  rig: 'Compare with the calibration in use of',
 };
-const HINTS = { board: 'charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT; empty: natural scene', ticks: '0:400:20', views: 'all' };
+const HINTS = { board: 'charuco:6x4:100:67.5:DICT_4X4_50', ticks: 'all, or 0:400:20' };
+const NOTES = {
+  board: 'charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY or apriltag:…; empty: from whatever the cameras see',
+};
+const NONE = { rig: 'the one recorded with' };
 
 // What a property takes: its schema without the null that says it may be left out.
 function kindOf(schema, definitions) {
@@ -20,10 +25,10 @@ function kindOf(schema, definitions) {
 
 const isCamera = (name, kind) => ['holdout', 'camera'].includes(name) && kind.type === 'string';
 
-function choice(id, options, chosen, empty) {
+function choice(id, options, chosen, empty, names = options) {
   const made = element('select', { id });
   if (empty !== undefined) made.append(element('option', { value: '' }, empty));
-  made.append(...options.map((value) => element('option', { value }, value)));
+  made.append(...options.map((value, i) => element('option', { value }, names[i])));
   made.value = chosen ?? (empty !== undefined ? '' : options[0]);
   return made;
 }
@@ -43,7 +48,7 @@ function number(id, kind) {
 
 function inputOf(id, name, kind, cameras) {
   if (isCamera(name, kind)) return choice(id, cameras, name === 'holdout' ? cameras[Math.floor(cameras.length / 2)] : '', 'none');
-  if (kind.enum) return choice(id, kind.enum, kind.default, kind.default == null && kind.optional ? 'none' : undefined);
+  if (kind.enum) return choice(id, kind.enum, kind.default, kind.default == null && kind.optional ? NONE[name] ?? 'none' : undefined, kind.names);
   if (kind.type === 'array') return boxes(id, cameras);
   if (kind.type === 'boolean') return element('input', { id, type: 'checkbox', checked: Boolean(kind.default) });
   if (kind.type === 'integer' || kind.type === 'number') return number(id, kind);
@@ -64,7 +69,10 @@ function field(name, input, required) {
   const label = WORDS[name] ?? name.replaceAll('_', ' ');
   if (input.role === 'group') return element('fieldset', {}, element('legend', {}, label), input);
   input.required = required;
-  return element('label', { htmlFor: input.id }, label, input);
+  const note = NOTES[name] && element('span', { id: `${input.id}-note` }, NOTES[name]);
+  if (note) input.setAttribute('aria-describedby', note.id);
+  const check = input.type === 'checkbox' && 'check';
+  return element('label', { htmlFor: input.id, className: check || (name === 'board' ? 'wide' : '') }, check ? [input, label] : [label, input], note);
 }
 
 // {first, more, values}: the fields to show at once, those behind "more", and what has been filled in.

@@ -1,12 +1,12 @@
 // A job's report in a frame that can run nothing and reach nothing: it may come from elsewhere.
-import { request } from './api.js';
+import { get, request } from './api.js';
 import { artefact, download } from './media.js';
 
 const job = new URLSearchParams(location.search).get('job') ?? '';
 const place = (id) => document.getElementById(id);
 
 async function show() {
-  place('job').textContent = `Report of ${job}`;
+  get(`/jobs/${encodeURIComponent(job)}`).then(({ name }) => { place('job').textContent = `Report of ${name ?? job}`; }, () => {});
   const path = artefact(encodeURIComponent(job), 'report.html');
   try {
     place('report').srcdoc = await (await request(path)).text();

@@ -5,7 +5,7 @@ import { readEvents } from './live.js';
 import { artefact } from './media.js';
 
 const MOST_TEXT = 40_000; // characters of a log or result on the page
-const HISTORY_MS = 3000;
+const HISTORY_MS = 3000, QUIET_MS = 300;
 const known = new Map();
 let work = Promise.resolve(); // one request after another: a long list shall not flood the service
 
@@ -31,17 +31,25 @@ async function learnResults(item, found) {
   if (has('metrics.json')) found.scores = await json(item.id, 'metrics.json');
   if (has('result.json')) found.answer = await json(item.id, 'result.json');
   if (has('error_vs_time.json')) {
-    const points = scored(await json(item.id, 'error_vs_time.json'));
+    const history = await json(item.id, 'error_vs_time.json');
+    const points = scored(history);
+    found.steps = history.rows?.at(-1)?.steps;
     if (points.length > 1) found.scored = points;
   }
 }
 
 // The training so far, for a page that was opened in the middle of it.
-async function learnHistory(item) {
+async function learnHistory(item, draw) {
   if (!offers('GET', '/jobs/{}/events')) return;
   const stop = new AbortController();
-  setTimeout(() => stop.abort(), HISTORY_MS);
-  await readEvents(`/v1/jobs/${item.id}/events?after=0`, (event) => progressed(item.id, event), { after: 0, signal: stop.signal });
+  let quiet = setTimeout(() => stop.abort(), HISTORY_MS);
+  const told = (event) => {
+    clearTimeout(quiet);
+    quiet = setTimeout(() => stop.abort(), QUIET_MS); // the past comes at once, the present twice a second
+    progressed(item.id, event);
+    draw();
+  };
+  await readEvents(`/v1/jobs/${item.id}/events?after=0`, told, { after: 0, signal: stop.signal });
 }
 
 // Ask for what the page lacks of a job; `draw` is called when it has come.
@@ -50,8 +58,8 @@ export function learn(item, draw) {
   if (found.state === item.status) return;
   found.state = item.status;
   if (item.status === 'queued') return;
-  const asked = ended(item) ? () => learnResults(item, found) : () => learnHistory(item);
-  work = work.then(asked).then(draw, () => draw());
+  if (ended(item)) work = work.then(() => learnResults(item, found)).then(draw, () => draw());
+  else learnHistory(item, draw).catch(() => draw()); // beside the others: a stream that goes on would hold them up
 }
 
 export function progressed(id, event) {

@@ -1,8 +1,8 @@
 // A rig: what its cameras see and how they are, its calibration, and the form that makes a capture.
-import { offers, post } from './api.js';
+import { looksOn, offers, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
-import { ago, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
+import { ago, bar, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
 import { picture } from './media.js';
 
 const LEAST_S = 10; // of recording should fit
@@ -37,7 +37,7 @@ function checks(status) {
     element('strong', {}, `${check.passed === null ? '–' : check.passed ? 'pass' : 'fail'} ${check.name}`), `: ${check.found}`));
   return [
     ...failed.map((check) => failure(`${check.name}: found ${check.found}, expected ${check.expected}; ${check.change}`)),
-    fold(`checks-${status.rig}`, `Preflight ${ready ? 'passed' : `failed ${failed.length} of ${found.length}`}, ${ago(age_s)}`, element('ul', { className: 'rows' }, rows)),
+    fold(`checks-${status.rig}`, `Preflight: ${ready ? `${found.length} checks passed` : `${failed.length} of ${found.length} checks failed`}, ${ago(age_s)}`, element('ul', { className: 'rows' }, rows)),
   ];
 }
 
@@ -46,6 +46,18 @@ function room({ disk, worker }) {
     worker === false && failure('No worker reaches these cameras; run spike4dgs worker.'),
     disk && element('p', { className: disk.seconds < LEAST_S ? 'failed' : 'quiet' }, `Disk: ${size(disk.free_bytes)} free, ${seconds(disk.seconds)} of recording fit`),
   ];
+}
+
+const DOING = { record: 'recording', look: 'looking', preflight: 'checking' };
+
+// What the cameras are busy with: the rig's own card says it, whichever list it is in.
+function work(doing, item) {
+  if (!doing) return null;
+  const stop = () => post(`/rigs/${item.id}/captures/${doing.id}/stop`);
+  return element('div', {},
+    bar(`${doing.name ?? doing.id}: ${DOING[doing.type] ?? doing.type}`, doing.fraction),
+    doing.message && quiet(doing.message),
+    doing.type === 'record' && actions(button('Stop', `stop-rig-${item.id}`, stop, { plain: false, done: 'The recording ends' })));
 }
 
 function look(item, status) {
@@ -57,7 +69,7 @@ function look(item, status) {
 }
 
 function watching(item, context) {
-  if (!offers('POST', '/rigs/{}/look')) return null;
+  if (!offers('POST', '/rigs/{}/look') || looksOn()) return null;
   const box = element('input', { type: 'checkbox', id: `live-${item.id}` });
   box.onchange = (event) => context.watch(item.id, event.currentTarget.checked);
   return element('label', { className: 'check' }, box, 'Live');
@@ -113,18 +125,19 @@ function form(item) {
 export function rig(item, context) {
   const status = context.statuses.get(item.id) ?? {};
   const preflight = offers('POST', '/rigs/{}/preflight');
+  const doing = item.busy && context.entry(item.busy);
   return card(`rig-${item.id}`,
-    title(item.name, item.busy ? 'recording' : 'idle'),
+    title(item.name, item.busy ? 'recording' : 'idle', item.busy ? DOING[doing?.type] ?? 'busy' : 'idle'),
     quiet(`${item.cameras.length} cameras, ${item.tick_rate_hz / 1000} kHz, ${item.devices}`),
     look(item, status),
+    work(doing, item),
     actions(
       offers('POST', '/rigs/{}/look') && button('Look', `look-${item.id}`, () => context.look(item.id), { disabled: item.busy !== null }),
       watching(item, context),
       preflight && button('Preflight', `preflight-${item.id}`, () => post(`/rigs/${item.id}/preflight`), { disabled: item.busy !== null, done: 'The preflight is queued' })),
+    looksOn() ? null : [element('h4', {}, 'Record'), form(item), element('h4', {}, 'State')],
     room(status),
     cameras(status),
     checks(status),
-    calibration(item, context),
-    element('h4', {}, 'Record'),
-    form(item));
+    calibration(item, context));
 }

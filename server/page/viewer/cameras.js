@@ -47,10 +47,10 @@ export class Cameras {
     return label;
   }
 
-  /** Put names and edge where they are in this view; a camera one looks through is not drawn. */
+  /** Put names and edge where they are in this view; through a camera one sees what it saw, and no cameras. */
   place(view, size) {
-    for (const { lines, label, centre, camera } of this.items) {
-      lines.visible = this.shown && view.camera !== camera;
+    for (const { lines, label, centre } of this.items) {
+      lines.visible = this.shown && !view.camera;
       const at = lines.visible ? view.project(centre, size) : null;
       label.hidden = !at || at.x < 0 || at.y < 0 || at.x > size.width || at.y > size.height;
       if (!label.hidden) label.style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px) translate(-50%, .4rem)`;

@@ -99,6 +99,9 @@ export class Picture {
     Object.assign(this.camera, { near: 0.02 * depth[0], far: 50 * depth[1], matrixAutoUpdate: false });
   }
 
+  /** Nearest and farthest depth (m) of the colours. */
+  set depths([near, far]) { this.developer.uniforms.inverseDepths.value.set(1 / near, 1 / far); }
+
   set showDepth(value) { this.developer.uniforms.showDepth.value = value; }
 
   /** True when the last frame was drawn with its Gaussians in order. */

@@ -1,4 +1,6 @@
 // Fetches viewer.json and viewer.bin of a job and checks that they fit each other.
+import { withToken } from '../token.js';
+
 const VERSION = 1;
 const MOTIONS = ['static', 'polynomial', 'keyframes'];
 
@@ -16,10 +18,11 @@ export async function loadScene(job, progress = () => {}) {
 }
 
 async function artefact(folder, job, name) {
-  const response = await fetch(`${folder}/${name}`).catch((error) => {
+  const response = await fetch(`${folder}/${name}`, { headers: withToken() }).catch((error) => {
     throw new SceneError(`found no answer from the service (${error.message}); start it and reload`);
   });
   if (response.ok) return response;
+  if (response.status === 401) throw new SceneError('The service asks for a token; enter it on the first page.');
   const detail = (await response.json().catch(() => ({}))).detail ?? `status ${response.status}`;
   throw new SceneError(`Job ${job} has no ${name} to show: ${detail}`);
 }

@@ -4,6 +4,8 @@ import { Matrix4, Quaternion, Vector3 } from './vendor/spark.js';
 const OPENGL_FROM_OPENCV = new Quaternion(1, 0, 0, 0); // half a turn about x
 const STAND_BACK = [1.3, 1.5, 1.75, 2]; // times the distance to the scene
 const ASIDE = [0.12, 0.1]; // radians
+const LOWEST = 0.92; // of the height: a camera's name stands below it
+const NEAREST = 0.1; // times the nearest depth: what a view among the objects still tells apart
 const STEEPEST = 0.05; // radians between the line of sight and straight up or down
 
 /** {centre, turn}: the camera's centre (m) and rig_from_cam rotation, from cam_from_rig (row-major). */
@@ -21,6 +23,7 @@ export function fit(camera, { width, height }) {
 }
 
 const along = (turn, x, y, z) => new Vector3(x, y, z).applyQuaternion(turn);
+const depthOf = (point, { centre, turn }) => point.clone().sub(centre).dot(along(turn, 0, 0, 1));
 
 export class View {
   /** `cameras` as in the manifest; `target` (m) is what the view turns about. */
@@ -49,7 +52,7 @@ export class View {
 
   #sees(point) {
     const at = this.project(point, this.lens);
-    return at !== null && at.x > 0 && at.y > 0 && at.x < this.lens.width && at.y < this.lens.height;
+    return at !== null && at.x > 0 && at.y > 0 && at.x < this.lens.width && at.y < LOWEST * this.lens.height;
   }
 
   /** A camera's own view, exactly. */
@@ -64,6 +67,14 @@ export class View {
     const z = this.target.clone().sub(this.centre).normalize();
     const x = z.clone().cross(this.up).normalize();
     this.turn.setFromRotationMatrix(new Matrix4().makeBasis(x, z.clone().cross(x), z));
+  }
+
+  /** Nearest and farthest depth (m) to tell apart: the cameras' own, `near` and `far`, shifted as the view is. */
+  depths([near, far]) {
+    if (this.camera) return [near, far];
+    const moved = depthOf(this.middle, this) - depthOf(this.middle, poseOf(this.home));
+    const first = Math.max(near + moved, NEAREST * near);
+    return [first, Math.max(far + moved, 2 * first)];
   }
 
   /** Turn about the target, in radians: `right` moves the viewer to the left of the scene, `down` above it. */

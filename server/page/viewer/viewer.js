@@ -64,6 +64,7 @@ class Player {
     this.splats = parts.makeSplats(scene);
     this.picture = new parts.Picture(canvas, this.splats.mesh, this.cameras.scene, scene.manifest, () => this.request());
     this.clock = new Clock(scene.manifest.clip_s, () => { this.moved = true; this.request(); });
+    this.depths = scene.manifest.depth_m;
     this.due = false;
     this.frames = 0;
     new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe($('stage'));
@@ -84,6 +85,7 @@ class Player {
     if (this.clock.tick(now) || this.moved) this.splats.moveTo(this.clock.u);
     this.moved = false;
     this.cameras.place(this.view, this.size);
+    this.picture.depths = showDepths(this.view.depths(this.depths));
     this.picture.draw(this.view, this.size);
     this.frames += 1;
     $('picture').dataset.frames = this.frames;
@@ -108,9 +110,13 @@ function toggle(id, action) {
   };
 }
 
-function showLegend([near, far], colours) {
+function showDepths([near, far]) {
   $('near').textContent = `${near.toPrecision(3)} m`;
   $('far').textContent = `${far.toPrecision(3)} m`;
+  return [near, far];
+}
+
+function showLegend(colours) {
   $('scale').style.background = `linear-gradient(to left, ${colours.join(', ')})`;
 }
 
@@ -128,7 +134,7 @@ function connect(player, manifest, colours) {
   $('reset').onclick = () => { $('from').value = ''; view.reset(); player.request(); };
   toggle('cameras', (on) => { cameras.shown = on; player.request(); });
   toggle('depth', (on) => { picture.showDepth = on; $('legend').hidden = !on; player.request(); });
-  showLegend(manifest.depth_m, colours);
+  showLegend(colours);
   document.addEventListener('keydown', (event) => {
     const own = event.target.closest?.('button, select, a');
     if (event.key !== ' ' || own || $('play').disabled) return;

@@ -53,6 +53,14 @@ def test_only_a_digest_is_kept(tmp_path: Path) -> None:
     assert secret.encode() not in written
 
 
+def test_info_says_what_a_token_allows(http, secrets) -> None:
+    assert [http.get("/v1/info", headers=bearer(secret)).json()["role"] for secret in secrets.values()] == list(secrets)
+
+
+def test_info_has_no_role_where_no_token_is_needed(http) -> None:
+    assert http.get("/v1/info").json()["role"] is None
+
+
 def test_names_of_tokens_are_unique(tmp_path: Path) -> None:
     store = Store.open(ServiceSettings(data=tmp_path))
     assert store.tokens.add("desk", "viewer") != store.tokens.add("wall", "viewer")

@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 from server.store.files import is_locked
-from server.work.supervisor import StageError, supervise
+from server.work.supervisor import Control, StageError, supervise
 
 
 def run(
@@ -174,3 +174,42 @@ def test_what_is_not_due_is_not_begun(tmp_path: Path) -> None:
     run("raise SystemExit(3)", tmp_path, finished=tmp_path / "finished", is_due=is_due)
     assert locked == [True]
     assert not (tmp_path / "finished").exists()
+
+
+def test_a_process_is_told_to_stop_when_it_can_hear_it(tmp_path: Path) -> None:
+    """Stop was asked for before the process ran; before its first report SIGTERM would kill it."""
+    code = REPORT + (
+        "time.sleep(0.3); told = []; signal.signal(signal.SIGTERM, lambda *_: told.append(True)); report(0, 'armed')\n"
+        "while not told: time.sleep(0.01)\n"
+        "report(1, 'ended in order')"
+    )
+    control, messages = Control(tmp_path / "stop", tmp_path / "save"), []
+    control.stop.touch()
+    work = supervise(
+        [sys.executable, "-c", code],
+        folders=[tmp_path],
+        log=tmp_path / "log.txt",
+        on_progress=lambda fraction, message: messages.append(message),
+        grace_s=5,
+        control=control,
+    )
+    asyncio.run(work)
+    assert messages == ["armed", "ended in order"]
+
+
+def test_a_process_that_never_reports_is_told_to_stop_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.work.supervisor._START_S", 0.2)
+    control = Control(tmp_path / "stop", tmp_path / "save")
+    control.stop.touch()
+    work = supervise(
+        [sys.executable, "-c", "import time; time.sleep(60)"],
+        folders=[tmp_path],
+        log=tmp_path / "log.txt",
+        on_progress=lambda fraction, message: None,
+        grace_s=5,
+        control=control,
+    )
+    with pytest.raises(StageError, match="SIGTERM"):
+        asyncio.run(asyncio.wait_for(work, 20))
