@@ -63,6 +63,10 @@ bench: install
 faults: install
 	$(PY) -m server.bench.faults --jobs 50 --out tests/benchmarks/faults.json
 
+bench-service: install
+	$(PY) -m server.bench.faults --jobs 50 --out tests/benchmarks/faults.json
+	$(PY) -m server.bench.load --out tests/benchmarks/service_load.json
+
 sheets: install
 	$(PY) -m reconstruction.bench.sheets --out runs/sheets
 
