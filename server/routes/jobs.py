@@ -153,4 +153,8 @@ def _file(path: Path, found: StoredArtefact, in_parts: bool, if_none_match: str 
         return Response(status_code=304, headers=headers)
     if not in_parts:  # what is sent is then the whole
         headers["Content-Digest"] = digest
-    return FileResponse(path, media_type=found.media_type, headers=headers)
+    return _File(path, media_type=found.media_type, headers=headers, stat_result=path.stat())
+
+
+class _File(FileResponse):
+    chunk_size = 2**20  # each is a turn of a thread, and most artefacts are smaller
