@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ROW = re.compile(r"^\| `([^`]+)` \| ([-+.\deE]+) \|$", re.MULTILINE)
-BENCHES = ("training", "poses", "images", "rasterizer", "recorder")
+BENCHES = ("training", "poses", "images", "rasterizer", "recorder", "faults", "service_load")
 
 
 def tables():
