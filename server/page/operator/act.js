@@ -2,7 +2,7 @@
 import { looksOn } from './api.js';
 import { element } from './dom.js';
 
-const SAID_MS = 6000;
+const SAID_MS = 6000, AGAIN_MS = 500, MOST_TRIES = 30;
 const VIEWER = "A viewer's token only looks on; this needs an operator's.";
 
 let refresh = async () => {};
@@ -39,6 +39,18 @@ export async function performed(act, done) {
   complain('');
   if (done) say(done);
   await refresh();
+}
+
+// What is refused while a process is still stopping is asked for again, for some seconds.
+export async function patiently(act) {
+  for (let tries = 1; ; tries += 1) {
+    try {
+      return await act();
+    } catch (error) {
+      if (error.status !== 409 || !error.message.includes('still stopping') || tries === MOST_TRIES) throw error;
+    }
+    await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+  }
 }
 
 // A button that changes something, so one that is off for a viewer's token.

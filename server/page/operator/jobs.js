@@ -1,6 +1,6 @@
 // The queue: what each job is at, what it made, and what can be done with it.
 import { offers, post, send } from './api.js';
-import { actions, button, link, performed } from './act.js';
+import { actions, button, link, patiently, performed } from './act.js';
 import { curve } from './curve.js';
 import { confirmed, jobDialog } from './dialogs.js';
 import { bar, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
@@ -93,7 +93,7 @@ function restart(item, context) {
   const id = `stage-${item.id}`;
   const choice = element('select', { id, ariaLabel: `Stage to do ${item.id} again from` }, begun.map((name) => element('option', { value: name }, name)));
   choice.value = begun.at(-1);
-  const again = () => post(path(item, '/restart'), { stage: document.getElementById(id).value });
+  const again = () => patiently(() => post(path(item, '/restart'), { stage: document.getElementById(id).value }));
   return [choice, button('Do again from here', `restart-${item.id}`, again, { done: `${item.id} is queued again` })];
 }
 
@@ -146,7 +146,7 @@ function main(item, context) {
     has('report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
     has('viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
     item.status === 'done' && item.type === 'reconstruct' && asking('Export…', `export-${item.id}`, 'export', item, context),
-    resumable && button('Resume', `resume-${item.id}`, () => post(path(item, '/resume')), { plain: false, done: `${item.id} goes on` }),
+    resumable && button('Resume', `resume-${item.id}`, () => patiently(() => post(path(item, '/resume'))), { plain: false, done: `${item.id} goes on` }),
     !ended(item) && button('Cancel', `cancel-${item.id}`, () => post(path(item, '/cancel')), { done: `${item.id} is cancelled` }),
     priority(item));
 }

@@ -74,7 +74,7 @@ export class View {
     if (this.camera) return [near, far];
     const moved = depthOf(this.middle, this) - depthOf(this.middle, poseOf(this.home));
     const first = Math.max(near + moved, NEAREST * near);
-    return [first, Math.max(far + moved, 2 * first)];
+    return [first, Math.max(far + moved, first + (far - near) / 2)];
   }
 
   /** Turn about the target, in radians: `right` moves the viewer to the left of the scene, `down` above it. */
