@@ -271,7 +271,8 @@ def test_cancel_resume_and_restart_by_keyboard(
     page.keyboard.press("Enter")
     expect(job).to_have_count(0)
     assert job_id not in [one.id for one in service.client.jobs()]
-    assert seen.faults == []
+    # The browser itself tells of each 409 while the stage stops, and of a 404 for what was asked for as it was deleted.
+    assert [fault for fault in seen.faults if not fault.endswith(("409 (Conflict)", "404 (Not Found)"))] == []
 
 
 def test_an_endless_capture_is_stopped(service: Service, open_page: Callable[..., Any], seen: Seen) -> None:
