@@ -11,7 +11,7 @@ from fastapi.openapi.utils import get_openapi
 from server.middleware.gate import is_guarded
 
 _MEDIA_TYPE = "application/problem+json"
-_METHODS = ("get", "put", "post", "patch", "delete")
+_METHODS = ("get", "head", "put", "post", "patch", "delete")
 
 PROBLEM: dict[str, Any] = {
     "title": "Problem",
@@ -63,6 +63,12 @@ REFUSALS: dict[int, tuple[str, str, str, str]] = {
         "Conflict",
         "found j20260101-000000-00000000 done, expected it queued or running",
     ),
+    412: (
+        "It is no longer what the client saw.",
+        "precondition",
+        "Precondition Failed",
+        'found the version "lab3x3-4" in use, expected "lab3x3-3"; look again before you change it',
+    ),
     413: (
         "The body is too long.",
         "too-large",
@@ -74,6 +80,12 @@ REFUSALS: dict[int, tuple[str, str, str, str]] = {
         "invalid-request",
         "Unprocessable Content",
         "query.limit: found '0'; Input should be greater than or equal to 1",
+    ),
+    428: (
+        "The request does not say what it changes.",
+        "precondition-required",
+        "Precondition Required",
+        "found no If-Match, expected the ETag of what is to be changed",
     ),
     429: (
         "The client asks too often; Retry-After says when it may again.",
@@ -138,10 +150,12 @@ def _statuses(path: str, method: str, operation: dict[str, Any]) -> Iterator[int
     if is_guarded(path):
         yield from (401, 503)
     if "{" in path:
-        yield 404
+        yield from (404, 409)
     if "{" in path or operation.get("parameters") or "requestBody" in operation:
         yield 422
-    if method != "get":
+    if any(parameter["name"].lower() == "if-match" for parameter in operation.get("parameters", ())):
+        yield from (412, 428)
+    if method not in ("get", "head"):
         yield from (400, 408, 409, 413, 507)
 
 

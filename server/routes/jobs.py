@@ -18,7 +18,7 @@ from server.store.entries import Filter
 router = APIRouter(tags=["jobs"])
 IfNoneMatch = Annotated[str | None, Header(alias="If-None-Match", max_length=4000)]
 _FILE: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {}}, "description": "The file; ETag is its SHA-256."},
+    200: {"content": {"*/*": {}}, "description": "The file; ETag is its SHA-256."},
     206: {"description": "The Range that was asked for."},
     304: {"description": "The client has it."},
     416: {"description": "There is no such Range."},

