@@ -5,6 +5,7 @@ import sqlite3
 import threading
 from collections.abc import Iterator
 from typing import Any
+from zlib import crc32
 
 import pytest
 import schemathesis
@@ -36,8 +37,8 @@ def captures_of(services: Services, status: Status) -> list[Capture]:
 
 def seeded(services: Services) -> tuple[str, str]:
     """A capture and a reconstruction of it, both done, though no worker has run."""
-    for capture in captures_of(services, "queued"):  # one that was asked for in passing
-        _done(services, capture.id)
+    while (busy := services.engine.active(capture_queue("lab3x3"))) is not None:  # by what was asked for in passing
+        _done(services, busy)
     capture_id = services.rigs.start("lab3x3", CaptureRequest(ticks=40, name="seed"))
     _done(services, capture_id)
     job_id = services.jobs.submit([ReconstructRequest(capture=capture_id)])[0]
@@ -112,7 +113,7 @@ def test_answers_are_as_described(schema, app, address: str, mode: GenerationMod
 
 def _aim(case: Any, services: Services) -> None:
     """Two of three requests are about what is there, which a request before may have deleted."""
-    if case.path_parameters and hash(json.dumps(case.path_parameters, sort_keys=True, default=str)) % 3:
+    if case.path_parameters and crc32(json.dumps(case.path_parameters, sort_keys=True, default=str).encode()) % 3:
         captures = captures_of(services, "done")
         jobs = Jobs.model_validate_json(services.jobs.page(Filter("job"), "done", 1)).items
         known = (captures[0].id, jobs[0].id) if captures and jobs else seeded(services)
