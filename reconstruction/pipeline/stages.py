@@ -32,6 +32,7 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
+from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.image_methods import image_method_for
 from reconstruction.training.plan import INSTANTS, Plan, make_plan
 from reconstruction.training.run import RunFolder
@@ -117,9 +118,10 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
 
 
 def moving_planes(planes: int, model: str) -> list[int]:
-    """The planes at which movers are swept: the middles of equal parts of the clip, or the canonical one of 4dgs."""
-    if model == "4dgs":
-        return [planes // 2]
+    """The planes at which movers are swept: the middles of equal parts of the clip, or the canonical one."""
+    canonical = METHODS[model].canonical
+    if canonical is not None:
+        return [min(int(canonical * planes), planes - 1)]
     return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
 
 

@@ -16,6 +16,8 @@ from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.clean import CleanSource
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.method import Seeds
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.poses import write_refined
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
@@ -24,7 +26,6 @@ from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
-from reconstruction.training.seed import seed_cloud, seed_field, seed_rigid
 from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
 
@@ -132,6 +133,7 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
         tick_stride=run.config.tick_stride,
         ends_early=run.config.steps is None,
         refines=plan.refine,
+        **METHODS[plan.model].trainer,
     )
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
@@ -168,8 +170,5 @@ def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: R
 
 def _seeded(run: RunFolder, clip: Clip) -> DynamicCloud:
     still, moving = (read_points(run, kind) for kind in ("still", "moving"))
-    if run.plan.model == "bases":
-        return seed_rigid(still, moving, clip, INSTANTS, read_bodies(run))
-    if run.plan.model == "4dgs":
-        return seed_field(still, moving, clip, run.config.seed)
-    return seed_cloud(still, moving, clip, INSTANTS, cubic=run.plan.model == "cubic")
+    seeds = Seeds(still, moving, clip, INSTANTS, run.config.seed, lambda: read_bodies(run))
+    return METHODS[run.plan.model].start(seeds)

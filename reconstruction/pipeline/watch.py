@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.stages import short_images
 from reconstruction.training.plan import Decision
 from reconstruction.training.run import RunFolder
@@ -39,8 +40,9 @@ class Watch:
         """Look once `done` reaches WATCH_AT; what changes is undone, kept by `checkpoint`, then in the run folder."""
         if self.state is not None or not WATCH_AT <= done < 1:
             return
-        static = self.run.config.model == "static"
-        changed = {} if static else look_again(self.trainer.views)
+        asked = self.run.config.model
+        obeys = asked != "auto" and not METHODS[asked].watched
+        changed = {} if obeys else look_again(self.trainer.views)
         views, freed = self.trainer.views, 0
         if changed:
             masks = {i: views[i].source.moving | mask for i, mask in changed.items()}
@@ -51,8 +53,8 @@ class Watch:
             choice = f"{pixels} pixels of {len(changed)} views move after all, {freed} Gaussians with them"
             reason = f"spikes pooled over still pixels change; they get short images from step {self.trainer.steps} on"
         else:
-            masks, choice = {}, "obeys --model static" if static else "nothing undone"
-            reason = "what was asked for is not undone" if static else f"still pixels of {len(views)} views stay so"
+            masks, choice = {}, f"obeys --model {asked}" if obeys else "nothing undone"
+            reason = "what was asked for is not undone" if obeys else f"still pixels of {len(views)} views stay so"
         packed = {views[i].camera.id: torch.from_numpy(np.packbits(mask)) for i, mask in masks.items()}
         self.state = {"masks": packed, "choice": choice, "reason": reason}
         if masks:

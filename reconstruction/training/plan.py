@@ -12,6 +12,9 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.light import Light, estimate_light
 from reconstruction.images.motion import moving_pixels
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.method import Method
+from reconstruction.methods.ours import BASES
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken
 from rigs.rig import Rig
@@ -91,10 +94,11 @@ def make_plan(
     masks = {view: moving_pixels(streams[view], light) for view in views}
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
-    if model == "static":
+    method = METHODS[model]
+    if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
-    images, supervision = _choose_targets(config, work, _share(masks), decisions)
-    still, moving = _split(config.gaussians, model, masks)
+    images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
+    still, moving = _split(config.gaussians, method, masks)
     decisions += _economies(config, work, _share(masks), (still, moving))
     decisions += _left_out(rig, views, work)
     init = _choose_init(config, rig, decisions)
@@ -114,7 +118,7 @@ def _share(masks: Mapping[str, NDArray[np.bool_]]) -> float:
 
 
 def _choose_targets(
-    config: ReconstructionConfig, work: Work, share: float, decisions: list[Decision]
+    config: ReconstructionConfig, work: Work, share: float, method: Method, decisions: list[Decision]
 ) -> tuple[str, str]:
     """The image method and the supervision."""
     images, supervision = config.images, config.supervision
@@ -124,7 +128,10 @@ def _choose_targets(
         reason = f"long mean where nothing moves, 9-plane interpolated count where something does, not {BEST_METHOD}"
         kept = round(count * work.pixels * (1 - share)) * FLOAT_BYTES
         decisions.append(Decision("images", images, reason, "--images", count * gap_s if share else None, kept))
-    if supervision == "auto":
+    if supervision == "auto" and method.supervision != "pixels":
+        supervision = method.supervision
+        decisions.append(Decision("supervision", supervision, f"as {method.name} is published", "--supervision"))
+    elif supervision == "auto":
         supervision = "pixels"
         reason = "at equal time no spike term gained on the development scenes; variation renders three instants a step"
         decisions.append(Decision("supervision", supervision, reason, "--supervision", work.instants_s()))
@@ -242,13 +249,13 @@ def _choose_model(
     return "bases"
 
 
-def _split(cap: int, model: str, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
+def _split(cap: int, method: Method, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
     """Still and moving Gaussians of the cap: movers get more than their share, the more where each is seen for a while.
 
     What rides on a body is seen all along: with half as many, `fan_and_ball` gained 0.5 dB over the whole view and lost
     as much on movers.
     """
-    if model == "static":
+    if not method.moves:
         return cap, 0
-    moving = round(cap * min(0.6, max(0.1, (1.25 if model == "bases" else 2.5) * _share(masks))))
+    moving = round(cap * min(0.6, max(0.1, (1.25 if method is BASES else 2.5) * _share(masks))))
     return cap - moving, moving

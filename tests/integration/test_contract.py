@@ -19,6 +19,7 @@ from schemathesis.core.failures import Failure, FailureGroup
 
 from server.app import create_app
 from server.cli.serve import listening
+from server.engine import capture_queue
 from server.schemas.captures import Capture, CaptureRequest, Captures
 from server.schemas.job_types import ReconstructRequest
 from server.schemas.jobs import Jobs

@@ -9,7 +9,7 @@ import torch
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.training.seed import seed_cloud, seed_field, seed_rigid
+from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid
 
 CLIP = Clip(0.0, 0.02)
 MODELS = ("linear", "cubic", "bases", "4dgs")

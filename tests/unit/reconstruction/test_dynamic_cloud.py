@@ -7,7 +7,7 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.initialization.points import Points
-from reconstruction.training.seed import LIFE, seed_cloud
+from reconstruction.methods.seeding import LIFE, seed_cloud
 
 CLIP = Clip(0.0, 0.02)
 

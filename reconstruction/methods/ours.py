@@ -1,0 +1,34 @@
+"""Our own: still Gaussians beside moving ones that live for a while, straight, bent, or carried by rigid bodies."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from reconstruction.methods.method import Method, Seeds
+
+if TYPE_CHECKING:
+    from reconstruction.gaussians.dynamic import DynamicCloud
+
+
+def _linear(seeds: Seeds) -> DynamicCloud:
+    from reconstruction.methods.seeding import seed_cloud
+
+    return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants)
+
+
+def _cubic(seeds: Seeds) -> DynamicCloud:
+    from reconstruction.methods.seeding import seed_cloud
+
+    return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants, cubic=True)
+
+
+def _bases(seeds: Seeds) -> DynamicCloud:
+    from reconstruction.methods.seeding import seed_rigid
+
+    return seed_rigid(seeds.still, seeds.moving, seeds.clip, seeds.instants, seeds.bodies())
+
+
+STATIC = Method("static", _linear, moves=False)
+LINEAR = Method("linear", _linear, watched=True)
+CUBIC = Method("cubic", _cubic, watched=True)
+BASES = Method("bases", _bases, watched=True)
