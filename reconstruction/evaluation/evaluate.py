@@ -51,9 +51,9 @@ def score_floors(
         views = [(rig.camera(c), source.at(frame.plane)) for c, source in sources.items()]
         blend = depth_blend(held_out.camera, views)
         nearest = View(nearest_view(held_out.camera, views), np.full_like(blend.depth, np.nan))
-        scored = _score(nearest, frame, truth.white)
+        scored = score_view(nearest, frame, truth.white)
         scores["nearest_view"].append({k: v for k, v in scored.items() if "delta" not in k})  # it knows no depth
-        scores["depth_blend"].append(_score(blend, frame, truth.white))
+        scores["depth_blend"].append(score_view(blend, frame, truth.white))
         progress((i + 1) / len(frames), f"floors at instant {i + 1} of {len(frames)}")
     return {f"{name}.{key}": value for name, rows in scores.items() for key, value in _mean(rows).items()}
 
@@ -104,10 +104,11 @@ def _look(cloud: DynamicCloud, held_out: HeldOut, frame: TruthFrame) -> View:
 
 
 def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[TruthFrame], View]) -> dict[str, float]:
-    return _mean([_score(view_of(frame), frame, white) for frame in frames])
+    return _mean([score_view(view_of(frame), frame, white) for frame in frames])
 
 
-def _score(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
+def score_view(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
+    """psnr_db, ssim, abs_rel and delta_1_25 of one picture against the truth, and dynamic_ of each on moving pixels."""
     scores: dict[str, float] = {}
     alike = ssim_map(view.intensity, frame.intensity, white)
     masks: dict[str, NDArray[np.bool_] | None] = {"": None, "dynamic_": frame.moving}
