@@ -69,7 +69,9 @@ class Truth:
         try:
             return np.load(file)
         except (OSError, ValueError, EOFError) as error:
-            raise BadRunError(f"{file}: found no readable blurred image, expected one at each plane of truth") from error
+            raise BadRunError(
+                f"{file}: found no readable blurred image, expected one at each plane of truth"
+            ) from error
 
     def cameras(self, tick_rate_hz: float) -> Rig | None:
         """The true cameras; None in a truth that does not have them."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from reconstruction.images.composite import CompositeSource
 
-
 GIVEN = ("clean", "blurred")  # images that no spikes were turned into
 
 

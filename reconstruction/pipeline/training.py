@@ -136,9 +136,7 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 
-def _given(
-    sources: Mapping[str, CompositeSource], recording: Recording, images: str
-) -> dict[str, CompositeSource]:
+def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:
     """The same sources with the clean or blurred truth of a simulated recording as their images."""
     if recording.truth is None:
         raise BadRunError(f"{recording.path}: found no truth, expected a simulated recording for the images `{images}`")
