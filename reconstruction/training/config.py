@@ -22,6 +22,7 @@ ImageSource = Literal[
     "blindspot",
     "msdi",
     "clean",
+    "blurred",
 ]
 Refine = Literal["auto", "on", "off"]
 Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
