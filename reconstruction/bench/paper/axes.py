@@ -73,18 +73,19 @@ def db_scale(axes: Axes) -> None:
 def line(axes: Axes, x: ArrayLike, levels: ArrayLike, number: int, label: str) -> None:
     """A method's median over recordings [R, P] at each place x [P], and from its lowest to its highest."""
     values = np.atleast_2d(np.asarray(levels, dtype=np.float64))
-    style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKS[number % len(MARKS)]}
-    axes.plot(x, np.median(values, axis=0), linewidth=1.6, markersize=4.5, label=label, **style)
+    colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+    axes.plot(x, np.median(values, axis=0), marker=mark, color=colour, linewidth=1.6, markersize=4.5, label=label)
     if len(values) > 1:
-        axes.fill_between(np.asarray(x), values.min(axis=0), values.max(axis=0), color=style["color"], alpha=0.12, lw=0)
+        axes.fill_between(np.asarray(x), values.min(axis=0), values.max(axis=0), color=colour, alpha=0.12, lw=0)
 
 
 def marks(axes: Axes, x: Sequence[float], groups: Sequence[Sequence[float]], number: int, label: str) -> None:
     """A method's median at each place, joined, with a bar from the lowest to the highest of its group."""
     middle = np.array([np.median(group) for group in groups])
     reach = np.abs(np.array([[min(group), max(group)] for group in groups]).T - middle)
-    style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKS[number % len(MARKS)]}
-    axes.errorbar(x, middle, reach, linewidth=1.6, elinewidth=0.9, capsize=2, markersize=5.5, label=label, **style)
+    colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+    axes.plot(x, middle, marker=mark, color=colour, linewidth=1.6, markersize=5.5, label=label)
+    axes.errorbar(x, middle, reach, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2)
 
 
 def caption(document: dict, rows: Sequence[dict], *more: str) -> str:

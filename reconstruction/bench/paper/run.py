@@ -71,6 +71,9 @@ class Laboratory:
         return found
 
     def _run(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
+        for left_over in out.parent.glob("*"):  # of other code, stopped on the way
+            if left_over != out and not (left_over / SCORES).exists():
+                shutil.rmtree(left_over)
         change = cell.method.change
         own = self.work / "recordings" / f"{recording.name}-{change.label}"
         path = changed(recording, own, change, cell.seed)
