@@ -27,16 +27,20 @@ class BenchDocument:
 
     def to_json(self) -> dict:
         """The whole document, with the machine and the code it was measured on."""
-        device = {"processor": _processor(), "threads": len(os.sched_getaffinity(0)), "accelerator": None}
         return {
             "bench": self.bench,
-            "device": device,
+            "device": {**device(), "accelerator": None},
             "revision": code_revision(),
             "scenes": self.scenes,
             "rows": self.rows,
             "omissions": self.omissions,
             "summary": {k: round(v, 6) for k, v in self.summary.items()},
         }
+
+
+def device() -> dict[str, str | int]:
+    """The machine: its processor's name, and the threads this process may use."""
+    return {"processor": _processor(), "threads": len(os.sched_getaffinity(0))}
 
 
 def fastest_s(work: Callable[[], object], repeats: int = 7) -> float:

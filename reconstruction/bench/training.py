@@ -13,21 +13,12 @@ from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
-from reconstruction.bench.variants import AUTO, BUDGETS_S, CLEAN, HOLDOUT, MIDDLE_S, Variant
-from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
-from reconstruction.evaluation.truth import Truth
-from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.pipeline.poses import posed
+from reconstruction.bench.score_run import METRICS, score_run
+from reconstruction.bench.variants import AUTO, BUDGETS_S, CLEAN, MIDDLE_S, Variant
 from reconstruction.pipeline.run import reconstruct
-from reconstruction.pipeline.stages import composite_sources
-from reconstruction.training.checkpoint import load_checkpoint
-from reconstruction.training.run import RunFolder
 
 TARGETS_DB = (28, 30, 31, 33, 34)
-STAGES = ("plan", "images", "points", "train")
-METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25")
 FLOOR = "depth_blend"
-CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 
 
 @dataclass(frozen=True)
@@ -53,40 +44,14 @@ def bench_training(
                 out = work / f"{clip.scene}-{clip.seed}-{variant.name}-{budget_s:g}s"
                 if not (out / "scores.json").exists():
                     run = reconstruct(clip.path, out, variant.config(budget_s), progress_of, last="train")
-                    write_json(out / "scores.json", _scored(run, clip, floors=variant.name == AUTO.name))
+                    scores = score_run(run, Recording.open(clip.path), floors=variant.name == AUTO.name)
+                    write_json(out / "scores.json", {"scene": clip.scene, "seed": clip.seed, **scores})
                 scores = json.loads((out / "scores.json").read_text())
                 spent_s = scores["curve"][-1]["seconds"]
                 document.rows.append({"method": variant.name, "budget_s": budget_s, "seconds": spent_s, **scores})
         _summarise(document, variant)
     _margins(document)
     return document
-
-
-def _scored(run: RunFolder, clip: Clip, *, floors: bool) -> dict:
-    recording = posed(run, Recording.open(clip.path), refined=True)
-    assert recording.truth is not None
-    held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, Truth.open(recording.truth))
-    assert truth is not None
-    states = [load_checkpoint(path) for path in run.snapshots()]
-    clouds = [DynamicCloud.from_state(state["cloud"]) for state in states]
-    last = score_against_truth(clouds[-1], held_out, truth)
-    levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)["psnr_db"] for cloud in clouds[:-1]]
-    seconds = run.document["seconds"]
-    return {
-        "scene": clip.scene,
-        "seed": clip.seed,
-        "revision": run.document["revision"],
-        "model": run.plan.model,
-        "steps": run.document["steps"],
-        "steps_per_s": run.document["steps"] / seconds["train"],
-        **{m: last[m] for m in METRICS if m in last},
-        **{f"seconds.{s}": seconds[s] for s in STAGES},
-        **(score_floors(held_out, truth, composite_sources(run, recording)) if floors else {}),
-        "curve": [
-            {"seconds": state["seconds"], "psnr_db": level}
-            for state, level in zip(states, [*levels, last["psnr_db"]], strict=True)
-        ],
-    }
 
 
 def _rows(document: BenchDocument, method: str, budget_s: float | None = None) -> list[dict]:

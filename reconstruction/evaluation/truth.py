@@ -63,6 +63,16 @@ class Truth:
             raise BadRunError(f"{folder}: found no readable truth at plane {plane}, expected it whole") from error
         return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
 
+    def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
+        """The mean light [H, W] of the exposure centred on a plane, which `scene.json` states."""
+        file = self.path / camera_id / f"blur_{plane:06d}.npy"
+        try:
+            return np.load(file)
+        except (OSError, ValueError, EOFError) as error:
+            raise BadRunError(
+                f"{file}: found no readable blurred image, expected one at each plane of truth"
+            ) from error
+
     def cameras(self, tick_rate_hz: float) -> Rig | None:
         """The true cameras; None in a truth that does not have them."""
         file = self.path / "cameras.json"

@@ -1,4 +1,7 @@
-"""Ground truth in place of images from spikes: what the rest of the engine reaches when the images are perfect."""
+"""Ground truth in place of images from spikes: what the rest of the engine reaches when the images are given.
+
+`clean` images are the light of one instant, `blurred` ones the mean light of the exposure of an ordinary camera.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,15 +11,17 @@ from numpy.typing import NDArray
 
 from reconstruction.images.composite import CompositeSource
 
+GIVEN = ("clean", "blurred")  # images that no spikes were turned into
+
 
 @dataclass(frozen=True, eq=False)
 class CleanSource(CompositeSource):
-    """One camera's true images by plane, spikes per tick; masks and counts are those of its spikes all the same."""
+    """One camera's given images by plane, spikes per tick; masks and counts are those of its spikes all the same."""
 
     frames: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
 
     def at(self, plane: int) -> NDArray[np.float32]:
-        """The true image [H, W] at `plane`; KeyError where there is none."""
+        """The given image [H, W] at `plane`; KeyError where there is none."""
         return self.frames[plane]
 
     def instants(self, stride: int) -> NDArray[np.int64]:

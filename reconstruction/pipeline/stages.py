@@ -18,6 +18,7 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import StereoError
 from reconstruction.images.background import Background, background
+from reconstruction.images.clean import GIVEN
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
 from reconstruction.images.light import Light
@@ -41,7 +42,7 @@ from rigs.camera import Camera
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200
 LEAST_SHARE = 0.3  # of the pixels that must find a depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
-SWEPT = "interpolated"  # images that points are found in where the targets are the truth
+SWEPT = "interpolated"  # images that points are found in where the targets are given
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 
 if TYPE_CHECKING:
@@ -83,8 +84,8 @@ def composite_sources(run: RunFolder, recording: Recording) -> dict[str, Composi
 
 
 def short_images(plan: Plan, stream: SpikeStream, moving: NDArray[np.bool_]) -> Method:
-    """How the plan sees what moves; where the targets are the truth, how points are found."""
-    return image_method_for(SWEPT if plan.images == "clean" else plan.images, stream.layout, moving)
+    """How the plan sees what moves; where the targets are given, how points are found."""
+    return image_method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:

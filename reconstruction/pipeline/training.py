@@ -13,7 +13,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
-from reconstruction.images.clean import CleanSource
+from reconstruction.images.clean import GIVEN, CleanSource
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light
 from reconstruction.methods.catalogue import METHODS
@@ -117,8 +117,8 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     rig, plan = recording.rig, run.plan
     clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
     sources = composite_sources(run, recording)
-    if plan.images == "clean":
-        sources = _clean(sources, recording)
+    if plan.images in GIVEN:
+        sources = _given(sources, recording, plan.images)
     views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
     if run.config.model == "auto" and plan.model == "bases" and not run.checkpoint.exists():
         plan = _settled(run, clip, views, recording)
@@ -138,14 +138,17 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 
-def _clean(sources: Mapping[str, CompositeSource], recording: Recording) -> dict[str, CompositeSource]:
-    """The same sources with the truth of a simulated recording as their images."""
+def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:
+    """The same sources with the clean or blurred truth of a simulated recording as their images."""
     if recording.truth is None:
-        raise BadRunError(f"{recording.path}: found no truth, expected a simulated recording for the images `clean`")
+        raise BadRunError(f"{recording.path}: found no truth, expected a simulated recording for the images `{images}`")
     truth = Truth.open(recording.truth)
     found: dict[str, CompositeSource] = {}
     for view, source in sources.items():
-        frames = {plane: truth.frame(view, plane).intensity for plane in truth.planes(view)}
+        frames = {
+            plane: truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity
+            for plane in truth.planes(view)
+        }
         found[view] = CleanSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)
     return found
 

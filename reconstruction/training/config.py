@@ -22,9 +22,10 @@ ImageSource = Literal[
     "blindspot",
     "msdi",
     "clean",
+    "blurred",
 ]
 Refine = Literal["auto", "on", "off"]
-Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
+Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative", "both"]
 
 DEFAULT_BUDGET_S = 120.0
 CHOICES = (

@@ -34,6 +34,7 @@ IMAGE_S = {
     "msdi": 0.48,
     "blindspot": 0.72,
     "clean": 0.0,  # read once
+    "blurred": 0.0,
 }
 STEP_S = 0.0225
 STILL_STEP_S = 0.0138

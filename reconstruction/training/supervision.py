@@ -110,6 +110,17 @@ class VariationTerm:
 
 
 @dataclass(frozen=True)
+class SumTerm:
+    """Several terms in one step, each at instants of its own."""
+
+    terms: tuple[Term, ...]
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+        """The sum of their losses."""
+        return torch.stack([term(cloud, view, rng, shrink) for term in self.terms]).sum()
+
+
+@dataclass(frozen=True)
 class SpikeTerm:
     """Counts over a random window against the render integrated over it, in a part of the view that sees a mover.
 

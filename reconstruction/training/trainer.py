@@ -17,7 +17,7 @@ from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.refinement import Correction, Refinement
-from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
+from reconstruction.training.supervision import ImageTerm, SpikeTerm, SumTerm, Term, TrainingView, VariationTerm
 from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
@@ -201,6 +201,8 @@ def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> 
     name = settings.supervision
     if name == "pixels":
         return image, None
+    if name == "both":
+        return image, SumTerm((VariationTerm(image), SpikeTerm(image, "counts")))
     return image, VariationTerm(image) if name == "variation" else SpikeTerm(image, name)  # type: ignore[arg-type]
 
 

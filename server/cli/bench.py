@@ -1,11 +1,10 @@
 """`bench`: measurements one can repeat, as one JSON document, a table and a plot."""
 
 import json
-import subprocess
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,18 +12,19 @@ from acquisition.bench_document import BenchDocument
 from acquisition.devices.bench import parser_rows
 from acquisition.durable import write_json
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
-from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS
 from acquisition.scenes.digest import committed_digests, scenes_digest
+from server.cli.bench_paper import PaperBench
+from server.cli.bench_recordings import recorded
 from server.cli.progress import progress_of
 
-TICKS = 400
 _PARSED_BYTES = 10_000_000_000
 
 
 @click.command("bench")
-@click.argument("name", type=click.Choice(["images", "pixels", "poses", "rasterizer", "recorder", "training"]))
+@click.argument("name", type=click.Choice(["images", "paper", "pixels", "poses", "rasterizer", "recorder", "training"]))
 @click.option(
-    "--scene", help="NAME,... [default: images, poses, training: the evaluation scenes; pixels: fan_and_ball]."
+    "--scene", help="NAME,... [default: images, paper, poses, training: the evaluation scenes; pixels: fan_and_ball]."
 )
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
@@ -33,19 +33,32 @@ _PARSED_BYTES = 10_000_000_000
     help="Folder of parameters for the images' metrics: alexnet*.pth (LPIPS), brisque_model_live.yml and "
     "brisque_range_live.yml (BRISQUE), niqe_pris_params.npz (NIQE).",
 )
+@click.option("--table", "tables", help="paper: NAME,... of its tables [default: all, by priority].")
+@click.option("--limit-s", type=click.FloatRange(min=0), help="paper: start no more runs after so many seconds.")
+@click.option("--keep", is_flag=True, help="paper: take results of other code as they are; their rows say so.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for NAME.json and NAME.png; resumes there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the document as JSON.")
 def bench_command(
-    name: str, scene: str | None, quick: bool, metric_files: Path | None, out: Path | None, as_json: bool
+    name: str,
+    scene: str | None,
+    quick: bool,
+    metric_files: Path | None,
+    out: Path | None,
+    as_json: bool,
+    **paper: Any,
 ) -> None:
     """Measure NAME.
 
-    images, pixels (calibrated or not), poses (of the cameras), rasterizer, recorder (on the disk of --out), training.
+    images, paper (all tables of the paper), pixels (calibrated or not), poses (of the cameras), rasterizer, recorder
+    (on the disk of --out), training.
     """
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
         work = out / "work" if out else Path(spare)
+        whole = PaperBench(scene, quick=quick, **paper)
         if name == "images":
             document = _images(scene, quick, work / name, metric_files)
+        elif name == "paper":
+            document = whole.run(work)
         elif name == "rasterizer":
             from reconstruction.bench.rasterizer import bench_rasterizer
 
@@ -64,6 +77,8 @@ def bench_command(
         found = document.to_json()
         if out:
             _write(out, name, found, work)
+            if name == "paper":
+                whole.write(out, found)
     click.echo(json.dumps(found) if as_json else _table(found))
 
 
@@ -119,7 +134,7 @@ def _training(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
         variants = [replace(v, scenes=named) if v is AUTO else v for v in variants]
     if quick:
         named, variants = named[:1], [replace(v, budgets_s=v.budgets_s[1:2]) for v in variants]
-    clips = [Clip(scene, seed, path) for scene, seed, path in _recorded(named, work)]
+    clips = [Clip(scene, seed, path) for scene, seed, path in recorded(named, work)]
     document = bench_training(clips, variants, work, progress_of)
     document.omissions.append("one seed a scene")
     return document
@@ -130,29 +145,9 @@ def _poses(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
     from reconstruction.bench.poses import PoseClip, bench_poses
 
     named = tuple(scenes.split(",")) if scenes else EVALUATION
-    clips = [PoseClip(*found) for found in _recorded(named[:1] if quick else named, work)]
-    boards = [] if quick else [PoseClip(*found) for found in _recorded((BOARD_SCENE,), work, BOARD_TICKS)]
+    clips = [PoseClip(*found) for found in recorded(named[:1] if quick else named, work)]
+    boards = [] if quick else [PoseClip(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
     return bench_poses(clips, boards[0] if boards else None, work / "poses", progress_of("poses"), quick=quick)
-
-
-def _recorded(scenes: tuple[str, ...], work: Path, ticks: int = TICKS) -> list[tuple[str, int, Path]]:
-    """A recording of each scene in `work`, simulated where there is none: scene, seed, folder."""
-    found = []
-    for scene in scenes:
-        seed = DEVELOPMENT_SEEDS[1] if scene in DEVELOPMENT else EVALUATION_SEEDS[0]
-        recording = work / f"{scene}-{seed}"
-        if not recording.exists():
-            recording.parent.mkdir(parents=True, exist_ok=True)
-            _simulate_apart(scene, seed, ticks, recording)
-        found.append((scene, seed, recording))
-    return found
-
-
-def _simulate_apart(scene: str, seed: int, ticks: int, recording: Path) -> None:
-    """`simulate` in a process of its own, whose threads wait as many pools should."""
-    options = {"scene": scene, "seed": seed, "ticks": ticks, "out": recording}
-    command = [sys.executable, "-m", "server.cli", "simulate"]
-    subprocess.run(command + [word for k, v in options.items() for word in (f"--{k}", str(v))], check=True)
 
 
 def _table(document: dict) -> str:

@@ -33,6 +33,9 @@ COMMANDS = {  # name: (module, what it does)
 }
 
 
+_TRAINING = ("paper", "rasterizer", "training")  # benches
+
+
 class LazyGroup(click.Group):
     """Finds a command by name and imports its module on first use."""
 
@@ -70,7 +73,7 @@ def _trains(arguments: list[str]) -> bool:
 
     Elsewhere (nine simulated cameras, say, each with a pool) spinning takes the cores from those that have work.
     """
-    return arguments[:1] == ["reconstruct"] or arguments[:2] in (["bench", "training"], ["bench", "rasterizer"])
+    return arguments[:1] == ["reconstruct"] or arguments[:2] in [["bench", b] for b in _TRAINING]
 
 
 def main() -> None:

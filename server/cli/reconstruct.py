@@ -27,7 +27,11 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--model", default="auto", help="auto, static, linear, cubic, bases or 4dgs.")
 @click.option("--init", default="auto", help=f"One of: {', '.join(get_args(Init))}; auto: natural where nominal.")
 @click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
-@click.option("--supervision", default="auto", help="auto, pixels, l1, l2, variation, counts or cumulative.")
+@click.option(
+    "--supervision",
+    default="auto",
+    help="auto, pixels, l1, l2, variation, counts, cumulative or both: variation and counts.",
+)
 @click.option("--dust3r-checkpoint", metavar="FILE", help="Your DUSt3R weights, for --init dust3r; none are shipped.")
 @click.option("--refine", default="auto", help="auto, on or off: learn poses, gains and lags beside the Gaussians.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")

@@ -1,0 +1,85 @@
+"""The bench: every cell of the protocol by priority, for as long as there is time; then what the tables say."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from acquisition.bench_document import BenchDocument
+from acquisition.progress import Progress
+from reconstruction.bench.paper.method import Cell, Protocol
+from reconstruction.bench.paper.run import Laboratory
+from reconstruction.bench.paper.summary import summarise
+from rigs.errors import Spike4dgsError
+
+NOTES = (
+    "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
+    "the paper's real recordings: not public; and its CARLA scenes: not public, so its figures are of other scenes",
+    "points: in every row our plane sweep, also where the paper takes those of COLMAP, DUSt3R or MSDI",
+    "COLMAP is given long-window images in every row; on TFI images of one instant it is in the table of poses",
+)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When to start no more cells: `limit_s` after `began`, by `now`."""
+
+    limit_s: float | None = None
+    now: Callable[[], float] = time.monotonic
+
+    def until(self) -> Callable[[], bool]:
+        """Whether there is time left, from now on."""
+        began = self.now()
+        return lambda: self.limit_s is None or self.now() - began < self.limit_s
+
+
+def bench_paper(
+    protocol: Protocol, laboratory: Laboratory, progress: Progress, clock: Clock = Clock()
+) -> BenchDocument:
+    """Run what is not known yet, the most wanted first; what fails or is left out stands in the omissions."""
+    document, refusals, time_left = BenchDocument("paper"), {}, clock.until()
+    cells = protocol.cells()
+    for number, cell in enumerate(cells):
+        progress(number / len(cells), cell.name)
+        found = _found(cell, laboratory, time_left, refusals)
+        if found is not None:
+            document.rows.append(found)
+    _omissions(document, protocol, refusals)
+    summarise(document, protocol)
+    progress(1.0, f"{len(document.rows)} of {len(cells)} runs")
+    return document
+
+
+def _found(cell: Cell, laboratory: Laboratory, time_left: Callable[[], bool], refusals: dict[str, str]) -> dict | None:
+    """The row of a cell; None where it was refused, which `refusals` tells by its name, or not run for lack of time."""
+    try:
+        found = laboratory.known(cell)
+        if found is None:
+            if not time_left():
+                return None
+            found = laboratory.result(cell)
+    except Spike4dgsError as refusal:
+        found = {"refused": " ".join(str(refusal).split())}
+    if "refused" in found:
+        refusals[cell.name] = found["refused"]
+        return None
+    return found
+
+
+def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[str, str]) -> None:
+    """What has no figure and why: a line for each row of a table and each length of its runs."""
+    have = {f"{r['scene']}-{r['seed']}-{r['method']}-{r['effort']}" for r in document.rows}
+    for table in protocol.tables:
+        for row in table.rows:
+            if row.omitted:
+                document.omissions.append(f"{table.name}, {row.label}: {row.omitted}")
+            wanted = [cell for cell in protocol.wanted(table, row) if cell.name not in have]
+            for reason in dict.fromkeys(refusals.get(cell.name, "no time was left") for cell in wanted):
+                cells = [cell for cell in wanted if refusals.get(cell.name, "no time was left") == reason]
+                where = ", ".join(f"{c.scene}-{c.seed} @{c.effort.label}" for c in cells)
+                document.omissions.append(f"{table.name}, {row.label}: {reason} ({where})")
+    document.omissions += NOTES
+    others = sorted({r["revision"] for r in document.rows if r.get("kept")})
+    if others:
+        document.omissions.append(f"kept from other code, at the revisions {', '.join(others)}")

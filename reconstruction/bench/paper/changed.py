@@ -1,0 +1,61 @@
+"""A recording with something done to it: its rig as drawn, or fewer planes a second. The truth stays where it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from acquisition.recording.reader import Recording
+from acquisition.recording.writer import RecordingWriter
+from acquisition.scenes.misplaced import misplaced
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.bench.clips import slowed
+from reconstruction.bench.paper.method import Change
+from reconstruction.bench.poses import ERROR
+from rigs.rig import Rig
+
+
+def changed(path: Path, out: Path, change: Change, seed: int) -> Path:
+    """The recording in `path` after `change`: itself, or one in `out`, written where it is not there yet.
+
+    A changed recording has the truth of its own only where its planes are those of the truth.
+    """
+    if change == Change():
+        return path
+    recording = Recording.open(path)
+    if not out.exists():
+        rig = misplaced(recording.rig, ERROR, seed) if change.nominal else recording.rig
+        _write(recording, replace(rig, tick_rate_hz=rig.tick_rate_hz / change.every), change, out)
+    truth = out / "truth"
+    if change.every == 1 and recording.truth and not truth.is_symlink():
+        truth.symlink_to(recording.truth.resolve())
+    return out
+
+
+def _write(recording: Recording, rig: Rig, change: Change, out: Path) -> None:
+    streams = {c: _slower(recording.stream(c), change) for c in recording.camera_ids}
+    total = sum(stream.packed.nbytes for stream in streams.values())
+    with RecordingWriter(out, rig, total) as writer:
+        entries = []
+        for camera_id, stream in streams.items():
+            file = writer.stream(camera_id, stream.layout, len(stream))
+            try:
+                file.append(stream.packed)
+            finally:
+                file.close()
+            entries.append(file.entry())
+        writer.commit(entries, "import")
+
+
+def _slower(stream: SpikeStream, change: Change) -> SpikeStream:
+    """Every so manieth plane. Of each group the middle one is kept, so that what is seen is seen at the right time.
+
+    An even group has no middle: its planes are half a plane late.
+    """
+    if change.every == 1:
+        return stream
+    if change.slowing == "reintegrate":
+        return slowed(stream, change.every, "reintegrate")
+    whole = len(stream) // change.every * change.every
+    middles = SpikeStream(stream.packed[change.every // 2 : whole], stream.layout, stream.tick_rate_hz)
+    return slowed(middles, change.every, "drop")

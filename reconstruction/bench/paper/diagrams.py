@@ -1,0 +1,197 @@
+"""Work-precision diagrams out of the documents: one question a picture, error against what it costs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.axes import (
+    COLOURS,
+    caption,
+    db_scale,
+    line,
+    log_axes,
+    marks,
+    new_figure,
+    relative_error,
+    write_figure,
+)
+from reconstruction.bench.paper.other_diagrams import image_methods, pose_methods
+from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, times_to
+from reconstruction.bench.score_run import STAGES
+from reconstruction.training.config import ReconstructionConfig
+
+ERROR = "RMS error of the held-out view / white  (PSNR)"
+SECONDS = "wall seconds, from recording to result"
+STOPPED = "The clock stands while a result is scored; a run that warms up came before."
+BAND = "Line: median; band: lowest to highest of recordings."
+SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name)
+BAR = "Mark: median; bar: lowest to highest of recordings."
+SWEEPS = {  # a number in a method's name: its axis, and what it is where the name has none
+    "views": ("training views", len(m.VIEWS)),
+    "gaussians": ("most Gaussians", ReconstructionConfig.gaussians),
+    "drop": ("planes a second", m.RATE_HZ),
+    "reintegrate": ("planes a second", m.RATE_HZ),
+}
+HOW = {"drop": "planes dropped", "reintegrate": "planes re-integrated"}
+
+
+def write_diagrams(out: Path, document: dict, others: Mapping[str, dict | None]) -> list[Path]:
+    """Write each diagram that has something to show as `paper-QUESTION.png`; returns what was written."""
+    drawn: dict[str, Callable[[Path], bool]] = {
+        "novel-view": lambda path: novel_view(path, document),
+        "depth": lambda path: depth(path, document),
+        "time-to": lambda path: time_to(path, document),
+        "stages": lambda path: stages(path, document),
+        "gaussians": lambda path: sweep(path, document, ("gaussians",), "Error against the number of Gaussians"),
+        "views": lambda path: sweep(path, document, ("views",), "Error against training views"),
+        "rates": lambda path: sweep(path, document, ("drop", "reintegrate"), "Error against plane rate"),
+    }
+    images, poses = others.get("images"), others.get("poses")
+    if images:
+        drawn["images"] = lambda path: image_methods(path, images)
+    if poses:
+        drawn["poses"] = lambda path: pose_methods(path, poses, "rotation_deg", "rotation error / degrees", "Poses")
+        drawn["points"] = lambda path: pose_methods(path, poses, "points_abs_rel", "Abs Rel of the points", "Points")
+    paths = {name: out / f"paper-{name}.png" for name in drawn}
+    return [paths[name] for name, draw in drawn.items() if draw(paths[name])]
+
+
+def curves(rows: Sequence[dict], method: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """Seconds [P] and errors [R, P] of a method's longest runs, by snapshot, where its R recordings have as many."""
+    own = [r for r in rows if r["method"] == method]
+    if not own:
+        return None
+    longest = max(own, key=lambda r: r["seconds"])["effort"]
+    runs = [r["curve"] for r in own if r["effort"] == longest]
+    count = min(len(points) for points in runs)  # an early end has fewer; the last ones are those of the end
+    seconds = np.array([[p["seconds"] for p in points[-count:]] for points in runs])
+    levels = np.array([[p["psnr_db"] for p in points[-count:]] for points in runs])
+    return np.median(seconds, axis=0), relative_error(levels)
+
+
+def novel_view(path: Path, document: dict) -> bool:
+    """Error against time of training: the snapshots of each method's longest runs, and the end of every shorter one."""
+    rows = [r for r in document["rows"] if r["method"] in SHOWN]
+    methods = [name for name in SHOWN if any(r["method"] == name for r in rows)]
+    if not methods:
+        return False
+    figure, axes = new_figure("Novel view: error against run time")
+    for name in methods:
+        number, found = SHOWN.index(name), curves(rows, name)
+        assert found is not None
+        line(axes, *found, number, name)
+        _ends(axes, [r for r in rows if r["method"] == name], number)
+    log_axes(axes, SECONDS, ERROR)
+    db_scale(axes)
+    write_figure(path, figure, caption(document, rows, f"{BAND} Rings: ends of runs. {STOPPED}"))
+    return True
+
+
+def _ends(axes: Axes, rows: Sequence[dict], number: int) -> None:
+    """The end of each length of runs, median over recordings."""
+    ring = {"mfc": "none", "mec": COLOURS[number % len(COLOURS)], "markersize": 9}
+    for own in _by_effort(rows):
+        axes.plot(_seconds(own), relative_error(np.median([r["psnr_db"] for r in own])), "o", **ring)
+
+
+def depth(path: Path, document: dict) -> bool:
+    """Abs Rel of the held-out view against time, at the end of each length of runs."""
+    known = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values()))
+    rows = [r for r in document["rows"] if r["method"] in known and "abs_rel" in r]
+    if not rows:
+        return False
+    figure, axes = new_figure("Depth of the held-out view: error against run time")
+    for number, name in enumerate(n for n in known if any(r["method"] == n for r in rows)):
+        groups = sorted(_by_effort([r for r in rows if r["method"] == name]), key=_seconds)
+        marks(axes, [_seconds(g) for g in groups], [[r["abs_rel"] for r in g] for g in groups], number, name)
+    log_axes(axes, SECONDS, "Abs Rel")
+    write_figure(path, figure, caption(document, rows, f"{BAR} {STOPPED}"))
+    return True
+
+
+def time_to(path: Path, document: dict) -> bool:
+    """Seconds to each level, of the methods and levels that every recording reached."""
+    figure, axes = new_figure("Run time to a level of the held-out view")
+    rows = [r for r in document["rows"] if r["method"] in SHOWN]
+    drawn = 0
+    for number, name in enumerate(SHOWN):
+        reached = {target: times_to(rows, name, target) for target in TARGETS_DB}
+        whole = {target: [t for t in times if t] for target, times in reached.items() if times and all(times)}
+        if whole:
+            marks(axes, list(whole), list(whole.values()), number, name)
+            drawn += 1
+    if not drawn:
+        return False
+    log_axes(axes, "PSNR of the held-out view / dB", SECONDS, log_x=False)
+    axes.set_xticks(TARGETS_DB)
+    write_figure(path, figure, caption(document, rows, f"{BAR} A level that a recording missed has no mark. {STOPPED}"))
+    return True
+
+
+def stages(path: Path, document: dict) -> bool:
+    """Seconds of each stage of each method's longest runs, mean over recordings."""
+    rows = [r for r in document["rows"] if r["method"] in SHOWN]
+    methods = [name for name in SHOWN if any(r["method"] == name for r in rows)]
+    if not methods:
+        return False
+    figure, axes = new_figure("Where the seconds go")
+    left = np.zeros(len(methods))
+    longest = [max(_by_effort([r for r in rows if r["method"] == name]), key=_seconds) for name in methods]
+    for number, stage in enumerate(STAGES):
+        width = np.array([np.mean([r[f"seconds.{stage}"] for r in own]) for own in longest])
+        axes.barh(methods, width, left=left, color=COLOURS[number], label=stage, height=0.65)
+        left += width
+    axes.invert_yaxis()
+    axes.set_xlabel("wall seconds, mean over recordings")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(fontsize=8, frameon=False, ncols=len(STAGES), loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    write_figure(path, figure, caption(document, rows))
+    return True
+
+
+def sweep(path: Path, document: dict, kinds: Sequence[str], title: str) -> bool:
+    """Error against a number in the methods' names, such as `auto.views5`."""
+    drawn = []
+    for kind in kinds:
+        named, bare = re.compile(rf"(.+)\.{kind}(\d+)"), SWEEPS[kind][1]
+        places: dict[str, dict[int, list[dict]]] = {}
+        for row in document["rows"]:
+            match = named.fullmatch(row["method"])
+            if match:
+                places.setdefault(match[1], {}).setdefault(int(match[2]), []).append(row)
+        for method, found in places.items():
+            swept = [r for rows in found.values() for r in rows]
+            whole = [r for r in document["rows"] if r["method"] == method and _alike(r, swept)]
+            drawn.append(
+                (f"{method}, {HOW[kind]}" if kind in HOW else method, found | {bare: whole} if whole else found)
+            )
+    if not drawn:
+        return False
+    figure, axes = new_figure(title)
+    for number, (name, found) in enumerate(drawn):
+        x = sorted(found)
+        marks(axes, x, [relative_error([r["psnr_db"] for r in found[k]]).tolist() for k in x], number, name)
+    log_axes(axes, SWEEPS[kinds[0]][0], ERROR)
+    db_scale(axes)
+    rows = [r for _, found in drawn for some in found.values() for r in some]
+    write_figure(path, figure, caption(document, rows, BAR))
+    return True
+
+
+def _alike(row: dict, swept: Sequence[dict]) -> bool:
+    """Whether a row is of a recording and a length that the swept ones are of."""
+    return any(all(row[key] == r[key] for key in ("scene", "seed", "effort")) for r in swept)
+
+
+def _by_effort(rows: Sequence[dict]) -> list[list[dict]]:
+    return [[r for r in rows if r["effort"] == effort] for effort in dict.fromkeys(r["effort"] for r in rows)]
+
+
+def _seconds(rows: Sequence[dict]) -> float:
+    return float(np.median([r["seconds"] for r in rows]))

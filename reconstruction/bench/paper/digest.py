@@ -1,0 +1,47 @@
+"""Which code a result depends on, as one number that a mere change of benches, reports or pages does not move."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import acquisition
+import reconstruction
+import rigs
+from acquisition.recording.manifest import MANIFEST_FILE
+from reconstruction.bench.paper.method import Cell
+
+SHOWN = ("bench", "stability", "report", "export")  # of reconstruction: what only looks at results
+SUFFIXES = {".py", ".cpp", ".h", ".npz", ".toml", ".json"}
+KEPT_DIGITS = 12
+
+
+def cell_digest(cell: Cell, recording: Path) -> str:
+    """SHA-256 of the code, the cell's choices and the recording's manifest, which has the digests of its spikes."""
+    about = [code_digest(), asdict(cell), hashlib.sha256((recording / MANIFEST_FILE).read_bytes()).hexdigest()]
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:KEPT_DIGITS]
+
+
+@functools.cache
+def code_digest() -> str:
+    """SHA-256 over the names and contents of the sources."""
+    digest = hashlib.sha256()
+    for name, path in sorted(_sources()):
+        digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _sources() -> Iterator[tuple[str, Path]]:
+    """The sources by name, wherever the packages are installed."""
+    packages = {m.__name__: Path(m.__path__[0]) for m in (rigs, acquisition, reconstruction)}
+    folders = [("rigs", "."), ("acquisition", "spikes"), ("acquisition", "scenes")]
+    inner = sorted(f.name for f in packages["reconstruction"].iterdir() if f.is_dir() and f.name not in SHOWN)
+    for package, folder in (*folders, *(("reconstruction", name) for name in inner)):
+        root = packages[package]
+        for path in (root / folder).rglob("*"):
+            if path.suffix in SUFFIXES:
+                yield f"{package}/{path.relative_to(root)}", path

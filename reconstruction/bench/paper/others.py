@@ -1,0 +1,66 @@
+"""Which figures of the image and pose benches stand beside which of the paper's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from reconstruction.bench.paper.protocol import NO_DUST3R, NO_PRETRAINING
+
+OTHERS = ("images", "poses")
+
+
+@dataclass(frozen=True)
+class OtherRow:
+    """A line: `keys` are the summary's name and the factor to our unit, by metric."""
+
+    label: str
+    paper: str | None = None
+    keys: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    omitted: str = ""
+
+
+def open_others(out: Path) -> dict[str, dict | None]:
+    """The documents of the other benches in a folder; None for one that is not there."""
+    files = {name: out / f"{name}.json" for name in OTHERS}
+    return {name: json.loads(file.read_text()) if file.exists() else None for name, file in files.items()}
+
+
+def _image(label: str, method: str, paper: str | None = None) -> OtherRow:
+    keys = {metric: (f"{method}.{metric}", 1.0) for metric in ("psnr_db", "ssim")}
+    return OtherRow(label, paper, keys | {"seconds": (f"{method}.ms_per_image", 1e-3)})
+
+
+def _pose(label: str, method: str, paper: str | None = None) -> OtherRow:
+    metrics = ("rotation_deg", "translation_percent", "seconds")
+    return OtherRow(label, paper, {metric: (f"{method}.{metric}", 1.0) for metric in metrics})
+
+
+IMAGE_ROWS = (
+    _image("TFI", "tfi", "TFI"),
+    _image("TFP", "tfp", "TFP"),
+    _image("TVS", "tvs", "TVS"),
+    _image("TFSTP", "tfstp"),
+    _image("slope", "slope"),
+    _image("adaptive", "adaptive"),
+    _image("interpolated (ours)", "interpolated"),
+    _image("Spk2ImgNet, small", "spk2imgnet", "Spk2ImgNet"),
+    _image("blind spot", "blindspot"),
+    _image("MSDI, small", "msdi", "MSDI (joint)"),
+    OtherRow("MSDI, trained separately", "MSDI (separate)", omitted="its weights are not shipped"),
+)
+POSE_ROWS = (
+    _pose("the rig as drawn", "nominal"),
+    _pose("TFI + COLMAP", "tfi+colmap", "TFI + COLMAP"),
+    _pose("MSDI images + COLMAP", "msdi-image+colmap", "MSDI images + COLMAP"),
+    _pose("long-window images + COLMAP", "long+colmap"),
+    _pose("MSDI alone", "msdi", "MSDI"),
+    _pose("MSDI, adjusted", "msdi+ba"),
+    _pose("natural calibration (ours)", "natural"),
+    _pose("a ChArUco board", "board"),
+    OtherRow("TFI + DUSt3R", "TFI + DUSt3R", omitted=NO_DUST3R),
+    OtherRow("MSDI images + DUSt3R", "MSDI images + DUSt3R", omitted=NO_DUST3R),
+    OtherRow("MSDI trained separately", "MSDI trained separately", omitted=NO_PRETRAINING),
+)

@@ -1,0 +1,166 @@
+"""The tables, their rows, and how much is spent on each: scenes, seeds and seconds stand here and nowhere else."""
+
+from __future__ import annotations
+
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
+
+SHORTEST, SHORT, LONG, LONGEST = (Effort(seconds) for seconds in (15.0, 30.0, 60.0, 120.0))
+NO_DUST3R = "no DUSt3R checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own"
+NO_PRETRAINING = "no checkpoint of MSDI without pretraining: ours was never pretrained on DUSt3R's data"
+OURS = Row("Ours, true poses", m.AUTO, "Spike4DGS")
+
+NOVEL_VIEW = Table(
+    "novel-view",
+    "The held-out centre view",
+    "True poses, then (found poses) the rig as drawn: 2 degrees, 2 cm and 2 % of focal length off on average.",
+    (
+        OURS,
+        *(Row(f"TFI + {name}", m.TFI[model], f"TFI + {name}") for name, model in
+          (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))),
+        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
+        Row("SpikeGS (static)", m.SPIKES["spikegs"], "SpikeGS"),
+        Row("Ours, found poses", m.FOUND, "Spike4DGS"),
+        *(Row(f"TFI + {name}, our poses", m.TFI_FOUND[model], f"TFI + {name}") for name, model in
+          (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))),
+        Row("TFI + COLMAP + 4DGS", m.TFI_COLMAP, "TFI + COLMAP + 4DGS"),
+        Row("MSDI image + COLMAP + 4DGS", m.MSDI_COLMAP["pixels"], "MSDI image + COLMAP + 4DGS"),
+        Row("MSDI images, poses + 4DGS", m.MSDI["pixels"], "MSDI image, points, poses + 4DGS"),
+        Row("+ L1 spike loss", m.MSDI["l1"], "+ L1 spike loss"),
+        Row("+ L2 spike loss", m.MSDI["l2"], "+ L2 spike loss"),
+        Row("MSDI image + COLMAP + SPSS", m.MSDI_COLMAP["spss"], "MSDI image + COLMAP + SPSS"),
+        Row("MSDI + SPSS (the paper's own method)", m.MSDI["spss"], "Spike4DGS"),
+        Row("MSDI image + DUSt3R + 4DGS", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
+        Row("MSDI image + DUSt3R + SPSS", None, "MSDI image + DUSt3R + SPSS", NO_DUST3R),
+        Row("MSDI without pretraining + SPSS", None, "MSDI without pretraining + SPSS", NO_PRETRAINING),
+        Row("SpikeNeRF (static)", m.SPIKES["spikenerf"], "SpikeNeRF"),
+        Row("Dy-SpikeNeRF", m.SPIKES["dy-spikenerf"], "Dy-SpikeNeRF"),
+    ),
+)  # fmt: skip
+LOSSES = Table(
+    "losses",
+    "Spike loss",
+    "Ours with true poses; the pixel loss on images stays in every row.",
+    tuple(
+        Row(label, m.LOSSES[name])
+        for label, name in (
+            ("none", "pixels"),
+            ("L1", "l1"),
+            ("L2", "l2"),
+            ("variation", "variation"),
+            ("counts", "counts"),
+            ("cumulative counts", "cumulative"),
+            ("counts and variation", "both"),
+        )
+    ),
+)
+REFERENCES = Table(
+    "references",
+    "Given images: clean and blurred",
+    "The true light of an instant, and of an exposure of 32 planes, every 20 planes; masks and points are the spikes'.",
+    (
+        OURS,
+        Row("Ours on clean images", m.CLEAN),
+        Row("Ours on blurred images", m.BLURRED),
+        Row("clean + our poses + 4DGS", m.GIVEN["clean"], "clean RGB + DUSt3R + 4DGS"),
+        Row("blurred + our poses + 4DGS", m.GIVEN["blurred"], "blurred RGB + DUSt3R + 4DGS"),
+    ),
+)
+DEPTH = Table(
+    "depth",
+    "Depth of the held-out view",
+    "Abs Rel and the share within a factor of 1.25, on metric depth with true poses.",
+    (
+        OURS,
+        *(
+            Row(f"Spike2img + {name}", m.SPK2IMGNET[model], f"Spike2img + {name}")
+            for name, model in (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))
+        ),
+    ),
+)
+MODULES = Table(
+    "modules",
+    "One module changed at a time",
+    "Ours on the rig as drawn; the paper has no such table of a method like ours.",
+    (Row("Ours, found poses", m.FOUND), *(Row(label, method) for label, method in m.MODULES.items())),
+)
+OUTDOORS = Table(
+    "outdoors",
+    "Outdoor light",
+    "A sun, its shadows and uneven light; the paper's figures are of its real moving car.",
+    (
+        OURS,
+        *(Row(f"TFI + {name}", m.TFI[model], f"TFI + {name}") for name, model in
+          (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))),
+    ),
+)  # fmt: skip
+RATES = Table(
+    "rates",
+    "Plane rate",
+    "Planes dropped, as the paper does, and re-integrated, as a slower sensor would; scored at the same instants.",
+    (
+        Row("20000 Hz", m.AUTO, "20000 Hz"),
+        *(Row(f"{hz} Hz, dropped", m.slower(m.AUTO, every, "drop"), f"{hz} Hz")
+          for every in m.SLOWER for hz in (m.RATE_HZ // every,)),
+        *(Row(f"{hz} Hz, re-integrated", m.slower(m.AUTO, every, "reintegrate"))
+          for every in m.SLOWER for hz in (m.RATE_HZ // every,)),
+    ),
+)  # fmt: skip
+VIEWS = Table(
+    "views",
+    "Training views",
+    "Those nearest to the held-out one, true poses.",
+    tuple(
+        Row(f"{label}, {views} views", m.seeing(method, views), f"{paper}, {views} views")
+        for label, paper, method in (
+            ("Ours", "Spike4DGS", m.AUTO),
+            ("TFI + 4DGS", "TFI + 4DGS", m.TFI["4dgs"]),
+            ("TFI + STG", "TFI + STG", m.TFI["stg"]),
+            ("TFI + D3DGS", "TFI + D3DGS", m.TFI["d3dgs"]),
+        )
+        for views in range(3, 9)
+    ),
+)
+GAUSSIANS = Table(
+    "gaussians",
+    "Number of Gaussians",
+    "The cap; the paper has no such table.",
+    (Row("Ours, 24000", m.AUTO), *(Row(f"Ours, {cap}", m.capped(m.AUTO, cap)) for cap in m.CAPS)),
+)
+PROTOCOL = Protocol(
+    (NOVEL_VIEW, LOSSES, REFERENCES, DEPTH, MODULES, OUTDOORS, RATES, VIEWS, GAUSSIANS),
+    (
+        Batch("novel-view", EVALUATION, (LONG,), tuple(row.method.name for row in NOVEL_VIEW.rows[:5] if row.method)),
+        Batch("losses", EVALUATION, (SHORT,)),
+        Batch("depth", EVALUATION, (LONG,)),
+        Batch("references", EVALUATION, (LONG,)),
+        Batch("novel-view", EVALUATION, (SHORTEST, SHORT, LONGEST), (m.AUTO.name, m.TFI["4dgs"].name)),
+        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name, m.TFI["4dgs"].name), seeds=(1, 2)),
+        Batch("novel-view", EVALUATION, (LONG,), tuple(row.method.name for row in NOVEL_VIEW.rows[5:-2] if row.method)),
+        Batch("modules", EVALUATION[:2], (LONG,)),
+        Batch("outdoors", ("outdoor",), (SHORT,)),
+        Batch("rates", EVALUATION[:1], (SHORT,)),
+        Batch("views", EVALUATION[2:3], (SHORT,)),
+        Batch("gaussians", EVALUATION[:1], (SHORT,)),
+        Batch("novel-view", EVALUATION, (LONG,), m.FIELDS),
+    ),
+)
+
+_STEPS = Effort(steps=40)
+QUICK = Protocol(
+    (
+        Table(
+            "novel-view",
+            NOVEL_VIEW.title,
+            "A few steps of a small recording: a check of the bench, not a measurement.",
+            (
+                Row(OURS.label, m.AUTO.changed("auto", gaussians=3000), OURS.paper),
+                Row("TFI + 4DGS", m.TFI["4dgs"].changed("tfi+4dgs", gaussians=3000), "TFI + 4DGS"),
+                Row("10000 Hz, dropped", m.slower(m.AUTO.changed("auto", gaussians=3000), 2, "drop")),
+                Row("MSDI image + DUSt3R + 4DGS", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
+            ),
+        ),
+    ),
+    (Batch("novel-view", DEVELOPMENT, (_STEPS,)),),
+)

@@ -1,0 +1,103 @@
+"""One cell: reconstructed, scored and kept, so that a stopped bench goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquisition.bench_document import device
+from acquisition.durable import write_json
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from acquisition.revision import code_revision
+from reconstruction.bench.paper.changed import changed
+from reconstruction.bench.paper.digest import cell_digest
+from reconstruction.bench.paper.method import Cell, Effort
+from reconstruction.bench.score_run import score_run
+from reconstruction.errors import ReconstructionError
+from reconstruction.pipeline.budget import StoppedError
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.training.config import ReconstructionConfig
+from reconstruction.training.run import RunFolder
+
+SCORES = "scores.json"
+WARM_UP = Effort(steps=2)  # that loads what a process loads once, and is thrown away
+
+
+@dataclass
+class Laboratory:
+    """Runs cells in the folder `work`; `recording_of` a scene and seed is a recording with truth.
+
+    `keep`: results of other code are taken as they are. What a method refuses is kept as well, with its reason.
+    """
+
+    work: Path
+    recording_of: Callable[[str, int], Path]
+    progress_of: Callable[[str], Progress]
+    keep: bool = False
+    warm: bool = False
+
+    def known(self, cell: Cell) -> dict | None:
+        """The kept result of a cell: of this code, or with `keep` the newest; None where there is none."""
+        folder = self.work / "cells" / cell.name
+        kept = list(folder.glob(f"*/{SCORES}"))
+        if not kept:
+            return None
+        own = folder / cell_digest(cell, self.recording_of(cell.scene, cell.seed)) / SCORES
+        if own not in kept and not self.keep:
+            return None
+        newest = own if own in kept else max(kept, key=lambda file: file.stat().st_mtime)
+        return json.loads(newest.read_text()) | ({} if newest == own else {"kept": True})
+
+    def result(self, cell: Cell) -> dict:
+        """What a cell came to, now: its row, or `refused` with the reason."""
+        config = cell.method.config(cell.effort, cell.seed)  # a name that is not known is refused before any work
+        recording = self.recording_of(cell.scene, cell.seed)
+        out = self.work / "cells" / cell.name / cell_digest(cell, recording)
+        try:
+            found = self._run(cell, config, recording, out)
+        except ReconstructionError as refusal:
+            if isinstance(refusal, StoppedError):
+                raise
+            found = {"refused": " ".join(str(refusal).split())}
+        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
+        found = row | {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision()} | found
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(out / SCORES, found)
+        _reduce(out)
+        return found
+
+    def _run(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
+        for left_over in out.parent.glob("*"):  # of other code, stopped on the way
+            if left_over != out and not (left_over / SCORES).exists():
+                shutil.rmtree(left_over)
+        change = cell.method.change
+        own = self.work / "recordings" / f"{recording.name}-{change.label}"
+        path = changed(recording, own, change, cell.seed)
+        self._warm_up(recording)
+        run = reconstruct(path, out, config, self.progress_of, last="train")
+        scores = score_run(run, Recording.open(recording))
+        return {"seconds": scores["curve"][-1]["seconds"], **scores}
+
+    def _warm_up(self, recording: Path) -> None:
+        """Run the pipeline once for nothing: libraries are loaded on no run's clock."""
+        if self.warm:
+            return
+        out = self.work / "warm-up"
+        shutil.rmtree(out, ignore_errors=True)
+        config = ReconstructionConfig(steps=WARM_UP.steps, budget_s=None, gaussians=1000)
+        reconstruct(recording, out, config, self.progress_of, last="train")
+        shutil.rmtree(out)
+        self.warm = True
+
+
+def _reduce(out: Path) -> None:
+    """Leave of a run what tells of it and its last state; the rest is large and can be made again."""
+    snapshots = RunFolder(out, {}).snapshots()
+    kept = {out / SCORES, out / "run.json", out / "poses", out / "snapshots", *snapshots[-1:]}
+    for path in [*out.iterdir(), *snapshots]:
+        if path not in kept:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -1,0 +1,88 @@
+"""The named numbers of the bench: means over recordings, margins over the rivals, and whether any is ever ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from acquisition.bench_document import BenchDocument
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.method import Protocol
+
+AVERAGED = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25", "seconds", "steps_per_s")
+MARGINS = {"tfi+4dgs": 1, "dy-spikegs": 1, "clean": -1}  # ours less theirs; for the bound, theirs less ours
+RIVALS = (*(method.name for method in (*m.TFI.values(), *m.SPIKES.values())),)  # with the same poses, from spikes
+TARGETS_DB = (25, 27, 28, 30)
+
+
+def summarise(document: BenchDocument, protocol: Protocol) -> None:
+    """Fill the summary: `table.row.metric@effort`, `margin.rival@effort`, `leads.*` and `seconds_to_*`."""
+    for table in protocol.tables:
+        for row in table.rows:
+            cells = protocol.wanted(table, row)
+            for effort in dict.fromkeys(cell.effort.label for cell in cells):
+                names = {cell.name for cell in cells if cell.effort.label == effort}
+                rows = [r for r in document.rows if name_of(r) in names]
+                for metric in AVERAGED:
+                    if row.method and rows and all(metric in r for r in rows):
+                        key = f"{table.name}.{row.method.name}.{metric}@{effort}"
+                        document.summary[key] = float(np.mean([r[metric] for r in rows]))
+    for effort in dict.fromkeys(r["effort"] for r in document.rows):
+        for rival, sign in MARGINS.items():
+            gaps = margins(document.rows, rival, effort)
+            if gaps:
+                document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(gaps))
+    document.summary |= leads(document.rows)
+    for target in TARGETS_DB:
+        reached = times_to(document.rows, m.AUTO.name, target)
+        if reached and None not in reached:
+            document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = float(
+                np.mean([t for t in reached if t is not None])
+            )
+
+
+def name_of(row: dict) -> str:
+    """The name of the cell that a row is of."""
+    return f"{row['scene']}-{row['seed']}-{row['method']}-{row['effort']}"
+
+
+def margins(rows: Sequence[dict], rival: str, effort: str) -> list[float]:
+    """How many dB ours lies above a rival on each recording that both have at an effort."""
+    levels = {(r["method"], r["scene"], r["seed"]): r["psnr_db"] for r in rows if r["effort"] == effort}
+    ours = {key[1:]: level for key, level in levels.items() if key[0] == m.AUTO.name}
+    return [level - levels[rival, *key] for key, level in ours.items() if (rival, *key) in levels]
+
+
+def leads(rows: Sequence[dict]) -> dict[str, float]:
+    """`leads.points` of all rivals' curves, and at how many of them ours is behind: 0 where it leads at every time.
+
+    `leads.before_first` are those of them before ours has anything to show; the others are above all it has shown.
+    """
+    ahead = points = early = 0
+    for recording in dict.fromkeys((r["scene"], r["seed"]) for r in rows):
+        here = [r for r in rows if (r["scene"], r["seed"]) == recording]
+        ours = curve(r for r in here if r["method"] == m.AUTO.name)
+        if not ours:
+            continue
+        for t, level in (p for r in here if r["method"] in RIVALS for p in curve([r])):
+            points += 1
+            shown = [y for x, y in ours if x <= t]
+            early += not shown
+            ahead += not shown or level > max(shown)
+    if not points:
+        return {}
+    return {"leads.at_every_time": ahead, "leads.before_first": early, "leads.points": points}
+
+
+def curve(rows: Iterable[dict]) -> list[tuple[float, float]]:
+    """Seconds and dB of all snapshots of some runs, in order of time."""
+    return sorted((p["seconds"], p["psnr_db"]) for r in rows for p in r["curve"])
+
+
+def times_to(rows: Sequence[dict], method: str, target_db: float) -> list[float | None]:
+    """For each recording a method was run on, the first second any run of it reached a level; None where none did."""
+    curves: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    for row in (r for r in rows if r["method"] == method):
+        curves.setdefault((row["scene"], row["seed"]), []).extend(curve([row]))
+    return [min((t for t, level in points if level >= target_db), default=None) for points in curves.values()]

@@ -1,0 +1,167 @@
+"""The tables as Markdown: ours, spread, run time, and beside it the paper's figure, which is of other scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.durable import write_durably
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.method import Cell, Protocol, Row, Table
+from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS, OtherRow
+from reconstruction.bench.paper.published import PUBLISHED, Figures
+from reconstruction.bench.paper.summary import TARGETS_DB, name_of, times_to
+
+PAPER = "paper (other scenes)"
+COLUMNS = ("row", "at", "PSNR / dB", "spread", "SSIM", "Abs Rel", "within 1.25", "seconds", "runs", PAPER)
+HOW = {  # of every figure: its form, with the unit
+    "psnr_db": "{:.2f} dB",
+    "ssim": "SSIM {:.3f}",
+    "abs_rel": "Abs Rel {:.3f}",
+    "delta_1_25": "{:.3f} within 1.25",
+    "rotation_deg": "{:.2f} deg",
+    "translation_percent": "{:.1f} %",
+    "brisque": "BRISQUE {:.2f}",
+    "niqe": "NIQE {:.2f}",
+    "seconds": "{:.0f} s",
+}
+
+
+def write_tables(path: Path, document: dict, protocol: Protocol, others: Mapping[str, dict | None]) -> None:
+    """Write `paper.md`: the measured tables, those of the image and pose benches (`others`), time, and omissions."""
+    parts = [_head(document)]
+    parts += [_other("images", "Spikes to images", others.get("images"), IMAGE_ROWS)]
+    parts += [_other("poses", "Poses", others.get("poses"), POSE_ROWS)]
+    parts += [measured_table(table, protocol, document["rows"]) for table in protocol.tables]
+    parts += [_time(document["rows"])]
+    parts += ["## Omissions\n\n" + "\n".join(f"- {line}" for line in document["omissions"])]
+    write_durably(path, ("\n\n".join(parts) + "\n").encode())
+
+
+def measured_table(table: Table, protocol: Protocol, rows: Sequence[dict]) -> str:
+    """One table of runs: a line for each row and each length, means over recordings."""
+    lines, missing = [], 0
+    for row in table.rows:
+        cells = protocol.wanted(table, row)
+        efforts = list(dict.fromkeys(cell.effort for cell in cells))
+        for effort in efforts:
+            wanted = [cell for cell in cells if cell.effort == effort]
+            lines.append(_line(table, row, wanted, rows))
+            missing += len(wanted) - len(_of(wanted, rows))
+        if not efforts:
+            lines.append([row.label, *[""] * 7, "omitted", _paper(table, row)])
+    said = f"{table.about} Spread: lowest to highest of the recordings; ± the deviation over seeds of one scene."
+    partial = f" **Partial: {missing} runs are missing; the omissions say which.**" if missing else ""
+    return f"## {table.title} (`{table.name}`)\n\n{said}{partial}\n\n{markdown(COLUMNS, lines)}"
+
+
+def markdown(columns: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A table of GitHub's Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in [columns, ["---"] * len(columns), *lines])
+
+
+def _of(cells: Sequence[Cell], rows: Sequence[dict]) -> list[dict]:
+    names = {cell.name for cell in cells}
+    return [row for row in rows if name_of(row) in names]
+
+
+def _line(table: Table, row: Row, wanted: Sequence[Cell], rows: Sequence[dict]) -> list[str]:
+    found = _of(wanted, rows)
+    count = f"{len(found)} of {len(wanted)}"
+    if not found:
+        return [row.label, str(wanted[0].effort), *[""] * 6, f"{count}: missing", _paper(table, row)]
+    kept = f", {sum('kept' in r for r in found)} of other code" if any("kept" in r for r in found) else ""
+    figures = [_mean(found, metric, form) for metric, form in _FORMS]
+    return [
+        row.label,
+        str(wanted[0].effort),
+        figures[0],
+        _spread(found),
+        *figures[1:],
+        count + kept,
+        _paper(table, row),
+    ]
+
+
+_FORMS = (("psnr_db", ".2f"), ("ssim", ".3f"), ("abs_rel", ".4f"), ("delta_1_25", ".3f"), ("seconds", ".1f"))
+
+
+def _mean(rows: Sequence[dict], metric: str, form: str) -> str:
+    values = [row[metric] for row in rows if metric in row]
+    return format(float(np.mean(values)), form) if values else ""
+
+
+def _spread(rows: Sequence[dict]) -> str:
+    """Of the PSNR: lowest to highest recording, and the mean over scenes of the deviation over seeds."""
+    levels = [row["psnr_db"] for row in rows]
+    if len(levels) < 2:
+        return ""
+    by_scene = {scene: [r["psnr_db"] for r in rows if r["scene"] == scene] for scene in {r["scene"] for r in rows}}
+    seeds = [float(np.std(some, ddof=1)) for some in by_scene.values() if len(some) > 1]
+    over = f", ± {np.mean(seeds):.2f}" if seeds else ""
+    return f"{min(levels):.1f} to {max(levels):.1f}{over}"
+
+
+def _paper(table: Table, row: Row) -> str:
+    return _figures(PUBLISHED.get(table.name, PUBLISHED["novel-view"]).get(row.paper or "", {}))
+
+
+def _figures(figures: Figures) -> str:
+    return ", ".join(HOW[metric].format(value) for metric, value in figures.items()) or "-"
+
+
+def _head(document: dict) -> str:
+    machines = sorted({(r["processor"], r["threads"]) for r in document["rows"]})
+    on = "; ".join(f"{processor}, {threads} threads" for processor, threads in machines) or "nothing has been run"
+    return (
+        f"# The paper's tables, as ours\n\nOurs: simulated scenes, the centre view held out, linear light; {on}; "
+        f"revision {document['revision']}. Seconds are of the wall, from recording to last step; the clock stands "
+        "while a result is scored, and a run that warms up comes before. The paper's figures were measured by its "
+        "authors on other scenes and one RTX 4090: what may be compared is the order of the rows, not the numbers."
+    )
+
+
+def _other(name: str, title: str, document: dict | None, rows: Sequence[OtherRow]) -> str:
+    """A table out of the document of another bench."""
+    about = f"As `bench {name}` measured it into `{name}.json` of the same folder; not measured again."
+    if document is None:
+        return f"## {title} (`{name}`)\n\n**Missing: run `spike4dgs bench {name}` with the same `--out`.**"
+    summary = document["summary"]
+    lines = []
+    for row in rows:
+        ours = {metric: summary[key] * scale for metric, (key, scale) in row.keys.items() if key in summary}
+        paper = _figures(PUBLISHED[name].get(row.paper or "", {}))
+        lines.append([row.label, _fine(ours) or f"omitted: {row.omitted or 'not in the document'}", paper])
+    machine = f"{document['device']['processor']}, {document['device']['threads']} threads, {document['revision']}"
+    return f"## {title} (`{name}`)\n\n{about} {machine}.\n\n{markdown(('row', 'ours', PAPER), lines)}"
+
+
+def _fine(ours: Mapping[str, float]) -> str:
+    """Our figures, with the digits they need: errors of poses and seconds are small."""
+    digits = {"rotation_deg": "{:.3f} deg", "translation_percent": "{:.3f} %", "seconds": "{:.3g} s"}
+    return ", ".join((HOW | digits)[metric].format(value) for metric, value in ours.items())
+
+
+def _time(rows: Sequence[dict]) -> str:
+    """Seconds to levels, and of each stage, of the methods with true poses."""
+    lines = []
+    for method in (m.AUTO, *m.TFI.values(), *m.SPIKES.values()):
+        own = [r for r in rows if r["method"] == method.name]
+        if own:
+            cells = [_reached(times_to(rows, method.name, target)) for target in TARGETS_DB]
+            longest = max(own, key=lambda r: r["seconds"])["effort"]
+            steps = [_mean([r for r in own if r["effort"] == longest], "steps_per_s", ".1f")]
+            lines.append([method.name, *cells, *steps])
+    columns = ("method", *(f"s to {target} dB" for target in TARGETS_DB), "steps / s")
+    paper = "The paper trains for 25 min (D3DGS 19, STG 24, 4DGS 22) on one RTX 4090, other scenes."
+    about = "Means over the recordings that got there; in brackets how many of all did, where some did not."
+    return f"## Training time (`time`)\n\n{about} {paper}\n\n{markdown(columns, lines)}"
+
+
+def _reached(times: Sequence[float | None]) -> str:
+    found = [t for t in times if t is not None]
+    if not found:
+        return "never"
+    return f"{np.mean(found):.1f}" + (f" ({len(found)} of {len(times)})" if len(found) < len(times) else "")
