@@ -15,7 +15,7 @@ from reconstruction.errors import StereoError
 
 EFFORT = Effort(10.0)
 GOOD, BAD, UNKNOWN = Method("good"), Method("bad", {"images": "tfi"}), Method("unknown", {"model": "nerf"})
-TABLE = Table("t", "T", "", tuple(Row(m.name, m) for m in (GOOD, BAD, UNKNOWN)) + (Row("none", omitted="no licence"),))
+TABLE = Table("t", "T", "", (*(Row(m.name, m) for m in (GOOD, BAD, UNKNOWN)), Row("none", omitted="no licence")))
 PROTOCOL = Protocol((TABLE,), (Batch("t", ("fan_and_ball",), (EFFORT,)),))
 SCORED = {"psnr_db": 30.0, "ssim": 0.9, "abs_rel": 0.1, "curve": [{"seconds": 9.5, "psnr_db": 30.0}]}
 
