@@ -100,7 +100,7 @@ def test_the_integral_over_a_window_is_that_of_many_instants():
     assert float((light - dense).abs().max()) < 0.1 * float((middle - dense).abs().max())
 
 
-@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative"])
+@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative", "both"])
 def test_every_supervision_moves_a_displaced_mover_back(supervised):
     view = seen(cloud(0.0))
     model = cloud(0.0)
