@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import asdict
 
-from reconstruction.stability import losses, rendering
+from reconstruction.stability import losses, motion, rendering
 from reconstruction.stability.case import Case, row_of
 from reconstruction.stability.probe import omissions
 
-CASES: tuple[Case, ...] = tuple(sorted((*rendering.CASES, *losses.CASES), key=lambda case: case.number))
+CASES: tuple[Case, ...] = tuple(sorted((*rendering.CASES, *motion.CASES, *losses.CASES), key=lambda case: case.number))
 
 
 def run_catalogue(progress: Callable[[float, str], None]) -> dict:
