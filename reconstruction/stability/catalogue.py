@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from dataclasses import asdict
 
-from reconstruction.stability import losses, motion, rendering
+from reconstruction.stability import images, losses, motion, rendering
 from reconstruction.stability.case import Case, row_of
 from reconstruction.stability.probe import omissions
 
-CASES: tuple[Case, ...] = tuple(sorted((*rendering.CASES, *motion.CASES, *losses.CASES), key=lambda case: case.number))
+CASES: tuple[Case, ...] = tuple(
+    sorted((*rendering.CASES, *motion.CASES, *losses.CASES, *images.CASES), key=lambda case: case.number)
+)
 
 
 def run_catalogue(progress: Callable[[float, str], None]) -> dict:

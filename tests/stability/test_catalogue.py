@@ -63,7 +63,10 @@ def test_each_code_path_has_kernels_of_its_own():
 
 def test_what_this_machine_lacks_is_said():
     lacking = [] if "plain" in code_paths() else [name for name in BUILDS if name not in code_paths()]
-    assert [line.split(":")[0] for line in omissions()] == [*(f"native {n}" for n in lacking), *["gsplat"] * bool(MISSING)]
+    assert [line.split(":")[0] for line in omissions()] == [
+        *(f"native {n}" for n in lacking),
+        *["gsplat"] * bool(MISSING),
+    ]
 
 
 @pytest.mark.slow
