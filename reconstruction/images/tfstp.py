@@ -26,7 +26,7 @@ AGREE = 1.5  # ticks: an interval's quantisation, and what u still moves
 
 
 def tfstp(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from the synapses' state at its next spike; not valid without an interval or with every spike."""
+    """Image at `plane` from the synapses' state at its next spike; not valid without an interval or if never silent."""
     replay = Replay(stream, plane)
     spent = np.zeros(replay.silence.shape, dtype=np.float32)  # 1 - R
     primed = np.zeros(replay.silence.shape, dtype=np.float32)  # u - U0

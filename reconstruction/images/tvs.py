@@ -27,7 +27,7 @@ MEMORY = 32  # intervals
 
 
 def tvs(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from each pixel's weight at its next spike; not valid without an interval or with every spike."""
+    """Image at `plane` from each pixel's weight at its next spike; not valid without an interval or if never silent."""
     replay = Replay(stream, plane)
     shape = replay.silence.shape
     mean, potential = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)

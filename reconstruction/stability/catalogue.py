@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import asdict
 
-from reconstruction.stability import images, losses, motion, rendering
+from reconstruction.stability import cameras, images, losses, motion, recordings, rendering
 from reconstruction.stability.case import Case, row_of
 from reconstruction.stability.probe import omissions
 
-CASES: tuple[Case, ...] = tuple(
-    sorted((*rendering.CASES, *motion.CASES, *losses.CASES, *images.CASES), key=lambda case: case.number)
-)
+_SUBJECTS = (rendering, motion, losses, images, recordings, cameras)
+CASES: tuple[Case, ...] = tuple(sorted((c for m in _SUBJECTS for c in m.CASES), key=lambda case: case.number))
 
 
 def run_catalogue(progress: Callable[[float, str], None]) -> dict:
