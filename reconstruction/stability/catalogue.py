@@ -8,7 +8,7 @@ from reconstruction.stability.case import Case, row_of
 from reconstruction.stability.probe import omissions
 
 _SUBJECTS = (rendering, motion, losses, images, recordings, cameras)
-CASES: tuple[Case, ...] = tuple(sorted((c for m in _SUBJECTS for c in m.CASES), key=lambda case: case.number))
+CASES: tuple[Case, ...] = tuple(sorted((c for m in _SUBJECTS for c in m.CASES), key=lambda case: case.number or 0))
 
 
 def run_catalogue(progress: Callable[[float, str], None]) -> dict:

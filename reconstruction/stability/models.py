@@ -77,13 +77,6 @@ def _shaken(cloud: DynamicCloud, scale: float) -> DynamicCloud:
     return cloud
 
 
-def doubled(cloud: DynamicCloud) -> DynamicCloud:
-    """The same cloud in float64, which the torch references evaluate."""
-    state = cloud.state()
-    floats = {name: t.double() if t.is_floating_point() else t for name, t in state["tensors"].items()}
-    return DynamicCloud.from_state({**state, "tensors": floats})
-
-
 def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], dict[str, Tensor]]:
     """Everything at an instant, and the gradients of an uneven sum of it, in float64."""
     own = DynamicCloud.from_state(cloud.state())
@@ -101,7 +94,7 @@ def against_float64(cloud: DynamicCloud, instants_s: tuple[float, ...]) -> Apart
     """How far the cloud in float32, by every code path, is from its float64 self; infinite where not finite."""
     worst = Apart(0.0, 0.0)
     for instant_s in instants_s:
-        values, slopes = evaluated(doubled(cloud), instant_s)
+        values, slopes = evaluated(cloud.to(torch.float64), instant_s)
         finite = all(bool(t.isfinite().all()) for t in chain(values, slopes.values()))
         for name in code_paths():
             with code_path(name):

@@ -17,7 +17,7 @@ from reconstruction.gaussians.rigid import knot_weights
 from reconstruction.initialization.points import spacing
 from reconstruction.rendering.render import render
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.models import CLIP, against_float64, doubled, evaluated, model_names, models
+from reconstruction.stability.models import CLIP, against_float64, evaluated, model_names, models
 from reconstruction.stability.probe import CAMERA, Apart, apart
 
 WITHIN_S = (0.0, 0.007, 0.02)
@@ -86,7 +86,7 @@ def _outside_the_box(name: str) -> Observation:
 
 def _unlike_the_edge(cloud: DynamicCloud) -> float:
     """How far a field, in float64, stretches what lies outside its box otherwise than at the edge nearest to it."""
-    own = doubled(cloud)
+    own = cloud.to(torch.float64)
     assert isinstance(own.motion, HexPlaneMotion)
     low, high = own.motion.box
     (_, _, found, *_), _ = evaluated(own, 0.01)
