@@ -77,6 +77,11 @@ class DynamicCloud:
         for key, tensor in self.motion.tensors():
             yield f"motion.{key}", tensor
 
+    def to(self, target: torch.dtype) -> DynamicCloud:
+        """The same cloud as another float type."""
+        tensors = {k: t.to(target) if t.is_floating_point() else t for k, t in self.state()["tensors"].items()}
+        return DynamicCloud.from_state({**self.state(), "tensors": tensors})
+
     def state(self) -> dict:
         """Plain tensors, numbers and names, for a checkpoint."""
         return {

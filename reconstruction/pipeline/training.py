@@ -22,6 +22,7 @@ from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.poses import write_refined
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.pipeline.watch import Watch
+from reconstruction.rendering.render import Backend
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.plan import Decision, Plan
@@ -37,7 +38,7 @@ def train_stage(
     run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
 ) -> None:
     """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
-    trainer = _trainer(run, recording)
+    trainer = trainer_of(run, recording)
     budget.before_training_s = budget.elapsed_s()
     watch = Watch(run, trainer)
     if run.checkpoint.exists():
@@ -113,7 +114,10 @@ class _Saver:
         self.last = self.budget.clock()
 
 
-def _trainer(run: RunFolder, recording: Recording) -> Trainer:
+def trainer_of(
+    run: RunFolder, recording: Recording, backend: Backend = "native", dtype: torch.dtype = torch.float32
+) -> Trainer:
+    """The trainer as a run starts it; float64 takes the reference as its backend."""
     rig, plan = recording.rig, run.plan
     clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
     sources = composite_sources(run, recording)
@@ -134,8 +138,9 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
         ends_early=run.config.steps is None,
         refines=plan.refine,
         **METHODS[plan.model].trainer,
+        backend=backend,
     )
-    return Trainer(cloud, views, settings, rig.clock, run.config.seed)
+    return Trainer(cloud if dtype == torch.float32 else cloud.to(dtype), views, settings, rig.clock, run.config.seed)
 
 
 def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:

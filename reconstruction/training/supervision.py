@@ -22,7 +22,7 @@ from reconstruction.images.estimate import shrunk
 from reconstruction.losses.counts import cumulative_loss, robust_loss
 from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
-from reconstruction.rendering.render import Rendering, render
+from reconstruction.rendering.render import Backend, Rendering, render
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
@@ -53,7 +53,7 @@ class ImageTerm:
 
     `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
     kept; `solid` works against light that passes through everything: dark texture is not a hole. `closeness` is told
-    of every image compared.
+    of every image compared. Images take the float type that `backend` renders the cloud in.
     """
 
     clock: RigClock
@@ -62,6 +62,7 @@ class ImageTerm:
     ssim: float = 0.2
     solid: float = 0.02
     closeness: Closeness | None = None
+    backend: Backend = "native"
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
@@ -75,7 +76,8 @@ class ImageTerm:
         if shrink > 1:
             camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
             image = shrunk(image, camera)
-        return render(view.seen(cloud, self.clock.instant_s(plane)), camera), torch.from_numpy(image)
+        rendered = render(view.seen(cloud, self.clock.instant_s(plane)), camera, backend=self.backend)
+        return rendered, torch.from_numpy(image).to(rendered.intensity.dtype)
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W]."""
@@ -160,7 +162,7 @@ class SpikeTerm:
         light = alpha = torch.zeros(())
         for node, weight in zip(*_quadrature(nodes), strict=True):
             instant_s = self.image.clock.instant_s(first + length * node - 0.5)
-            rendered = render(view.seen(cloud, instant_s), part.camera)
+            rendered = render(view.seen(cloud, instant_s), part.camera, backend=self.image.backend)
             light = light + weight * rendered.intensity[..., 0]
             alpha = alpha + weight * rendered.alpha
         return light, alpha

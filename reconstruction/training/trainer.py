@@ -12,7 +12,8 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.training.adam import Adam
+from reconstruction.rendering.render import Backend
+from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
@@ -62,6 +63,7 @@ class TrainerSettings:
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
     `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
     lags of the views are learnt too.
+    `backend`: native for float32; the reference trains in any float type.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
 
@@ -74,6 +76,7 @@ class TrainerSettings:
     canonical_until: float = 3 / 17
     ends_early: bool = False
     refines: bool = False
+    backend: Backend = "native"
 
 
 class Trainer:
@@ -197,7 +200,7 @@ class Trainer:
 
 
 def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[ImageTerm, Term | None]:
-    image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness)
+    image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness, backend=settings.backend)
     name = settings.supervision
     if name == "pixels":
         return image, None
@@ -221,7 +224,7 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
+def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> torch.optim.Optimizer:
     groups = []
     for name, tensor in cloud.tensors():
         kind = name.split(".")[1]
@@ -232,7 +235,9 @@ def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
         start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
         end = rates.final if length else 1 / 3
         groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
-    return Adam(groups)
+    if cloud.still.means.dtype == torch.float32:
+        return Adam(groups)
+    return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 
 
 def _extent_m(cloud: DynamicCloud, views: Sequence[TrainingView]) -> float:
