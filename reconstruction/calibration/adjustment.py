@@ -159,7 +159,8 @@ def covariance(problem: Problem, state: State) -> Floats:
     Raises GeometryError where observations and priors do not determine the values: the sandwich would not show it.
     """
     at = linearised(problem, state)
-    inverse = np.linalg.pinv(at.block_hessian, SINGULAR, hermitian=True)  # what one camera sees has no depth
+    # What one camera alone sees has no depth: its block is singular.
+    inverse = np.asarray(np.linalg.pinv(at.block_hessian, SINGULAR, hermitian=True), dtype=np.float64)
     reduced, _ = _reduced(at, inverse)
     scale = 1 / np.sqrt(np.maximum(np.diag(at.hessian), np.finfo(np.float64).tiny))
     if not np.linalg.eigvalsh(reduced * np.outer(scale, scale))[0] > SINGULAR:

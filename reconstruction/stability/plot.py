@@ -23,7 +23,8 @@ def plot_stability(path: Path, document: dict) -> None:
     gaps.set_ylabel("float32 against float64, relative")
     gaps.set_xlabel("training step")
     for axes in (losses, gaps):
-        axes.set_yscale("log")
+        if any(np.nanmax(line.get_ydata(), initial=0.0) > 0 for line in axes.lines):
+            axes.set_yscale("log")
         axes.grid(True, which="both", alpha=0.3)
     if losses.lines:
         losses.legend(fontsize=8)

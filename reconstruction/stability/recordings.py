@@ -167,11 +167,11 @@ def _streams(rig: Rig, dark: str | None = None, twin: str | None = None) -> dict
 def _useless_views(_: str) -> Observation:
     """A dark view is left out, a dropped or doubled one refused, each by name; three views do, one does not."""
     four, three, wrong = _rig(4), _rig(3), []
-    plan, _, _ = make_plan(ReconstructionConfig(), four, _streams(four, dark="cam02"))
+    plan = make_plan(ReconstructionConfig(), four, _streams(four, dark="cam02"))[0]
     skipped = [str(d) for d in plan.decisions if d.about == "views"]
     if plan.views != ("cam00", "cam01", "cam10") or len(skipped) != 1 or "cam02 skipped" not in skipped[0]:
         wrong.append("dark")
-    plan, _, _ = make_plan(ReconstructionConfig(), three, _streams(three))
+    plan = make_plan(ReconstructionConfig(), three, _streams(three))[0]
     if plan.views != three.ids:
         wrong.append("three")
     dropped = Manifest(20000.0, "software", "test", "", (_file("cam00"), _file("cam02")))

@@ -66,7 +66,7 @@ def test_a_spread_a_gap_or_a_training_that_fails_is_a_failure(tmp_path):
     falling = tuple(np.geomspace(1, 0.5, TINY.steps))
     verdicts = judged(scene_of(tmp_path))
     assert [set(verdicts[kind]) for kind in KINDS] == [{"pass"}] * 3
-    assert judged(scene_of(tmp_path, other=Trained(falling, 26.1)))[KINDS[0]] == ["fail"]
+    assert judged(scene_of(tmp_path, other=Trained(falling, 27.1)))[KINDS[0]] == ["fail"]
     assert set(judged(scene_of(tmp_path, double=Trained(falling, 25.2)))[KINDS[1]]) == {"fail"}
     for losses in ((*falling[:-1], np.nan), (1.0,) * TINY.steps):
         found = judged(scene_of(tmp_path, cubic=Trained(losses, 20.0)))[KINDS[2]]
