@@ -107,9 +107,9 @@ def depth(path: Path, document: dict) -> bool:
     if not rows:
         return False
     figure, axes = new_figure("Depth of the held-out view: error against run time")
-    for number, name in enumerate(n for n in known if any(r["method"] == n for r in rows)):
+    for name in (n for n in known if any(r["method"] == n for r in rows)):
         groups = sorted(_by_effort([r for r in rows if r["method"] == name]), key=_seconds)
-        marks(axes, [_seconds(g) for g in groups], [[r["abs_rel"] for r in g] for g in groups], number, name)
+        marks(axes, [_seconds(g) for g in groups], [[r["abs_rel"] for r in g] for g in groups], known.index(name), name)
     log_axes(axes, SECONDS, "Abs Rel")
     write_figure(path, figure, caption(document, rows, f"{BAR} {STOPPED}"))
     return True

@@ -61,6 +61,13 @@ def test_what_was_run_is_found_again_and_what_was_refused_has_its_reason(laborat
     assert len(laboratory.made) == 2
 
 
+def test_a_run_that_came_to_training_too_late_is_named(laboratory, monkeypatch):
+    late = SCORED | {"curve": [{"seconds": 12.0, "psnr_db": 30.0}]}
+    monkeypatch.setattr(runs, "score_run", lambda run, recording: late)
+    document = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert any(line.startswith("fan_and_ball-2-good-10: took 12 s: the stages") for line in document.omissions)
+
+
 def test_of_a_run_its_scores_and_its_last_state_are_left(laboratory):
     bench_paper(PROTOCOL, laboratory.own, silent)
     (folder,) = (laboratory.own.work / "cells" / "fan_and_ball-2-good-10").iterdir()
