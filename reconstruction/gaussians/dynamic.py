@@ -17,8 +17,12 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Instantaneous, Motion, MotionModel
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TimestepMotion
 
-MODELS: dict[str, type[MotionModel]] = {m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion)}
+MODELS: dict[str, type[MotionModel]] = {
+    m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion, SpacetimeMotion, TimestepMotion)
+}
 
 
 @dataclass(frozen=True)

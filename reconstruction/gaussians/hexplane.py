@@ -92,7 +92,7 @@ class HexPlaneMotion(MotionModel):
         shift, turn, stretch = (_affine(r, _affine(h, trunk).relu()) for r, h in zip(rows, self.hidden, strict=True))
         return shift, turn, stretch
 
-    def penalty(self) -> Tensor:
+    def penalty(self, moving: GaussianCloud) -> Tensor:
         """Squared differences of neighbouring cells in space, second ones in time, and how far time is from one."""
         space = sum(_rough(p, 2, 1) + _rough(p, 3, 1) for p in (self.coarse_space, self.fine_space))
         times = (self.coarse_time, self.fine_time)

@@ -127,13 +127,13 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
+    method = {"ends_early": run.config.steps is None, **METHODS[plan.model].trainer}
     settings = TrainerSettings(
         plan.supervision,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
-        ends_early=run.config.steps is None,
         refines=plan.refine,
-        **METHODS[plan.model].trainer,
+        **method,
     )
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 

@@ -65,7 +65,7 @@ class ImageTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
-        instants = view.source.instants(self.stride)
+        instants = _instants(cloud, view, self.stride)
         plane = int(instants[rng.integers(len(instants))])
         return self.against(*self.pair(cloud, view, plane, shrink))
 
@@ -98,7 +98,7 @@ class VariationTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of instants that begin at a random plane."""
-        instants = view.source.instants(self.image.stride)
+        instants = _instants(cloud, view, self.image.stride)
         gap = max(1, min(self.gap // self.image.stride, (len(instants) - 1) // (self.instants - 1)))
         first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
         at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
@@ -128,10 +128,10 @@ class SpikeTerm:
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
         part = _part(view, self.size_px, rng)
-        planes = len(view.source.stream)
-        low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
+        begin, end = _planes(cloud, view)
+        low, high = (math.log(min(x, end - begin)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
-        first = int(rng.integers(planes - window + 1))
+        first = begin + int(rng.integers(end - begin - window + 1))
         nodes = min(self.most_nodes, math.ceil(window / self.planes_a_node))
         if self.norm == "cumulative":
             return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
@@ -165,6 +165,20 @@ class SpikeTerm:
         loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)
         alpha = torch.stack([alpha for _, alpha in pairs])
         return loss / self.image.white + self.image.solid * (1 - alpha).mean()
+
+
+def _planes(cloud: DynamicCloud, view: TrainingView) -> tuple[int, int]:
+    """The planes [first, last) of the part of the clip that the motion is learnt from now."""
+    planes, (low, high) = len(view.source.stream), cloud.motion.span()
+    first = min(math.floor(low * planes), planes - 1)
+    return first, min(max(math.ceil(high * planes), first + 1), planes)
+
+
+def _instants(cloud: DynamicCloud, view: TrainingView, stride: int) -> NDArray[np.int64]:
+    """The planes of that part whose images are targets; the nearest one where there is none."""
+    instants, (first, last) = view.source.instants(stride), _planes(cloud, view)
+    within = instants[(instants >= first) & (instants < last)]
+    return within if len(within) else instants[[np.abs(2 * instants + 1 - first - last).argmin()]]
 
 
 @dataclass(frozen=True, eq=False)

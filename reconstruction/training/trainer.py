@@ -47,6 +47,7 @@ class Rates:
     intensities: float = 8e-3
     instants: float = 4e-3
     log_durations: float = 2e-2
+    turns: float = 3e-2
     knot_quats: float = 5e-4
     knot_centers: float = 1e-4
     planes: float = 5e-2
@@ -108,13 +109,13 @@ class Trainer:
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
-        self._anneal(done)
+        self._anneal(done, self.cloud.motion.advance(self.cloud.moving, done))
         every, coarse = self.settings.spike_every, done < self.settings.half_until
         due = self.spikes if not coarse and self.steps % every == every - 1 else None
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
         loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
-        penalty = self.cloud.motion.penalty()
+        penalty = self.cloud.motion.penalty(self.cloud.moving)
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
@@ -142,10 +143,12 @@ class Trainer:
         """How much of the training lies behind, where the budget says `share`: more once it ends early."""
         return self.ending.done(share, self.steps) if self.ending else share
 
-    def _anneal(self, done: float) -> None:
+    def _anneal(self, done: float, stage: float) -> None:
+        """Rates at `done` of the training; of what moves, at its `stage`."""
         for group in self.optimizer.param_groups:
             begun = not group["field"] or done >= self.settings.canonical_until
-            group["lr"] = group["start"] * group["end"] ** min(max(done, 0.0), 1.0) if begun else 0.0
+            share = min(max(stage if group["moves"] else done, 0.0), 1.0)
+            group["lr"] = group["start"] * group["end"] ** share if begun else 0.0
 
     def state(self) -> dict:
         """Everything a resumed training needs, as tensors, numbers and strings."""
@@ -229,7 +232,8 @@ def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
         length = kind in LENGTHS
         start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
         end = rates.final if length else 1 / 3
-        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
+        flags = {"field": kind in RATE_OF, "moves": not name.startswith("still")}
+        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, **flags})
     return Adam(groups)
 
 

@@ -9,10 +9,11 @@ import torch
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid
+from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
 
 CLIP = Clip(0.0, 0.02)
-MODELS = ("linear", "cubic", "bases", "4dgs")
+MODELS = ("linear", "cubic", "bases", "4dgs", "stg", "d3dgs")
+LASTING = ("4dgs", "d3dgs")  # without a window of time
 INSTANTS = 8
 
 
@@ -35,6 +36,14 @@ def cloud_of(model: str, scale: float = 1.0) -> DynamicCloud:
         cloud = seed_field(Points.none(), moving, CLIP, 0)
         generator = torch.Generator().manual_seed(1)
         cloud.motion.heads[:] = 0.1 * torch.randn(cloud.motion.heads.shape, generator=generator)
+    elif model == "stg":
+        cloud = seed_spacetime(Points.none(), moving, CLIP, INSTANTS)
+        cloud.motion.turns[:] = 1
+    elif model == "d3dgs":
+        cloud = seed_timesteps(Points.none(), moving, CLIP)
+        for done in (0.5, 0.8, 1.0):
+            cloud.motion.advance(cloud.moving, done)
+            cloud.moving.means += 0.01 * scale
     else:
         cloud = seed_cloud(Points.none(), moving, CLIP, INSTANTS, cubic=model == "cubic")
     for name, tensor in cloud.motion.tensors():
@@ -90,7 +99,7 @@ def test_case_17_a_body_turns_the_same_whatever_the_length_of_its_quaternions(le
 
 
 @pytest.mark.parametrize("log_duration", [-100.0, 100.0])
-@pytest.mark.parametrize("model", [m for m in MODELS if m != "4dgs"])
+@pytest.mark.parametrize("model", [m for m in MODELS if m not in LASTING])
 def test_case_18_a_duration_of_nought_is_floored_and_one_without_end_is_always_there(model, log_duration):
     cloud = cloud_of(model)
     cloud.motion.log_durations[:] = log_duration
@@ -107,9 +116,9 @@ def test_case_19_far_outside_the_clip_everything_is_finite_and_free_movers_are_g
     with torch.no_grad():
         now = cloud.at(instant_s)
     free = slice(len(cloud.motion.bodies), None) if model == "bases" else slice(None)
-    if model != "4dgs":
+    if model not in LASTING:
         assert float(now.opacities[free].max()) < 1e-6
-    if model in ("bases", "4dgs"):
+    if model in ("bases", *LASTING):
         bounded = now.means[: len(cloud.motion.bodies)] if model == "bases" else now.means
         assert float(bounded.abs().max()) < 20
     finite_with_gradients(cloud, instant_s)

@@ -13,6 +13,8 @@ from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TIMESTEPS, TimestepMotion
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
@@ -38,6 +40,16 @@ def motion_of(kind: str, moving: GaussianCloud):
     instants, logs = torch.linspace(-0.2, 1.2, count), torch.full((count,), math.log(0.4))
     if kind == "cubic":
         return Motion(0.3 * draw(count, 3), 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs)
+    if kind == "stg":
+        turns = draw(count, 4)
+        return SpacetimeMotion(0.3 * turns[:, :3], 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs, turns)
+    if kind == "d3dgs":
+        motion = TimestepMotion.started(moving.means)
+        for done in torch.linspace(0, 1, 2 * TIMESTEPS):
+            motion.advance(moving, float(done))
+            moving.means += 0.01 * draw(count, 3)
+            moving.quats_wxyz += 0.1 * draw(count, 4)
+        return motion
     if kind == "bases":
         riders, angles = count // 2, torch.linspace(0, 3, 5)
         zero = torch.zeros(5)
