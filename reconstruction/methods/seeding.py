@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
@@ -14,6 +15,8 @@ from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, spacing
 from rigs.transform import Transform
+
+Field = HexPlaneMotion | DeformationMotion
 
 STILL_OPACITY = 0.7
 MOVING_OPACITY = 0.6
@@ -59,13 +62,15 @@ def seed_rigid(still: Points, moving: Points, clip: Clip, instants: int, bodies:
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(carried, MOVING_OPACITY), motion, clip)
 
 
-def seed_field(still: Points, moving: Points, clip: Clip, seed: int) -> DynamicCloud:
-    """One canonical Gaussian a point, deformed by a HexPlane field that starts from `seed`; no field without points."""
+def seed_field(
+    still: Points, moving: Points, clip: Clip, seed: int, model: type[Field] = HexPlaneMotion
+) -> DynamicCloud:
+    """One canonical Gaussian a point, deformed by a field that starts from `seed`; no field without points."""
     if len(moving) == 0:
         return seed_cloud(still, moving, clip, 1)
     canonical = _gaussians(moving, MOVING_OPACITY)
     least_m = ROOM * float(np.median(moving.spacing))
-    motion = HexPlaneMotion.around(canonical.means, least_m, torch.Generator().manual_seed(seed))
+    motion = model.around(canonical.means, least_m, torch.Generator().manual_seed(seed))
     return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
 
 

@@ -113,6 +113,7 @@ class VariationTerm:
 class SpikeTerm:
     """Counts over a random window against the render integrated over it, in a part of the view that sees a mover.
 
+    `size_px`: width and height of the part; None is the whole view.
     Windows are log-uniform between `shortest` and `longest` planes. The integral is a Gauss-Legendre quadrature of an
     instant for every `planes_a_node`, at most `most_nodes`; `cumulative` compares as many equal parts of the window.
     """
@@ -123,7 +124,7 @@ class SpikeTerm:
     longest: int = 33
     planes_a_node: int = 8
     most_nodes: int = 4
-    size_px: tuple[int, int] = (160, 128)
+    size_px: tuple[int, int] | None = (160, 128)
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
@@ -146,6 +147,7 @@ class SpikeTerm:
     ) -> tuple[Tensor, Tensor]:
         """Mean light and alpha [H, W] over the planes of the span (first, length, nodes)."""
         first, length, nodes = span
+        nodes = nodes if cloud.changes else 1
         light = alpha = torch.zeros(())
         for node, weight in zip(*_quadrature(nodes), strict=True):
             instant_s = self.image.clock.instant_s(first + length * node - 0.5)
@@ -199,9 +201,10 @@ class Part:
         return self.of(view.source.stream.counts(first, last)).astype(np.float32)
 
 
-def _part(view: TrainingView, size_px: tuple[int, int], rng: np.random.Generator) -> Part:
+def _part(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:
     """A rectangle around a random pixel that moves (any pixel where none does)."""
     camera, moving = view.camera, view.source.moving
+    size_px = size_px or (camera.width, camera.height)
     width, height = min(size_px[0], camera.width), min(size_px[1], camera.height)
     seen = np.flatnonzero(moving)
     pixel = int(seen[rng.integers(len(seen))]) if len(seen) else int(rng.integers(moving.size))

@@ -24,9 +24,10 @@ from rigs.clock import RigClock
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
 DEAD = 0.005  # opacity below which a Gaussian is not rendered to any effect
 LIVING_EVERY = 100  # steps between looks at whether any is left
-RATE_OF = {  # tensors of the field of 4dgs that share a rate
+RATE_OF = {  # tensors of fields that share a rate
     **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
     **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
+    **dict.fromkeys(("entry", "inner", "again", "exit"), "network"),
 }
 
 
@@ -52,6 +53,7 @@ class Rates:
     knot_centers: float = 1e-4
     planes: float = 5e-2
     layers: float = 4e-3
+    network: float = 1.5e-3
     final: float = 0.05
 
 
@@ -61,6 +63,8 @@ class TrainerSettings:
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
+    `spike_px`: width and height of the part of a view it looks at (None: all). `spike_planes`: its shortest and longest
+    window.
     `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
     lags of the views are learnt too.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
@@ -72,6 +76,8 @@ class TrainerSettings:
     tick_stride: int = 1
     half_until: float = HALF_UNTIL
     spike_every: int = 2
+    spike_px: tuple[int, int] | None = (160, 128)
+    spike_planes: tuple[int, int] = (8, 33)
     canonical_until: float = 3 / 17
     ends_early: bool = False
     refines: bool = False
@@ -204,7 +210,10 @@ def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> 
     name = settings.supervision
     if name == "pixels":
         return image, None
-    return image, VariationTerm(image) if name == "variation" else SpikeTerm(image, name)  # type: ignore[arg-type]
+    if name == "variation":
+        return image, VariationTerm(image)
+    shortest, longest = settings.spike_planes
+    return image, SpikeTerm(image, name, shortest, longest, size_px=settings.spike_px)  # type: ignore[arg-type]
 
 
 def train(

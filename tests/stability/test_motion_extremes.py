@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 import torch
 
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
 from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
 
 CLIP = Clip(0.0, 0.02)
-MODELS = ("linear", "cubic", "bases", "4dgs", "stg", "d3dgs")
-LASTING = ("4dgs", "d3dgs")  # without a window of time
+MODELS = ("linear", "cubic", "bases", "4dgs", "deformation", "stg", "d3dgs")
+FIELDS = ("4dgs", "deformation")
+LASTING = (*FIELDS, "d3dgs")  # without a window of time
 INSTANTS = 8
 
 
@@ -32,10 +35,11 @@ def cloud_of(model: str, scale: float = 1.0) -> DynamicCloud:
     )
     if model == "bases":
         cloud = seed_rigid(Points.none(), moving, CLIP, INSTANTS, bodies)
-    elif model == "4dgs":
-        cloud = seed_field(Points.none(), moving, CLIP, 0)
+    elif model in FIELDS:
+        cloud = seed_field(Points.none(), moving, CLIP, 0, HexPlaneMotion if model == "4dgs" else DeformationMotion)
         generator = torch.Generator().manual_seed(1)
-        cloud.motion.heads[:] = 0.1 * torch.randn(cloud.motion.heads.shape, generator=generator)
+        last = cloud.motion.heads if model == "4dgs" else cloud.motion.exit
+        last[:] = 0.1 * torch.randn(last.shape, generator=generator)
     elif model == "stg":
         cloud = seed_spacetime(Points.none(), moving, CLIP, INSTANTS)
         cloud.motion.turns[:] = 1
@@ -73,9 +77,10 @@ def test_case_15_a_scene_of_another_scale_moves_the_same(model, scale):
 
 
 @pytest.mark.parametrize("far", [2.0, 1e6, 1e20])
-def test_case_16_points_outside_the_box_of_the_field_are_clamped(far):
-    cloud = cloud_of("4dgs")
-    at_edge = cloud_of("4dgs")
+@pytest.mark.parametrize("model", FIELDS)
+def test_case_16_points_outside_the_box_of_the_field_are_clamped(model, far):
+    cloud = cloud_of(model)
+    at_edge = cloud_of(model)
     low, high = cloud.motion.box
     half = (high - low) / 2
     cloud.moving.means[:] = (low + high) / 2 + far * half

@@ -12,6 +12,7 @@ from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion, MotionModel
@@ -33,7 +34,7 @@ from rigs.transform import Transform
 WIDTH, HEIGHT, PLANES, RATE_HZ = 48, 40, 48, 20_000.0
 CLIP, CLOCK = Clip(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
 CAMERA = Camera("cam00", WIDTH, HEIGHT, 40.0, 40.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
-KINDS = ("polynomial", "bases", "4dgs", "stg", "d3dgs")
+KINDS = ("polynomial", "bases", "4dgs", "stg", "d3dgs", "deformation")
 
 
 def motion_of(kind: str, means: torch.Tensor, speed: float) -> MotionModel:
@@ -49,6 +50,8 @@ def motion_of(kind: str, means: torch.Tensor, speed: float) -> MotionModel:
         return motion
     if kind == "d3dgs":
         return TimestepMotion.started(means)
+    if kind == "deformation":
+        return DeformationMotion.around(means, 0.3, torch.Generator().manual_seed(0))
     if kind == "4dgs":
         return HexPlaneMotion.around(means, 0.3, torch.Generator().manual_seed(0))
     quats = torch.tensor([1.0, 0, 0, 0]).expand(1, 5, 4).clone()
@@ -114,8 +117,9 @@ def test_everything_is_learnt_but_what_is_fixed(kind, view):
         assert tensor.numel() == 0 or torch.equal(before[name], tensor) == fixed, name
 
 
-def test_the_canonical_stage_leaves_the_field_alone(view):
-    trainer = trainer_of("4dgs", view)
+@pytest.mark.parametrize("kind", ["4dgs", "deformation"])
+def test_the_canonical_stage_leaves_the_field_alone(kind, view):
+    trainer = trainer_of(kind, view)
     before = {name: t.detach().clone() for name, t in trainer.cloud.tensors()}
     for _ in range(3):
         trainer.step(0.2)
@@ -123,7 +127,7 @@ def test_the_canonical_stage_leaves_the_field_alone(view):
         assert torch.equal(before[name], tensor) == name.startswith("motion."), name
 
 
-@pytest.mark.parametrize("kind", ["bases", "4dgs"])
+@pytest.mark.parametrize("kind", ["bases", "4dgs", "deformation"])
 def test_a_motion_is_learnt_from_standing_still(kind, view):
     rates = replace(TrainerSettings("pixels").rates, knot_centers=6e-3)
     trainer = trainer_of(kind, view)
