@@ -1,11 +1,12 @@
 """Deformable 3D Gaussians: one canonical cloud, deformed by a network of place and time.
 
-Letters: M moving Gaussians, W width of the network, D inner layers, I inputs. A place, -1 to 1 in the box, is encoded by
-itself and the sines and cosines of it times 1, 2, 4, .. and pi, the time likewise. Cost: M x about D W^2 multiplications
-a render. Source: Yang et al., "Deformable 3D Gaussians for high-fidelity monocular dynamic scene reconstruction", CVPR
-2024. As there: what is encoded, the input given again half-way, offsets of place, quaternion and log scales, means not
-taught through the encoding. Not as there: width, depth and octaves (there 256, 8, 10 and 6 or 10; too dear on a CPU),
-and a last layer that starts at zero, so that the field starts as no deformation.
+Letters: M moving Gaussians, W width of the network, D inner layers, I inputs. A place, -1 to 1 in the box, is encoded
+by itself and the sines and cosines of it times 1, 2, 4, .. and pi, the time likewise. Cost: M x about D W^2
+multiplications a render.
+Source: Yang et al., "Deformable 3D Gaussians for high-fidelity monocular dynamic scene reconstruction", CVPR 2024. As
+there: what is encoded, the input given again half-way, offsets of place, quaternion and log scales, means not taught
+through the encoding. Not as there: width, depth and octaves (there 256, 8, 10 and 6 or 10; too dear on a CPU), and a
+last layer that starts at zero, so that the field starts as no deformation.
 """
 
 from __future__ import annotations
