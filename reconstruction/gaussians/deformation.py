@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -36,7 +37,7 @@ class DeformationMotion(DeformationField):
     exit: Tensor  # [10, W + 1]: rows of position, quaternion, log scales
 
     @classmethod
-    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> DeformationMotion:
+    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
         """A field that deforms nothing yet, over the box that `box_around` finds."""
         return cls(
             box=box_around(means, least_m),

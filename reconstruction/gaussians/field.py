@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -27,6 +28,11 @@ class DeformationField(MotionModel):
 
     fixed = frozenset({"box"})
     box: Tensor  # [2, 3] m
+
+    @classmethod
+    @abstractmethod
+    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
+        """A field that deforms nothing yet, over the box that `box_around` finds."""
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
         """Every Gaussian shifted, turned and stretched by the field at its canonical mean and u."""

@@ -11,6 +11,7 @@ Not as there: the last layers start at zero, so that the field starts as no defo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -41,7 +42,7 @@ class HexPlaneMotion(DeformationField):
     heads: Tensor  # [10, W + 1]: rows of position, quaternion, log scales
 
     @classmethod
-    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> HexPlaneMotion:
+    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
         """A field that deforms nothing yet, over the box that `box_around` finds."""
         spaces = [torch.empty(3, FEATURES, s, s).uniform_(0.1, 0.5, generator=generator) for s in SPACE_CELLS]
         times = [torch.ones(3, FEATURES, TIME_CELLS, s) for s in SPACE_CELLS]

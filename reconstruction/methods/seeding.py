@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.field import DeformationField
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import RigidMotion
@@ -15,8 +15,6 @@ from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, spacing
 from rigs.transform import Transform
-
-Field = HexPlaneMotion | DeformationMotion
 
 STILL_OPACITY = 0.7
 MOVING_OPACITY = 0.6
@@ -63,7 +61,7 @@ def seed_rigid(still: Points, moving: Points, clip: Clip, instants: int, bodies:
 
 
 def seed_field(
-    still: Points, moving: Points, clip: Clip, seed: int, model: type[Field] = HexPlaneMotion
+    still: Points, moving: Points, clip: Clip, seed: int, model: type[DeformationField] = HexPlaneMotion
 ) -> DynamicCloud:
     """One canonical Gaussian a point, deformed by a field that starts from `seed`; no field without points."""
     if len(moving) == 0:
