@@ -22,7 +22,7 @@ from reconstruction.gaussians.rigidity import Neighbourhood, neighbourhood, rigi
 
 TIMESTEPS = 26
 FIRST = 0.4  # share of the training that the first timestep takes
-WEIGHT = 0.02  # of the rigidity losses
+WEIGHT = 0.002  # of the rigidity losses
 
 
 @dataclass
