@@ -96,7 +96,7 @@ def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, i
 
 
 def _moving(cloud: DynamicCloud) -> Arrays:
-    return _polynomial(cloud, cloud.motion) if isinstance(cloud.motion, Motion) else _keyframes(cloud)
+    return _polynomial(cloud, cloud.motion) if type(cloud.motion) is Motion else _keyframes(cloud)
 
 
 def _polynomial(cloud: DynamicCloud, motion: Motion) -> Arrays:

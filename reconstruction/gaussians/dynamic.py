@@ -14,11 +14,16 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Instantaneous, Motion, MotionModel
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TimestepMotion
 
-MODELS: dict[str, type[MotionModel]] = {m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion)}
+MODELS: dict[str, type[MotionModel]] = {
+    m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion, SpacetimeMotion, TimestepMotion, DeformationMotion)
+}
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,11 @@ class DynamicCloud:
         if len(moving):
             now = _joined(now, self.motion.at(moving, u))
         return now if len(self.light) == 1 else now._replace(intensities=now.intensities * self.gain(u))
+
+    @property
+    def changes(self) -> bool:
+        """Whether it is not the same at all instants."""
+        return len(self.moving) > 0 or len(self.light) > 1
 
     def gain(self, u: float) -> float:
         """How bright the light is at u, in clips."""

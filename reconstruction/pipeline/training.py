@@ -131,14 +131,14 @@ def trainer_of(
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
+    method = {"ends_early": run.config.steps is None, **METHODS[plan.model].trainer}
     settings = TrainerSettings(
         plan.supervision,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
-        ends_early=run.config.steps is None,
         refines=plan.refine,
-        **METHODS[plan.model].trainer,
         backend=backend,
+        **method,
     )
     return Trainer(cloud if dtype == torch.float32 else cloud.to(dtype), views, settings, rig.clock, run.config.seed)
 

@@ -99,7 +99,8 @@ def make_plan(
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
     still, moving = _split(config.gaussians, method, masks)
-    decisions += _economies(config, work, _share(masks), (still, moving))
+    half_until = method.trainer.get("half_until", HALF_UNTIL)
+    decisions += _economies(config, work, _share(masks), (still, moving), half_until)
     decisions += _left_out(rig, views, work)
     init = _choose_init(config, rig, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
@@ -138,7 +139,9 @@ def _choose_targets(
     return images, supervision
 
 
-def _economies(config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int]) -> list[Decision]:
+def _economies(
+    config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int], half_until: float
+) -> list[Decision]:
     """Instants, Gaussians and resolution: what is kept small from the start."""
     stride, (still, moving) = config.tick_stride, counts
     fewer = work.images(1) - work.images(stride)
@@ -149,12 +152,13 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
     every = f"an image every {stride} planes"
     splats = f"{still:,} still and {moving:,} moving"
     cost = (work.splats_s(config.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * config.gaussians)
-    sizes = f"half size for the first {HALF_UNTIL:.0%}"
-    why = "positions and brightness settle on coarse images first, at less than full size"
+    sizes = f"half size for the first {half_until:.0%}" if half_until else "full size throughout"
+    coarse = "positions and brightness settle on coarse images first, at less than full size"
+    why = coarse if half_until else "spikes are counted pixel by pixel"
     return [
         Decision("instants", every, reason, "--tick-stride", *spared),
         Decision("Gaussians", splats, "the cap as given, against twice as many", "none", *cost),
-        Decision("resolution", sizes, why, "none", work.half_size_s(HALF_UNTIL)),
+        Decision("resolution", sizes, why, "none", work.half_size_s(half_until) if half_until else None),
     ]
 
 

@@ -66,7 +66,7 @@ class ImageTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
-        instants = view.source.instants(self.stride)
+        instants = _instants(cloud, view, self.stride)
         plane = int(instants[rng.integers(len(instants))])
         return self.against(*self.pair(cloud, view, plane, shrink))
 
@@ -100,7 +100,7 @@ class VariationTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of instants that begin at a random plane."""
-        instants = view.source.instants(self.image.stride)
+        instants = _instants(cloud, view, self.image.stride)
         gap = max(1, min(self.gap // self.image.stride, (len(instants) - 1) // (self.instants - 1)))
         first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
         at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
@@ -126,6 +126,7 @@ class SumTerm:
 class SpikeTerm:
     """Counts over a random window against the render integrated over it, in a part of the view that sees a mover.
 
+    `size_px`: width and height of the part; None is the whole view.
     Windows are log-uniform between `shortest` and `longest` planes. The integral is a Gauss-Legendre quadrature of an
     instant for every `planes_a_node`, at most `most_nodes`; `cumulative` compares as many equal parts of the window.
     """
@@ -136,15 +137,15 @@ class SpikeTerm:
     longest: int = 33
     planes_a_node: int = 8
     most_nodes: int = 4
-    size_px: tuple[int, int] = (160, 128)
+    size_px: tuple[int, int] | None = (160, 128)
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
         part = _part(view, self.size_px, rng)
-        planes = len(view.source.stream)
-        low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
+        begin, end = _planes(cloud, view)
+        low, high = (math.log(min(x, end - begin)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
-        first = int(rng.integers(planes - window + 1))
+        first = begin + int(rng.integers(end - begin - window + 1))
         nodes = min(self.most_nodes, math.ceil(window / self.planes_a_node))
         if self.norm == "cumulative":
             return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
@@ -159,6 +160,7 @@ class SpikeTerm:
     ) -> tuple[Tensor, Tensor]:
         """Mean light and alpha [H, W] over the planes of the span (first, length, nodes)."""
         first, length, nodes = span
+        nodes = nodes if cloud.changes else 1
         light = alpha = torch.zeros(())
         for node, weight in zip(*_quadrature(nodes), strict=True):
             instant_s = self.image.clock.instant_s(first + length * node - 0.5)
@@ -180,6 +182,20 @@ class SpikeTerm:
         return loss / self.image.white + self.image.solid * (1 - alpha).mean()
 
 
+def _planes(cloud: DynamicCloud, view: TrainingView) -> tuple[int, int]:
+    """The planes [first, last) of the part of the clip that the motion is learnt from now."""
+    planes, (low, high) = len(view.source.stream), cloud.motion.span()
+    first = min(math.floor(low * planes), planes - 1)
+    return first, min(max(math.ceil(high * planes), first + 1), planes)
+
+
+def _instants(cloud: DynamicCloud, view: TrainingView, stride: int) -> NDArray[np.int64]:
+    """The planes of that part whose images are targets; the nearest one where there is none."""
+    instants, (first, last) = view.source.instants(stride), _planes(cloud, view)
+    within = instants[(instants >= first) & (instants < last)]
+    return within if len(within) else instants[[np.abs(2 * instants + 1 - first - last).argmin()]]
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """A rectangle of a view: its camera, where it begins, and its pixels [H, W] that are not stuck."""
@@ -198,9 +214,10 @@ class Part:
         return self.of(view.source.stream.counts(first, last)).astype(np.float32)
 
 
-def _part(view: TrainingView, size_px: tuple[int, int], rng: np.random.Generator) -> Part:
+def _part(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:
     """A rectangle around a random pixel that moves (any pixel where none does)."""
     camera, moving = view.camera, view.source.moving
+    size_px = size_px or (camera.width, camera.height)
     width, height = min(size_px[0], camera.width), min(size_px[1], camera.height)
     seen = np.flatnonzero(moving)
     pixel = int(seen[rng.integers(len(seen))]) if len(seen) else int(rng.integers(moving.size))

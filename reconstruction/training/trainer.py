@@ -25,9 +25,10 @@ from rigs.clock import RigClock
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
 DEAD = 0.005  # opacity below which a Gaussian is not rendered to any effect
 LIVING_EVERY = 100  # steps between looks at whether any is left
-RATE_OF = {  # tensors of the field of 4dgs that share a rate
+RATE_OF = {  # tensors of fields that share a rate
     **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
     **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
+    **dict.fromkeys(("entry", "inner", "again", "exit"), "network"),
 }
 
 
@@ -48,10 +49,12 @@ class Rates:
     intensities: float = 8e-3
     instants: float = 4e-3
     log_durations: float = 2e-2
+    turns: float = 3e-2
     knot_quats: float = 5e-4
     knot_centers: float = 1e-4
     planes: float = 5e-2
     layers: float = 4e-3
+    network: float = 1.5e-3
     final: float = 0.05
 
 
@@ -61,6 +64,8 @@ class TrainerSettings:
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
+    `spike_px`: width and height of the part of a view it looks at (None: all). `spike_planes`: its shortest and longest
+    window.
     `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
     lags of the views are learnt too.
     `backend`: native for float32; the reference trains in any float type.
@@ -73,6 +78,8 @@ class TrainerSettings:
     tick_stride: int = 1
     half_until: float = HALF_UNTIL
     spike_every: int = 2
+    spike_px: tuple[int, int] | None = (160, 128)
+    spike_planes: tuple[int, int] = (8, 33)
     canonical_until: float = 3 / 17
     ends_early: bool = False
     refines: bool = False
@@ -111,13 +118,13 @@ class Trainer:
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
-        self._anneal(done)
+        self._anneal(done, self.cloud.motion.advance(self.cloud.moving, done))
         every, coarse = self.settings.spike_every, done < self.settings.half_until
         due = self.spikes if not coarse and self.steps % every == every - 1 else None
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
         loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
-        penalty = self.cloud.motion.penalty()
+        penalty = self.cloud.motion.penalty(self.cloud.moving)
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
@@ -145,10 +152,12 @@ class Trainer:
         """How much of the training lies behind, where the budget says `share`: more once it ends early."""
         return self.ending.done(share, self.steps) if self.ending else share
 
-    def _anneal(self, done: float) -> None:
+    def _anneal(self, done: float, stage: float) -> None:
+        """Rates at `done` of the training; of what moves, at its `stage`."""
         for group in self.optimizer.param_groups:
             begun = not group["field"] or done >= self.settings.canonical_until
-            group["lr"] = group["start"] * group["end"] ** min(max(done, 0.0), 1.0) if begun else 0.0
+            share = min(max(stage if group["moves"] else done, 0.0), 1.0)
+            group["lr"] = group["start"] * group["end"] ** share if begun else 0.0
 
     def state(self) -> dict:
         """Everything a resumed training needs, as tensors, numbers and strings."""
@@ -204,9 +213,12 @@ def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> 
     name = settings.supervision
     if name == "pixels":
         return image, None
-    if name == "both":
-        return image, SumTerm((VariationTerm(image), SpikeTerm(image, "counts")))
-    return image, VariationTerm(image) if name == "variation" else SpikeTerm(image, name)  # type: ignore[arg-type]
+    if name == "variation":
+        return image, VariationTerm(image)
+    shortest, longest = settings.spike_planes
+    norm = "counts" if name == "both" else name
+    spikes = SpikeTerm(image, norm, shortest, longest, size_px=settings.spike_px)  # type: ignore[arg-type]
+    return image, SumTerm((VariationTerm(image), spikes)) if name == "both" else spikes
 
 
 def train(
@@ -234,7 +246,8 @@ def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> torch.opti
         length = kind in LENGTHS
         start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
         end = rates.final if length else 1 / 3
-        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
+        flags = {"field": kind in RATE_OF, "moves": not name.startswith("still")}
+        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, **flags})
     if cloud.still.means.dtype == torch.float32:
         return Adam(groups)
     return torch.optim.Adam(groups, betas=BETAS, eps=EPS)

@@ -13,7 +13,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, Init, ReconstructionConfig
+from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, Init, Model, ReconstructionConfig
 from reconstruction.training.run import RunFolder
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.progress import progress_of
@@ -24,7 +24,7 @@ FOLDER = click.Path(path_type=Path)
 @click.command("reconstruct")
 @click.argument("recording", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Run folder; an unfinished one is resumed.")
-@click.option("--model", default="auto", help="auto, static, linear, cubic, bases or 4dgs.")
+@click.option("--model", default="auto", help=f"One of: {', '.join(get_args(Model))}.")
 @click.option("--init", default="auto", help=f"One of: {', '.join(get_args(Init))}; auto: natural where nominal.")
 @click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
 @click.option(

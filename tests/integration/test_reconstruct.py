@@ -99,7 +99,7 @@ def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tm
         assert torch.equal(a, b), name
 
 
-@pytest.mark.parametrize("model", ["bases", "4dgs"])
+@pytest.mark.parametrize("model", ["bases", "4dgs", "stg", "d3dgs", "dy-spikegs"])
 def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tmp_path):
     config = replace(CONFIG, model=model, steps=12)
     calls = iter(range(10**6))
@@ -109,7 +109,7 @@ def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tm
         reconstruct(recording, tmp_path / "run", config, quiet, stage="train", should_stop=lambda: next(calls) == 5)
     run = reconstruct(recording, tmp_path / "run", config, quiet, stage="train")
     cloud = load_cloud(run.checkpoint)
-    assert cloud.motion.kind == model
+    assert cloud.motion.kind == {"dy-spikegs": "deformation"}.get(model, model)
     assert len(cloud.moving) > 20
     if model == "bases":
         found = run.document["bodies"]
