@@ -16,7 +16,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.bench.variants import AUTO, BUDGETS_S, CLEAN, HOLDOUT, MIDDLE_S, Variant
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
 from reconstruction.evaluation.truth import Truth
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import model_from_state
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.stages import composite_sources
@@ -68,7 +68,7 @@ def _scored(run: RunFolder, clip: Clip, *, floors: bool) -> dict:
     held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, Truth.open(recording.truth))
     assert truth is not None
     states = [load_checkpoint(path) for path in run.snapshots()]
-    clouds = [DynamicCloud.from_state(state["cloud"]) for state in states]
+    clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)
     levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)["psnr_db"] for cloud in clouds[:-1]]
     seconds = run.document["seconds"]

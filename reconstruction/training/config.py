@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from reconstruction.errors import BadRunError
 
-Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
+Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs", "spikenerf", "dy-spikenerf"]
 Init = Literal["auto", "sweep", "natural", "sfm", "dust3r", "msdi"]
 ImageSource = Literal[
     "auto",

@@ -11,11 +11,13 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.fields.model import Model, model_from_state
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.training.adam import Adam
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
+from reconstruction.training.rays import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
 from reconstruction.training.watch import FRESH, freed, set_moving
@@ -27,6 +29,7 @@ LIVING_EVERY = 100  # steps between looks at whether any is left
 RATE_OF = {  # tensors of the field of 4dgs that share a rate
     **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
     **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
+    "offsets": "offsets",
 }
 
 
@@ -51,6 +54,8 @@ class Rates:
     knot_centers: float = 1e-4
     planes: float = 5e-2
     layers: float = 4e-3
+    densities: float = 0.1
+    offsets: float = 0.05
     final: float = 0.05
 
 
@@ -81,7 +86,7 @@ class Trainer:
 
     def __init__(
         self,
-        cloud: DynamicCloud,
+        cloud: Model,
         views: Sequence[TrainingView],
         settings: TrainerSettings,
         clock: RigClock,
@@ -114,7 +119,7 @@ class Trainer:
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
         loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
-        penalty = self.cloud.motion.penalty()
+        penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
@@ -131,10 +136,9 @@ class Trainer:
 
     def _refuse_dead(self) -> None:
         """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
-        clouds = (self.cloud.still, self.cloud.moving)
-        if not any(bool((cloud.opacity_logits.detach().sigmoid() >= DEAD).any()) for cloud in clouds):
+        if not (self.cloud.opacity() >= DEAD).any():
             raise ReconstructionError(
-                f"found no Gaussian of opacity {DEAD} or more after {self.steps} steps, expected some to learn from; "
+                f"found no {self.cloud.unit} of opacity {DEAD} or more after {self.steps} steps, expected some to learn from; "
                 "check that the recording is lit and the poses are its own, then start a new run"
             )
 
@@ -160,7 +164,7 @@ class Trainer:
 
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
-        self.cloud = DynamicCloud.from_state(state["cloud"])
+        self.cloud = model_from_state(state["cloud"])
         self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
@@ -175,6 +179,7 @@ class Trainer:
 
         Adam's moments are carried over; those of a motion that a Gaussian did not have before are zero.
         """
+        assert isinstance(self.cloud, DynamicCloud)
         names = {id(tensor): name for name, tensor in self.cloud.tensors()}
         old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
         moments = {
@@ -196,11 +201,13 @@ class Trainer:
             self.ending.begin_again()
 
 
-def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[ImageTerm, Term | None]:
+def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[Term, Term | None]:
     image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness)
     name = settings.supervision
     if name == "pixels":
         return image, None
+    if name == RAYS:
+        return RayTerm(clock, settings.white, closeness=closeness), None
     return image, VariationTerm(image) if name == "variation" else SpikeTerm(image, name)  # type: ignore[arg-type]
 
 
@@ -219,11 +226,11 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
+def _optimizer(cloud: Model, extent_m: float, rates: Rates) -> Adam:
     groups = []
     for name, tensor in cloud.tensors():
         kind = name.split(".")[1]
-        if tensor.numel() == 0 or kind in cloud.motion.fixed:
+        if tensor.numel() == 0 or kind in cloud.fixed:
             continue
         tensor.requires_grad_(True)
         length = kind in LENGTHS
@@ -233,8 +240,8 @@ def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
     return Adam(groups)
 
 
-def _extent_m(cloud: DynamicCloud, views: Sequence[TrainingView]) -> float:
+def _extent_m(cloud: Model, views: Sequence[TrainingView]) -> float:
     """Mean distance from the cameras to the points: what a length is measured against."""
     centers = torch.tensor(np.stack([v.camera.center for v in views]), dtype=torch.float32)
-    points = cloud.at((cloud.clip.first_s + cloud.clip.last_s) / 2).means.detach()
+    points = cloud.positions((cloud.clip.first_s + cloud.clip.last_s) / 2).detach()
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())
