@@ -22,7 +22,7 @@ from reconstruction.fields.march import BLOCK, Grid
 from reconstruction.gaussians.dynamic import Clip
 
 KIND = "field"
-REACH = (2, 3, 3)  # blocks around moving cells from which the deformation may lead to them
+REACH = (3, 3, 2)  # blocks around moving cells from which the deformation may lead to them
 SMOOTH = 2e-3  # weight of what neighbouring knots differ by, squared, in nodes
 
 
@@ -31,7 +31,7 @@ class RadianceField:
     """`still` [N] and `moving` [M] int32: the nodes that hold a cell, flat and sorted; over `clip`.
 
     `densities` and `intensities` [N + M]: raw densities (`march` says of what) and light in spikes per tick;
-    `offsets` [T, d, h, w, 3]: where moving samples are read, in nodes, [0, 1, 1, 1, 3] where nothing moves. `light`:
+    `offsets` [T, h, w, d, 3]: where moving samples are read, in nodes, [0, 1, 1, 1, 3] where nothing moves. `light`:
     the gain of each of the clip's planes; one alone where the light is steady.
     """
 
@@ -61,7 +61,7 @@ class RadianceField:
             yield f"field.{name}", getattr(self, name)
 
     def at(self, instant_s: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Densities, intensities and offsets [d, h, w, 3] at one instant, as `march` takes them; differentiable."""
+        """Densities, intensities and offsets [h, w, d, 3] at one instant, as `march` takes them; differentiable."""
         u = self.clip.fraction(instant_s)
         intensities = self.intensities
         if len(self.light) > 1:
@@ -88,10 +88,10 @@ class RadianceField:
     def variation(self, cells: Tensor) -> Tensor:
         """How much `cells` [K] differ from their neighbours, in raw density (a tenth of it) and intensity: a mean of L1."""
         nodes, total = torch.cat([self.still, self.moving])[cells].long(), torch.zeros(())
-        _, height, width = self.frustum.shape
+        _, columns, layers = self.frustum.shape
         for part, grid in enumerate(self.grids):
             own = (cells >= len(self.still)) == bool(part)
-            for stride in (height * width, width, 1):
+            for stride in (columns * layers, layers, 1):
                 beside = nodes[own] + stride
                 other = grid.lookup.view(-1)[beside.clamp_max(grid.lookup.numel() - 1)].long()
                 pairs = torch.stack([cells[own], other])[:, other >= 0]

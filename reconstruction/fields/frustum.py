@@ -25,7 +25,7 @@ OUTLIERS = 0.2  # percent of the points at either end that do not count
 
 @dataclass(frozen=True)
 class Frustum:
-    """Node (w, y, x) is at X fx - left = x, Y fy - top = y and 1 / z = nearest - w step, with X = x / z in the middle.
+    """Node (y, x, w) is at X fx - left = x, Y fy - top = y and 1 / z = nearest - w step, with X = x / z in the middle.
 
     `pose` is middle_from_rig as quaternion (w, x, y, z) and translation in m; inverse depths are in 1 / m.
     """
@@ -57,7 +57,7 @@ class Frustum:
         layers = int(np.ceil((high[2] - low[2]) / step)) + 2 * MARGIN + 1
         corner = float(low[0] - MARGIN), float(low[1] - MARGIN)
         numbers = (*pose.quat_wxyz.tolist(), *pose.translation.tolist())
-        return cls(numbers, focal, corner, float(high[2] + MARGIN * step), float(step), (layers, height, width))
+        return cls(numbers, focal, corner, float(high[2] + MARGIN * step), float(step), (height, width, layers))
 
     @property
     def middle_from_rig(self) -> Transform:
@@ -65,15 +65,15 @@ class Frustum:
         return Transform.from_quat_wxyz(np.array(self.pose[:4]), np.array(self.pose[4:]))
 
     def nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where points [N, 3] of the rig frame are, as (w, y, x) [N, 3]; NaN behind the middle camera."""
+        """Where points [N, 3] of the rig frame are, as (y, x, w) [N, 3]; NaN behind the middle camera."""
         x, y, z = self.middle_from_rig.apply(points).T
         z = np.where(z > 0, z, np.nan)
         columns = self.focal[0] * x / z - self.corner[0], self.focal[1] * y / z - self.corner[1]
-        return np.stack([(self.nearest - 1 / z) / self.step, columns[1], columns[0]], axis=1)
+        return np.stack([columns[1], columns[0], (self.nearest - 1 / z) / self.step], axis=1)
 
     def positions(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
         """The inverse of `nodes`, for nodes in front of infinity."""
-        w, y, x = nodes.T
+        y, x, w = nodes.T
         z = 1 / (self.nearest - w * self.step)
         spots = [(x + self.corner[0]) * z / self.focal[0], (y + self.corner[1]) * z / self.focal[1], z]
         return self.middle_from_rig.inverse().apply(np.stack(spots, axis=1))

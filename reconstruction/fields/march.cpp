@@ -9,8 +9,8 @@
 
 namespace {
 
-constexpr int BLOCK_D = 4, BLOCK_H = 8, BLOCK_W = 8;     // nodes of a block of `near`
-constexpr int KNOT_D = 8, KNOT_H = 16, KNOT_W = 16;      // nodes between knots of the offsets
+constexpr int BLOCK[3] = {8, 8, 4};   // nodes of a block of `near`
+constexpr int KNOT[3] = {16, 16, 8};  // nodes between knots of the offsets
 constexpr float EMPTY = -6.0f, SPENT = 1e-6f;
 
 struct Grid {  // what Python fills; `near` of each block whether a sample in it can meet a cell
@@ -18,7 +18,7 @@ struct Grid {  // what Python fills; `near` of each block whether a sample in it
     const uint8_t *near;
 };
 
-struct Field {  // grids: the still one, and the moving one whose samples are shifted by `offsets` [d, h, w, 3]
+struct Field {  // grids: the still one, and the moving one whose samples are shifted by `offsets` [h, w, d, 3]
     Grid grids[2];
     const float *raws, *intensities, *offsets;
     int64_t cells, offset_count;
@@ -71,12 +71,12 @@ void read(const Field &field, int part, const float place[3], Sample &sample) {
     const int32_t *shape = field.shape;
     for (int a = 0; a < 3; ++a)
         if (!(place[a] >= 0 && place[a] < float(shape[a] - 1))) return;
-    const int64_t rows = (shape[1] + BLOCK_H - 1) / BLOCK_H, columns = (shape[2] + BLOCK_W - 1) / BLOCK_W;
-    const int64_t block = (int32_t(place[0]) / BLOCK_D * rows + int32_t(place[1]) / BLOCK_H) * columns;
-    if (!field.grids[part].near[block + int32_t(place[2]) / BLOCK_W]) return;
+    int64_t block = 0;
+    for (int a = 0; a < 3; ++a) block = block * ((shape[a] + BLOCK[a] - 1) / BLOCK[a]) + int32_t(place[a]) / BLOCK[a];
+    if (!field.grids[part].near[block]) return;
     float moved[3] = {place[0], place[1], place[2]};
     if (part) {
-        const float knot[3] = {place[0] / KNOT_D, place[1] / KNOT_H, place[2] / KNOT_W};
+        const float knot[3] = {place[0] / KNOT[0], place[1] / KNOT[1], place[2] / KNOT[2]};
         if (!corners(knot, field.knots, sample.knots)) return;
         for (int c = 0; c < 8; ++c)
             for (int a = 0; a < 3; ++a)
@@ -103,13 +103,13 @@ void read(const Field &field, int part, const float place[3], Sample &sample) {
 // Calls take(layer, samples, depth, intensity) for every sample that holds anything; take returns whether to go on.
 template <class Take>
 void walk(const Field &field, const Ray &ray, float jitter, Take take) {
-    const float last = float(field.shape[0] - 1);
+    const float last = float(field.shape[2] - 1);
     Sample samples[2];
     samples[1].hit = false;
     for (int64_t k = 0;; ++k) {
         const float w = ray.first + (float(k) + jitter) * field.step;
         if (!(w < last)) return;
-        const float place[3] = {w, ray.y + w * ray.dy, ray.x + w * ray.dx};
+        const float place[3] = {ray.y + w * ray.dy, ray.x + w * ray.dx, w};
         for (int part = 0; part < field.parts; ++part) read(field, part, place, samples[part]);
         float sigma = 0, light = 0;
         for (const Sample &sample : samples)

@@ -21,15 +21,15 @@ from torch.nn.functional import softplus
 
 from reconstruction.native import library
 
-BLOCK = (4, 8, 8)  # nodes of a block of `near`
-KNOT = (8, 16, 16)  # nodes between knots of the offsets
+BLOCK = (8, 8, 4)  # nodes of a block of `near`
+KNOT = (16, 16, 8)  # nodes between knots of the offsets
 EMPTY = -6.0  # raw density
 STEP = 1.0  # layers between samples
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """`lookup` [D, H, W] int32: the cell at a node, -1 where none; `near`, by blocks, where samples can meet any."""
+    """`lookup` [H, W, D] int32: the cell at a node, -1 where none; `near`, by blocks, where samples can meet any."""
 
     lookup: Tensor
     near: Tensor
@@ -121,7 +121,7 @@ def march(
 ) -> Marched:
     """What rays `lines` [R, 6] (see `frustum.Rays`) meet, sampled every `step` layers from `jitter` [R] of a step on.
 
-    `tensors`: raw densities [C], intensities [C], and offsets [d, h, w, 3] in nodes (w, y, x) at knots every KNOT
+    `tensors`: raw densities [C], intensities [C], and offsets [h, w, d, 3] in nodes (y, x, w) at knots every KNOT
     nodes, of any size where `grids` has no second one. Differentiable in all three; float32 on the CPU.
     """
     return Marched(*_March.apply(grids, lines.contiguous(), jitter.contiguous(), step, *tensors))
@@ -134,9 +134,9 @@ def march_reference(
     raws, intensities, offsets = tensors
     x, y, dx, dy, stretch, first = lines.to(raws).unbind(1)
     shape = grids[0].lookup.shape
-    counts = torch.arange(max(0, int((shape[0] - 1) / step) + 1), device=raws.device)
+    counts = torch.arange(max(0, int((shape[2] - 1) / step) + 1), device=raws.device)
     w = first[:, None] + (counts + jitter.to(raws)[:, None]) * step  # [R, S]
-    places = torch.stack([w, y[:, None] + w * dy[:, None], x[:, None] + w * dx[:, None]], -1)
+    places = torch.stack([y[:, None] + w * dy[:, None], x[:, None] + w * dx[:, None], w], -1)
     sigma, light = torch.zeros_like(w), torch.zeros_like(w)
     for part, grid in enumerate(grids):
         moved, reached = places, _near(grid, places)
@@ -179,7 +179,7 @@ def _corners(places: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _shifts(offsets: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-    """What `offsets` [d, h, w, 3] add to `places` [R, S, 3], and where they cover it [R, S]."""
+    """What `offsets` [h, w, d, 3] add to `places` [R, S, 3], and where they cover it [R, S]."""
     knots = places / torch.tensor(KNOT, device=places.device)
     inside = _within(knots, offsets.shape[:3])
     nodes, weights = _corners(torch.where(inside[..., None], knots, torch.zeros_like(knots)))

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import avg_pool3d, max_pool3d
 
 from reconstruction.fields.field import RadianceField
 from reconstruction.fields.frustum import Frustum
@@ -18,8 +19,8 @@ from reconstruction.fields.march import KNOT
 from reconstruction.gaussians.dynamic import Clip
 from rigs.camera import Camera
 
-AROUND = (4, 3, 3)  # nodes (layers, rows, columns) from a point within which there are cells
-SOLID = (1, 2, 2)  # within which they start opaque
+AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells
+SOLID = (2, 2, 1)  # within which they start opaque
 OPAQUE, CLEAR = 1.0, -3.0  # raw densities: 0.73 and 0.05 of the light a layer
 INSTANTS = 9  # knots of time
 
@@ -43,32 +44,20 @@ def _cells(frustum: Frustum, positions: np.ndarray, intensities: np.ndarray) -> 
     inside = ((nodes >= 0) & (nodes < frustum.shape)).all(axis=1)
     if not inside.any():
         return torch.zeros(0, dtype=torch.int32), torch.zeros(0), torch.zeros(0)
-    flat = torch.from_numpy(np.ravel_multi_index(tuple(nodes[inside].T), frustum.shape))
-    count, total = (torch.zeros(int(np.prod(frustum.shape))) for _ in range(2))
-    count.index_add_(0, flat, torch.ones(len(flat)))
-    total.index_add_(0, flat, torch.from_numpy(intensities[inside]).float())
-    count, total = (grid.view(1, 1, *frustum.shape) for grid in (count, total))
-    solid = _grown(count, SOLID).flatten() > 0
-    cells = torch.nonzero(_grown(count, AROUND).flatten() > 0)[:, 0]
-    near, far = ((_blurred(total, reach), _blurred(count, reach)) for reach in (SOLID, AROUND))
-    values = [(sums.flatten()[cells] / counts.flatten()[cells].clamp_min(1e-9)) for sums, counts in (near, far)]
-    raws = torch.where(solid[cells], OPAQUE, CLEAR)
-    return cells.int(), raws, torch.where(solid[cells], *values)
+    flat, length = np.ravel_multi_index(tuple(nodes[inside].T), frustum.shape), int(np.prod(frustum.shape))
+    sums = (np.bincount(flat, weights, length).astype(np.float32) for weights in (None, intensities[inside]))
+    count, total = (grid.reshape(frustum.shape) for grid in sums)
+    counts, totals = ([_gathered(grid, reach) for reach in (SOLID, AROUND)] for grid in (count, total))
+    cells = np.flatnonzero(counts[1] > 0.5)
+    solid = counts[0][cells] > 0.5
+    values = np.where(solid, totals[0][cells], totals[1][cells]) / np.where(solid, counts[0][cells], counts[1][cells])
+    raws = np.where(solid, np.float32(OPAQUE), np.float32(CLEAR))
+    return torch.from_numpy(cells.astype(np.int32)), torch.from_numpy(raws), torch.from_numpy(values.astype(np.float32))
 
 
-def _grown(grid: Tensor, reach: tuple[int, int, int]) -> Tensor:
-    """The largest value within `reach` nodes, axis by axis."""
-    for axis, r in enumerate(reach):
-        size, padding = [1, 1, 1], [0, 0, 0]
-        size[axis], padding[axis] = 2 * r + 1, r
-        grid = max_pool3d(grid, size, stride=1, padding=padding)
-    return grid
-
-
-def _blurred(grid: Tensor, reach: tuple[int, int, int]) -> Tensor:
-    """The mean over as many nodes, axis by axis."""
-    for axis, r in enumerate(reach):
-        size, padding = [1, 1, 1], [0, 0, 0]
-        size[axis], padding[axis] = 2 * r + 1, r
-        grid = avg_pool3d(grid, size, stride=1, padding=padding)
-    return grid
+def _gathered(grid: NDArray[np.float32], reach: tuple[int, int, int]) -> NDArray[np.float32]:
+    """The sum [H * W * D] of a grid [H, W, D] over all nodes within `reach` of each."""
+    rows, columns, layers = (2 * r + 1 for r in reach)
+    options = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
+    flat = cv2.boxFilter(grid.reshape(-1, grid.shape[2]), -1, (layers, 1), **options).reshape(grid.shape)
+    return np.stack([cv2.boxFilter(flat[..., k], -1, (columns, rows), **options) for k in range(grid.shape[2])], -1).ravel()

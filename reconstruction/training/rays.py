@@ -25,11 +25,12 @@ from reconstruction.training.supervision import TrainingView, quadrature
 from rigs.clock import RigClock
 
 RAYS = "rays"  # the name of this supervision
+SQUARE = 16  # pixels
 
 
 @dataclass(frozen=True)
 class RayTerm:
-    """Counts of `rays` random pixels of a view; half of them see a mover, where there is any.
+    """Counts of about `rays` pixels of a view in random squares; every other square lies on a mover, where there is any.
 
     Windows over movers are log-uniform between `shortest` and `longest` planes, their integral a quadrature of at most
     `most_nodes` instants. `solid` works against light that passes through everything, `smooth` against noise: what
@@ -54,33 +55,44 @@ class RayTerm:
         low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
         first = int(rng.integers(planes - window + 1))
-        drawn = self._drawn(view, (first, window), rng)
-        light, alpha = self._integral(field, view, np.concatenate([pixels for pixels, _, _ in drawn]), (first, window), rng)
-        parts, spikes = light.split([len(pixels) for pixels, _, _ in drawn]), torch.zeros(())
-        for part, (_, rates, length) in zip(parts, drawn, strict=True):
-            spikes = spikes + robust_loss(part, rates, length) * (len(part) / len(light))
+        pixels = self._drawn(view, rng)
+        light, alpha = self._integral(field, view, pixels, (first, window), rng)
+        spikes, rates = self._explained(light, view, pixels, (first, window))
         if self.closeness:
-            self.closeness.see(light.detach(), torch.cat([rates for _, rates, _ in drawn]))
+            self.closeness.see(light.detach(), rates)
         cells = torch.from_numpy(rng.integers(len(field), size=self.sampled))
         return spikes / self.white + self.solid * (1 - alpha).mean() + self.smooth * field.variation(cells)
 
-    def _drawn(
-        self, view: TrainingView, span: tuple[int, int], rng: np.random.Generator
-    ) -> list[tuple[NDArray[np.int64], Tensor, int]]:
-        """Random pixels, still ones and movers: which, their rates in spikes per tick, and the planes these are over."""
+    def _drawn(self, view: TrainingView, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Pixels [R] of random squares, all but the stuck ones: neighbours read the same cells, which are then at hand."""
+        height, width = view.source.moving.shape
+        tall, wide = min(SQUARE, height), min(SQUARE, width)
+        seen, count = np.flatnonzero(view.source.moving), -(-self.rays // (tall * wide))
+        middles = rng.integers(height * width, size=count)
+        if len(seen):
+            middles[::2] = seen[rng.integers(len(seen), size=len(middles[::2]))]
+        rows, columns = np.divmod(np.sort(middles), width)
+        tops = np.clip(rows - tall // 2, 0, height - tall)[:, None, None] + np.arange(tall)[:, None]
+        lefts = np.clip(columns - wide // 2, 0, width - wide)[:, None, None] + np.arange(wide)
+        pixels = (tops * width + lefts).ravel()
+        return pixels[~view.source.background.stuck.ravel()[pixels]]
+
+    def _explained(
+        self, light: Tensor, view: TrainingView, pixels: NDArray[np.int64], span: tuple[int, int]
+    ) -> tuple[Tensor, Tensor]:
+        """The loss in spikes per tick of `light` [R] over the span (first, length), and the rates counted."""
         source, (first, window) = view.source, span
-        last, good = first + window, ~source.background.stuck
-        still, moving = (np.flatnonzero(good & mask) for mask in (~source.moving, source.moving))
-        images = [
-            (still, lambda: source.background.image * np.float32(source.light.over(first, last)), len(source.stream)),
-            (moving, lambda: source.stream.counts(first, last) / np.float32(window), window),
-        ]
-        images = [image for image in images if len(image[0])]
-        drawn = []
-        for seen, image, planes in images:
-            pixels = seen[rng.integers(len(seen), size=self.rays // len(images))]
-            drawn.append((pixels, torch.from_numpy(image().ravel()[pixels].astype(np.float32)), planes))
-        return drawn
+        gain = np.float32(source.light.over(first, first + window))
+        rates = torch.from_numpy(source.background.image.ravel()[pixels] * gain)
+        moving = torch.from_numpy(source.moving.ravel()[pixels])
+        loss = torch.zeros(())
+        if moving.any():
+            counts = source.stream.counts(first, first + window).ravel()[pixels]
+            rates = torch.where(moving, torch.from_numpy(counts.astype(np.float32) / window), rates)
+            loss = robust_loss(light[moving], rates[moving], window) * moving.float().mean()
+        if not moving.all():
+            loss = loss + robust_loss(light[~moving], rates[~moving], len(source.stream)) * (~moving).float().mean()
+        return loss, rates
 
     def _integral(
         self,
