@@ -33,9 +33,7 @@ class HeldOut:
     recording: Recording
 
 
-def score_against_truth(
-    cloud: Model, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
-) -> dict[str, float]:
+def score_against_truth(cloud: Model, held_out: HeldOut, truth: Truth, instants: int = INSTANTS) -> dict[str, float]:
     """Means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
     return _mean_scores(_frames(held_out, truth, instants), truth.white, lambda f: _look(cloud, held_out, f))
 

@@ -47,7 +47,9 @@ class Scene:
     def gaussians(self) -> DynamicCloud:
         """The cloud of a model made of Gaussians; raises BadRunError for one that is not."""
         if not isinstance(self.cloud, DynamicCloud):
-            raise BadRunError(f"found the model {self.model}, a radiance field, expected Gaussians; export video or depth")
+            raise BadRunError(
+                f"found the model {self.model}, a radiance field, expected Gaussians; export video or depth"
+            )
         return self.cloud
 
     @property

@@ -86,7 +86,7 @@ class RadianceField:
         return SMOOTH * torch.stack(gaps).sum()
 
     def variation(self, cells: Tensor) -> Tensor:
-        """How much `cells` [K] differ from their neighbours, in raw density (a tenth of it) and intensity: a mean of L1."""
+        """How much `cells` [K] differ from their neighbours, a mean of L1; raw densities count a tenth."""
         nodes, total = torch.cat([self.still, self.moving])[cells].long(), torch.zeros(())
         _, columns, layers = self.frustum.shape
         for part, grid in enumerate(self.grids):

@@ -102,7 +102,7 @@ class Frustum:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """R rays: `lines` [R, 6] float32 hold x and y at layer 0, their change a layer, path over depth, and the first layer.
+    """R rays: `lines` [R, 6] float32 hold x and y at layer 0, their change a layer, path over depth, the first layer.
 
     `forward` [R] float64: how far into the frustum a ray goes for each metre of its camera's depth; NaN and a line far
     outside where it does not. `origin_z`: the camera's own depth in it, m.

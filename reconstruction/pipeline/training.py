@@ -55,7 +55,9 @@ def train_stage(
         watch.look(done, saver.checkpoint)
         saver.keep(done)
         if trainer.steps % 10 == 0 or done >= 1:
-            figures = f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} {trainer.cloud.unit}"
+            figures = (
+                f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} {trainer.cloud.unit}"
+            )
             progress(done, f"{figures}{watch.note}")
         if should_stop() and done < 1:
             saver.checkpoint()

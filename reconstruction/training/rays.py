@@ -33,7 +33,8 @@ class RayTerm:
     """Counts of about `rays` pixels of a view in random squares; every other square lies on a mover, where there is any.
 
     Windows over movers are log-uniform between `shortest` and `longest` planes, their integral a quadrature of at most
-    `most_nodes` instants. `solid` works against light that passes through everything, `smooth` against noise: what
+    `most_nodes` instants. `solid` works against light that passes through everything, `smooth` against noise:
+    what
     `sampled` random cells differ from their neighbours by. `white` is the data range in spikes per tick.
     """
 
@@ -64,7 +65,7 @@ class RayTerm:
         return spikes / self.white + self.solid * (1 - alpha).mean() + self.smooth * field.variation(cells)
 
     def _drawn(self, view: TrainingView, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Pixels [R] of random squares, all but the stuck ones: neighbours read the same cells, which are then at hand."""
+        """Pixels [R] of random squares, without stuck ones: neighbours read the same cells, then at hand."""
         height, width = view.source.moving.shape
         tall, wide = min(SQUARE, height), min(SQUARE, width)
         seen, count = np.flatnonzero(view.source.moving), -(-self.rays // (tall * wide))
