@@ -30,12 +30,11 @@ SQUARE = 16  # pixels
 
 @dataclass(frozen=True)
 class RayTerm:
-    """Counts of about `rays` pixels of a view in random squares; every other square lies on a mover, where there is any.
+    """Counts of about `rays` pixels of a view in random squares, of which every other lies on a mover if there is any.
 
     Windows over movers are log-uniform between `shortest` and `longest` planes, their integral a quadrature of at most
-    `most_nodes` instants. `solid` works against light that passes through everything, `smooth` against noise:
-    what
-    `sampled` random cells differ from their neighbours by. `white` is the data range in spikes per tick.
+    `most_nodes` instants. `solid` works against light that passes through everything, `smooth` against noise, which is
+    what `sampled` random cells differ from their neighbours by. `white` is the data range in spikes per tick.
     """
 
     clock: RigClock
