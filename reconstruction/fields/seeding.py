@@ -60,6 +60,5 @@ def _gathered(grid: NDArray[np.float32], reach: tuple[int, int, int]) -> NDArray
     rows, columns, layers = (2 * r + 1 for r in reach)
     options = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
     flat = cv2.boxFilter(grid.reshape(-1, grid.shape[2]), -1, (layers, 1), **options).reshape(grid.shape)
-    return np.stack(
-        [cv2.boxFilter(flat[..., k], -1, (columns, rows), **options) for k in range(grid.shape[2])], -1
-    ).ravel()
+    slices = [cv2.boxFilter(flat[..., k], -1, (columns, rows), **options) for k in range(grid.shape[2])]
+    return np.stack(slices, axis=-1).ravel().astype(np.float32)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 def _start(seeds: Seeds) -> RadianceField:
     from reconstruction.fields.seeding import seed_field
 
-    kinds = [(points.positions, points.intensities) for points in (seeds.still, seeds.moving)]
-    return seed_field(*kinds, seeds.clip, seeds.cameras)
+    still, moving = ((points.positions, points.intensities) for points in (seeds.still, seeds.moving))
+    return seed_field(still, moving, seeds.clip, seeds.cameras)
 
 
 SPIKENERF = Method("spikenerf", _start, moves=False, supervision="rays", rays=True)
