@@ -20,8 +20,8 @@ from reconstruction.gaussians.dynamic import Clip
 from rigs.camera import Camera
 
 AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells
-SOLID = (2, 2, 1)  # within which they start opaque
-OPAQUE, CLEAR = 1.0, -3.0  # raw densities: 0.73 and 0.05 of the light a layer
+SOLID = (2, 2, 0)  # within which they start opaque: one layer, lest a surface start in front of its points
+OPAQUE, CLEAR = 8.0, -4.5  # raw densities: all, and 0.01 of the light a layer
 INSTANTS = 9  # knots of time
 
 
