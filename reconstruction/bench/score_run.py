@@ -9,7 +9,7 @@ from reconstruction.bench.variants import HOLDOUT
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
 from reconstruction.evaluation.truth import Truth
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import model_from_state
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.training.checkpoint import load_checkpoint
@@ -33,9 +33,9 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     held_out, truth = held_out_camera(seen, HOLDOUT, run.plan.views, Truth.open(recording.truth))
     assert truth is not None
     states = [load_checkpoint(path) for path in run.snapshots()]
-    clouds = [DynamicCloud.from_state(state["cloud"]) for state in states]
+    clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)
-    levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)["psnr_db"] for cloud in clouds[:-1]]
+    levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS) for cloud in clouds[:-1]]
     seconds = run.document["seconds"]
     return {
         "revision": run.document["revision"],
@@ -47,7 +47,7 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
         **{f"seconds.{s}": seconds[s] for s in STAGES},
         **(score_floors(held_out, truth, composite_sources(run, own)) if floors else {}),
         "curve": [
-            {"seconds": state["seconds"], "psnr_db": level}
-            for state, level in zip(states, [*levels, last["psnr_db"]], strict=True)
+            {"seconds": state["seconds"], **{m: level[m] for m in ("psnr_db", "abs_rel") if m in level}}
+            for state, level in zip(states, [*levels, last], strict=True)
         ],
     }

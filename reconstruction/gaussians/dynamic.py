@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -56,6 +57,7 @@ class DynamicCloud:
     motion: MotionModel
     clip: Clip
     light: Tensor = field(default_factory=lambda: torch.ones(1))
+    unit: ClassVar[str] = "Gaussians"
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
@@ -78,6 +80,23 @@ class DynamicCloud:
     def gain(self, u: float) -> float:
         """How bright the light is at u, in clips."""
         return float(self.light[min(max(int(u * len(self.light)), 0), len(self.light) - 1)])
+
+    @property
+    def fixed(self) -> frozenset[str]:
+        """The kinds of tensors that no training changes."""
+        return self.motion.fixed
+
+    def positions(self, instant_s: float) -> Tensor:
+        """Where all Gaussians are at an instant [N + M, 3], m."""
+        return self.at(instant_s).means
+
+    def penalty(self) -> Tensor | None:
+        """What the motion's own regulariser adds to the loss, where it has one."""
+        return self.motion.penalty(self.moving)
+
+    def opacity(self) -> Tensor:
+        """How much of the light each Gaussian takes at most [N + M], in [0, 1]."""
+        return torch.cat([part.opacity_logits.detach() for part in (self.still, self.moving)]).sigmoid()
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
         """Every stored tensor by a stable name, `still.means` to `motion.log_durations`."""

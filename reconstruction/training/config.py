@@ -7,7 +7,20 @@ from typing import Any, Literal, get_args
 
 from reconstruction.errors import BadRunError
 
-Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs", "stg", "d3dgs", "spikegs", "dy-spikegs"]
+Model = Literal[
+    "auto",
+    "static",
+    "linear",
+    "cubic",
+    "bases",
+    "4dgs",
+    "stg",
+    "d3dgs",
+    "spikegs",
+    "dy-spikegs",
+    "spikenerf",
+    "dy-spikenerf",
+]
 Init = Literal["auto", "sweep", "natural", "sfm", "dust3r", "msdi"]
 ImageSource = Literal[
     "auto",

@@ -95,6 +95,7 @@ def make_plan(
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
     method = METHODS[model]
+    _refuse_for_rays(config, method)
     if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
@@ -103,8 +104,19 @@ def make_plan(
     decisions += _economies(config, work, _share(masks), (still, moving), half_until)
     decisions += _left_out(rig, views, work)
     init = _choose_init(config, rig, decisions)
-    refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
+    refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
     return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine), masks, light
+
+
+def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
+    """A radiance field learns from the spikes of single rays, whose cameras stand as they are."""
+    if method.rays and config.refine == "on":
+        raise BadRunError(f"found --refine on with --model {method.name}, which cannot refine poses; leave it out")
+    if method.rays and config.supervision != "auto":
+        raise BadRunError(
+            f"found --supervision {config.supervision} with --model {method.name}, which learns from spikes of single "
+            "rays; leave it out"
+        )
 
 
 def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], views: Sequence[str]) -> Work:

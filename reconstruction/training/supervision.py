@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -44,7 +44,7 @@ class TrainingView:
         return self.correction.seen(cloud, instant_s) if self.correction else cloud.at(instant_s)
 
 
-Term = Callable[[DynamicCloud, TrainingView, np.random.Generator, int], Tensor]
+Term = Callable[[Any, TrainingView, np.random.Generator, int], Tensor]
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class SpikeTerm:
         first, length, nodes = span
         nodes = nodes if cloud.changes else 1
         light = alpha = torch.zeros(())
-        for node, weight in zip(*_quadrature(nodes), strict=True):
+        for node, weight in zip(*quadrature(nodes), strict=True):
             instant_s = self.image.clock.instant_s(first + length * node - 0.5)
             rendered = render(view.seen(cloud, instant_s), part.camera, backend=self.image.backend)
             light = light + weight * rendered.intensity[..., 0]
@@ -237,7 +237,7 @@ def _norm(name: SpikeNorm, light: Tensor, rate: Tensor, window: int) -> Tensor:
     return robust_loss(light, rate, window)
 
 
-def _quadrature(nodes: int) -> tuple[list[float], list[float]]:
+def quadrature(nodes: int) -> tuple[list[float], list[float]]:
     """Gauss-Legendre places in (0, 1) and weights that sum to 1."""
     places, weights = np.polynomial.legendre.leggauss(nodes)
     return [float(p + 1) / 2 for p in places], [float(w) / 2 for w in weights]

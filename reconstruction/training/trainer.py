@@ -11,12 +11,14 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.fields.model import Model, model_from_state
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.rendering.render import Backend
 from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
+from reconstruction.training.rays import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, SumTerm, Term, TrainingView, VariationTerm
 from reconstruction.training.watch import FRESH, freed, set_moving
@@ -29,6 +31,7 @@ RATE_OF = {  # tensors of fields that share a rate
     **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
     **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
     **dict.fromkeys(("entry", "inner", "again", "exit"), "network"),
+    "offsets": "offsets",
 }
 
 
@@ -55,6 +58,8 @@ class Rates:
     planes: float = 5e-2
     layers: float = 4e-3
     network: float = 1.5e-3
+    densities: float = 0.1
+    offsets: float = 0.05
     final: float = 0.05
 
 
@@ -91,7 +96,7 @@ class Trainer:
 
     def __init__(
         self,
-        cloud: DynamicCloud,
+        cloud: Model,
         views: Sequence[TrainingView],
         settings: TrainerSettings,
         clock: RigClock,
@@ -124,7 +129,7 @@ class Trainer:
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
         loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
-        penalty = self.cloud.motion.penalty(self.cloud.moving)
+        penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
@@ -141,11 +146,10 @@ class Trainer:
 
     def _refuse_dead(self) -> None:
         """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
-        clouds = (self.cloud.still, self.cloud.moving)
-        if not any(bool((cloud.opacity_logits.detach().sigmoid() >= DEAD).any()) for cloud in clouds):
+        if not (self.cloud.opacity() >= DEAD).any():
             raise ReconstructionError(
-                f"found no Gaussian of opacity {DEAD} or more after {self.steps} steps, expected some to learn from; "
-                "check that the recording is lit and the poses are its own, then start a new run"
+                f"found no {self.cloud.unit} of opacity {DEAD} or more after {self.steps} steps, expected some to "
+                "learn from; check that the recording is lit and the poses are its own, then start a new run"
             )
 
     def done(self, share: float) -> float:
@@ -172,7 +176,7 @@ class Trainer:
 
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
-        self.cloud = DynamicCloud.from_state(state["cloud"])
+        self.cloud = model_from_state(state["cloud"])
         self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
@@ -187,6 +191,7 @@ class Trainer:
 
         Adam's moments are carried over; those of a motion that a Gaussian did not have before are zero.
         """
+        assert isinstance(self.cloud, DynamicCloud)
         names = {id(tensor): name for name, tensor in self.cloud.tensors()}
         old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
         moments = {
@@ -208,11 +213,13 @@ class Trainer:
             self.ending.begin_again()
 
 
-def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[ImageTerm, Term | None]:
+def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[Term, Term | None]:
     image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness, backend=settings.backend)
     name = settings.supervision
     if name == "pixels":
         return image, None
+    if name == RAYS:
+        return RayTerm(clock, settings.white, closeness=closeness), None
     if name == "variation":
         return image, VariationTerm(image)
     shortest, longest = settings.spike_planes
@@ -236,11 +243,11 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> torch.optim.Optimizer:
+def _optimizer(cloud: Model, extent_m: float, rates: Rates) -> torch.optim.Optimizer:
     groups = []
     for name, tensor in cloud.tensors():
         kind = name.split(".")[1]
-        if tensor.numel() == 0 or kind in cloud.motion.fixed:
+        if tensor.numel() == 0 or kind in cloud.fixed:
             continue
         tensor.requires_grad_(True)
         length = kind in LENGTHS
@@ -248,13 +255,13 @@ def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> torch.opti
         end = rates.final if length else 1 / 3
         flags = {"field": kind in RATE_OF, "moves": not name.startswith("still")}
         groups.append({"params": [tensor], "lr": start, "start": start, "end": end, **flags})
-    if cloud.still.means.dtype == torch.float32:
+    if all(tensor.dtype == torch.float32 for group in groups for tensor in group["params"]):
         return Adam(groups)
     return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 
 
-def _extent_m(cloud: DynamicCloud, views: Sequence[TrainingView]) -> float:
+def _extent_m(cloud: Model, views: Sequence[TrainingView]) -> float:
     """Mean distance from the cameras to the points: what a length is measured against."""
     centers = torch.tensor(np.stack([v.camera.center for v in views]), dtype=torch.float32)
-    points = cloud.at((cloud.clip.first_s + cloud.clip.last_s) / 2).means.detach()
+    points = cloud.positions((cloud.clip.first_s + cloud.clip.last_s) / 2).detach()
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())

@@ -148,5 +148,5 @@ def test_a_training_with_nothing_left_to_see_stops_with_the_reason(alive, view):
     if alive:
         assert trainer.step(0.3) > 0
         return
-    with pytest.raises(ReconstructionError, match=r"found no Gaussian of opacity 0\.005 or more after 100 steps"):
+    with pytest.raises(ReconstructionError, match=r"found no Gaussians of opacity 0\.005 or more after 100 steps"):
         trainer.step(0.3)

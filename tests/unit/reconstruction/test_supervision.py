@@ -57,7 +57,7 @@ def seen(truth: DynamicCloud) -> TrainingView:
 
 @pytest.mark.parametrize("nodes", [1, 2, 4])
 def test_the_quadrature_is_exact_for_polynomials_of_its_order(nodes):
-    places, weights = supervision._quadrature(nodes)
+    places, weights = supervision.quadrature(nodes)
     for power in range(2 * nodes):
         assert sum(w * p**power for p, w in zip(places, weights, strict=True)) == pytest.approx(
             1 / (power + 1), abs=1e-12
