@@ -131,6 +131,7 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
         plan.supervision,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
+        half_until=plan.half_until,
         ends_early=run.config.steps is None,
         refines=plan.refine,
         **METHODS[plan.model].trainer,

@@ -22,7 +22,9 @@ _PARSED_BYTES = 10_000_000_000
 
 
 @click.command("bench")
-@click.argument("name", type=click.Choice(["images", "pixels", "poses", "rasterizer", "recorder", "training"]))
+@click.argument(
+    "name", type=click.Choice(["images", "leave-out", "pixels", "poses", "rasterizer", "recorder", "training"])
+)
 @click.option(
     "--scene", help="NAME,... [default: images, poses, training: the evaluation scenes; pixels: fan_and_ball]."
 )
@@ -40,7 +42,7 @@ def bench_command(
 ) -> None:
     """Measure NAME.
 
-    images, pixels (calibrated or not), poses (of the cameras), rasterizer, recorder (on the disk of --out), training.
+    images, leave-out (plans against everything on), pixels (calibrated or not), poses (of the cameras), rasterizer, recorder (on the disk of --out), training.
     """
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
         work = out / "work" if out else Path(spare)
@@ -54,6 +56,8 @@ def bench_command(
             from reconstruction.bench.pixels import bench_pixels
 
             document = bench_pixels(scene or "fan_and_ball", EVALUATION_SEEDS[:1] if quick else EVALUATION_SEEDS)
+        elif name == "leave-out":
+            document = _leave_out(quick, work / name)
         elif name == "poses":
             document = _poses(scene, quick, work)
         elif name == "recorder":
@@ -93,6 +97,10 @@ def _write(out: Path, name: str, found: dict, work: Path) -> None:
         from reconstruction.bench.plot_poses import plot_poses
 
         plot_poses(out / f"{name}.png", found)
+    elif name == "leave-out":
+        from reconstruction.bench.plot_leave_out import plot_leave_out
+
+        plot_leave_out(out / "leave_out.png", found)
     elif name == "images":
         from reconstruction.bench.contact_sheet import write_sheet
         from reconstruction.bench.plot_images import plot_images
@@ -133,6 +141,12 @@ def _poses(scenes: str | None, quick: bool, work: Path) -> BenchDocument:
     clips = [PoseClip(*found) for found in _recorded(named[:1] if quick else named, work)]
     boards = [] if quick else [PoseClip(*found) for found in _recorded((BOARD_SCENE,), work, BOARD_TICKS)]
     return bench_poses(clips, boards[0] if boards else None, work / "poses", progress_of("poses"), quick=quick)
+
+
+def _leave_out(quick: bool, work: Path) -> BenchDocument:
+    from reconstruction.bench.leave_out import bench_leave_out
+
+    return bench_leave_out(work, progress_of("leave-out"), quick=quick)
 
 
 def _recorded(scenes: tuple[str, ...], work: Path, ticks: int = TICKS) -> list[tuple[str, int, Path]]:
