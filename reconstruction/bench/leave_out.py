@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.open import Simulation
@@ -37,6 +38,7 @@ from reconstruction.bench.leave_out_cases import (
 from rigs.toml import catalog_rig
 
 COST_DB = 0.1  # the most that a plan may cost
+Result = TypeVar("Result")
 SCORES = ("psnr_db", "dynamic_psnr_db")
 OMISSIONS = (
     "one seed a case; clips of 200x125, 6,000 Gaussians",
@@ -52,7 +54,6 @@ class Bench:
     work: Path
     steps: int = STEPS
     budget_s: float | None = BUDGET_S
-    apart: Callable[[Callable[[], dict]], dict] = lambda work: apart(work)
 
     def row(self, case: Case, arm: Arm, decision: str, budget_s: float | None = None) -> dict:
         """The run of a case by an arm: measured now, or found in `work`."""
@@ -61,7 +62,8 @@ class Bench:
         file = self.work / f"{name}.json"
         if not file.exists():
             steps = None if budget_s else self.steps
-            found = self.apart(partial(_measured, case, arm, self.work, (steps, budget_s), name))
+            recording = recorded(case, self.work)
+            found = apart(partial(_measured, recording, arm, self.work / f"{name}.run", steps, budget_s))
             write_json(file, found)
         about = {"case": case.name, "scene": case.scene, "seed": case.seed, "decision": decision}
         about |= {"run": "plan" if arm in (PLAN, GREY) else "all", "extent": extent}
@@ -75,7 +77,7 @@ def bench_leave_out(
 
     `quick`: the first case alone, in few steps. A run found in `work` is not repeated, so that a stopped bench resumes.
     """
-    document, work = BenchDocument("leave-out"), work
+    document = BenchDocument("leave-out")
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(work, QUICK_STEPS, None) if quick else Bench(work)
     todo = list(cases[:1] if quick else cases)
@@ -146,12 +148,10 @@ def _mistaken(document: BenchDocument, bench: Bench) -> None:
         document.summary[f"{MISSED.name}.found_at_step"] = float(step)
 
 
-def _measured(case: Case, arm: Arm, work: Path, extent: tuple[int | None, float | None], name: str) -> dict:
-    """One run, its recording made first where there is none."""
+def _measured(recording: Path, arm: Arm, out: Path, steps: int | None, budget_s: float | None) -> dict:
     from reconstruction.bench.leave_out_run import Job, measured  # torch, in the process of the run alone
 
-    recording = recorded(case, work)
-    return measured(Job(recording, arm, work / f"{name}.run", *extent))
+    return measured(Job(recording, arm, out, steps, budget_s))
 
 
 def recorded(case: Case, work: Path) -> Path:
@@ -161,14 +161,15 @@ def recorded(case: Case, work: Path) -> Path:
         return path
     aside = path.with_name(f"{path.name}.new")
     shutil.rmtree(aside, ignore_errors=True)
-    simulate(Simulation(case.scene, case.seed), catalog_rig("lab3x3").scaled(*SIZE), case.ticks, aside)
+    rig = catalog_rig("lab3x3").scaled(*SIZE)
+    apart(partial(simulate, Simulation(case.scene, case.seed), rig, case.ticks, aside))
     if case.dead:
         file = aside / Recording.open(aside).manifest.camera(case.dead).file
         file.write_bytes(bytes(file.stat().st_size))
     return aside.rename(path)
 
 
-def apart(work: Callable[[], dict]) -> dict:
+def apart(work: Callable[[], Result]) -> Result:
     """What `work` returns, done in a fresh process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(work)

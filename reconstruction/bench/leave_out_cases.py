@@ -6,7 +6,6 @@ be compared with one another, not with those of other benches.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,14 +29,14 @@ class Arm:
     """
 
     name: str
-    choices: Mapping[str, Any] = field(default_factory=dict)
-    plan: Mapping[str, Any] = field(default_factory=dict)
+    choices: dict[str, Any] = field(default_factory=dict)
+    plan: dict[str, Any] = field(default_factory=dict)
     everywhere: bool = False
     channels: int | None = None
 
     def config(self, *, steps: int | None = None, budget_s: float | None = None) -> ReconstructionConfig:
         """The configuration of a run to a number of steps, or to a budget."""
-        kind: dict[str, Any] = {"holdout": HOLDOUT, "gaussians": GAUSSIANS} | dict(self.choices)
+        kind: dict[str, Any] = {"holdout": HOLDOUT, "gaussians": GAUSSIANS} | self.choices
         return ReconstructionConfig(steps=steps, budget_s=budget_s, **kind)
 
 
@@ -51,10 +50,10 @@ class Case:
     name: str
     scene: str
     seed: int
-    switches: Mapping[str, Arm]
+    switches: dict[str, Arm]
     ticks: int = TICKS
     dead: str | None = None
-    everything: Mapping[str, Any] = field(default_factory=dict)
+    everything: dict[str, Any] = field(default_factory=dict)
 
     @property
     def all(self) -> Arm:

@@ -21,17 +21,18 @@ def plot_leave_out(path: Path, document: dict) -> None:
     """A line a case from its plan to everything on; below them, saved against claimed seconds of single decisions."""
     figure = Figure(figsize=(11, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
-    above, below = figure.subfigures(2, 1)
-    panels = above.subplots(1, len(PANELS), sharey=True)
+    grid = figure.add_gridspec(2, len(PANELS))
+    panels = [figure.add_subplot(grid[0, i]) for i in range(len(PANELS))]
     rows = [r for r in document["rows"] if r["decision"] == "all" and "refused" not in r]
     cases = list(dict.fromkeys(r["case"] for r in rows))
     for axes, (key, label, timed) in zip(panels, PANELS, strict=True):
         _draw_pairs(axes, [r for r in rows if r["extent"].endswith("s") == timed], cases, key)
         axes.set_xlabel(label)
-    panels[0].set_yticks(range(len(cases)), cases, fontsize=8)
-    panels[0].invert_yaxis()
+    for i, axes in enumerate(panels):
+        axes.set_yticks(range(len(cases)), ["" if i else case for case in cases], fontsize=8)
+        axes.invert_yaxis()
     panels[0].legend(fontsize=7)
-    _draw_claims(below.subplots(), document["summary"])
+    _draw_claims(figure.add_subplot(grid[1, :]), document["summary"])
     device = document["device"]
     figure.suptitle(f"{device['processor']}, {device['threads']} threads; revision {document['revision']}", fontsize=8)
     buffer = io.BytesIO()

@@ -42,7 +42,8 @@ def bench_command(
 ) -> None:
     """Measure NAME.
 
-    images, leave-out (plans against everything on), pixels (calibrated or not), poses (of the cameras), rasterizer, recorder (on the disk of --out), training.
+    images, leave-out (plans against everything on), pixels (calibrated or not), poses (of the cameras), rasterizer,
+    recorder (on the disk of --out), training.
     """
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
         work = out / "work" if out else Path(spare)
