@@ -70,6 +70,7 @@ EVERYTHING: dict[str, Any] = {
     "tick_stride": 1,
 }
 FULL_SIZE = {"half_until": 0.0}
+AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses what is dark
 PLAN = Arm("plan")
 MOTION = Arm("motion", {"model": "linear"})
 POSES = Arm("poses", {"init": "natural"})
@@ -92,8 +93,8 @@ CASES = (
     Case("mono", "fan_and_ball", 1, _switched(COLOUR)),
     Case("calibrated", "fan_and_ball", 2, _switched(POSES)),
     Case("few-movers", "stiff", 101, _switched(IMAGES, INSTANTS)),
-    Case("dim", "dim", 101, _switched(MOTION), ticks=800),
-    Case("one-dead-view", "flicker", 101, _switched(VIEWS), dead=DEAD, everything={"views": TRAINING}),
+    Case("dim", "dim", 101, _switched(MOTION), ticks=800, everything=AS_GIVEN),
+    Case("one-dead-view", "fan_and_ball", 3, _switched(VIEWS), dead=DEAD, everything=AS_GIVEN | {"views": TRAINING}),
     Case("outdoors", "outdoor", 101, _switched(IMAGES, GAUSSIANS_TWICE)),
 )
 MISSED = Case("missed-mover", "faint", 101, {})
