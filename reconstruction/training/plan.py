@@ -56,7 +56,10 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians."""
+    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians.
+
+    `half_until`: share of the training at half resolution.
+    """
 
     views: tuple[str, ...]
     model: str
@@ -67,6 +70,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     init: str = "sweep"
     refine: bool = False
+    half_until: float = HALF_UNTIL
 
     def amended(self, decision: Decision, **changes: object) -> Plan:
         """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
@@ -212,7 +216,7 @@ def _training_views(
     for view in asked:
         stream = streams[view]
         rate = stream.counts(0, len(stream)).mean() / len(stream)
-        if rate < DARK_RATE:
+        if rate < DARK_RATE and view not in config.views:
             reason, spared_s = (
                 f"{rate:.1e} spikes per tick: no light",
                 _work(config, rig, streams, [view]).view_s(INSTANTS),

@@ -30,8 +30,8 @@ from server.cli.bench_runs import BENCHES, Asked
 def bench_command(name: str, out: Path | None, as_json: bool, **asked: Any) -> None:
     """Measure NAME.
 
-    images, paper (all tables of the paper), pixels (calibrated or not), poses (of the cameras), rasterizer, recorder
-    (on the disk of --out), training, viewpoints (that nobody captured).
+    images, leave-out (plans against everything on), paper (all its tables), pixels (calibrated or not), poses (of the
+    cameras), rasterizer, recorder (on the disk of --out), training, viewpoints (that nobody captured).
     """
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
         bench = BENCHES[name](Asked(out / "work" if out else Path(spare), **asked))

@@ -156,6 +156,20 @@ class Training(Bench):
         write_sheet(out / "training-sheet.png", strips, most_px=1200)
 
 
+class LeaveOut(Bench):
+    """Plans against everything on."""
+
+    def run(self) -> BenchDocument:
+        from reconstruction.bench.leave_out import bench_leave_out
+
+        return bench_leave_out(self.asked.work / "leave-out", progress_of("leave-out"), quick=self.asked.quick)
+
+    def draw(self, out: Path, found: dict) -> None:
+        from reconstruction.bench.plot_leave_out import plot_leave_out
+
+        plot_leave_out(out / "leave-out.png", found)
+
+
 class Paper(Bench):
     """The protocol of the paper, its tables and its diagrams."""
 
@@ -232,6 +246,7 @@ def laboratory(asked: Asked) -> Laboratory:
 
 BENCHES: dict[str, type[Bench]] = {
     "images": Images,
+    "leave-out": LeaveOut,
     "paper": Paper,
     "pixels": Pixels,
     "poses": Poses,

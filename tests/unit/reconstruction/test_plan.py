@@ -76,6 +76,13 @@ def test_a_dark_view_is_skipped_and_named():
     assert any("cam20 skipped" in d.choice for d in plan.decisions)
 
 
+def test_a_dark_view_that_is_named_is_kept():
+    config = ReconstructionConfig(views=("cam00", "cam20", "cam22"))
+    plan, _, _ = make_plan(config, RIG, streams(dark=("cam20",)))
+    assert plan.views == ("cam00", "cam20", "cam22")
+    assert not any(d.about == "views" for d in plan.decisions)
+
+
 @pytest.mark.parametrize("images", get_args(ImageSource))
 def test_every_choice_of_images_has_a_price(images):
     plan, _, _ = make_plan(ReconstructionConfig(images=images), RIG, streams(moving=True))
