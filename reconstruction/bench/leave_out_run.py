@@ -23,6 +23,7 @@ from reconstruction.bench.variants import HOLDOUT
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
 from reconstruction.evaluation.truth import Truth
+from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
@@ -105,7 +106,7 @@ def _quiet(stage: str) -> Progress:
     return silent
 
 
-def _scores(run: RunFolder, cloud: DynamicCloud) -> dict[str, float]:
+def _scores(run: RunFolder, cloud: Model) -> dict[str, float]:
     """Of the held-out camera, against the truth."""
     recording = posed(run, Recording.open(run.recording), refined=True)
     assert recording.truth is not None
@@ -124,13 +125,14 @@ def _trained(job: Job, channels: int) -> dict:
     views = [TrainingView(recording.rig.camera(v), s) for v, s in composite_sources(run, recording).items()]
     settings = TrainerSettings("pixels", white=run.white(), tick_stride=run.config.tick_stride)
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
+    assert isinstance(trainer.image, ImageTerm)
     trainer.image = EveryChannel(trainer.image)
     assert job.steps is not None
     shares = [step / job.steps for step in range(job.steps)]
     _, row = _clocked(lambda: [trainer.step(share) for share in shares])
-    for part in (trainer.cloud.still, trainer.cloud.moving):
+    for part in (cloud.still, cloud.moving):
         part.intensities = part.intensities.detach()[:, :1]
-    return row | {"steps": trainer.steps} | _scores(run, trainer.cloud)
+    return row | {"steps": trainer.steps} | _scores(run, cloud)
 
 
 class EveryChannel(ImageTerm):

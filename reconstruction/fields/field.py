@@ -78,6 +78,10 @@ class RadianceField:
         nodes = torch.stack(torch.unravel_index(flat, self.frustum.shape), 1)
         return torch.from_numpy(self.frustum.positions(nodes.double().numpy())).float()
 
+    def advance(self, done: float) -> float:
+        """How much of the training lies behind, of which a field makes one stage."""
+        return done
+
     def penalty(self) -> Tensor | None:
         """Neighbouring knots of the deformation differ little, in space and time."""
         if not len(self.moving):

@@ -90,6 +90,10 @@ class DynamicCloud:
         """Where all Gaussians are at an instant [N + M, 3], m."""
         return self.at(instant_s).means
 
+    def advance(self, done: float) -> float:
+        """Tell the motion how much of the training lies behind: what lies behind of the motion's own stage."""
+        return self.motion.advance(self.moving, done)
+
     def penalty(self) -> Tensor | None:
         """What the motion's own regulariser adds to the loss, where it has one."""
         return self.motion.penalty(self.moving)

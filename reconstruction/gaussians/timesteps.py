@@ -41,8 +41,8 @@ class TimestepMotion(MotionModel):
     @classmethod
     def started(cls, means: Tensor) -> TimestepMotion:
         """The first timestep of `means` [M, 3]."""
-        past = [means.new_zeros(TIMESTEPS, len(means), n) for n in (3, 4)]
-        return cls(*past, torch.tensor(0), *neighbourhood(means))
+        past_means, past_quats = (means.new_zeros(TIMESTEPS, len(means), n) for n in (3, 4))
+        return cls(past_means, past_quats, torch.tensor(0), *neighbourhood(means))
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
         """Between the timesteps beside u; after the first one sizes, opacities and light are learnt no more."""

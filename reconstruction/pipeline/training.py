@@ -144,7 +144,10 @@ def trainer_of(
         backend=backend,
         **(length | dict(METHODS[plan.model].trainer)),
     )
-    return Trainer(cloud if dtype == torch.float32 else cloud.to(dtype), views, settings, rig.clock, run.config.seed)
+    if dtype != torch.float32:
+        assert isinstance(cloud, DynamicCloud)
+        cloud = cloud.to(dtype)
+    return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 
 def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:

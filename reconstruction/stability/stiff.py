@@ -23,6 +23,8 @@ from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
 from reconstruction.evaluation.truth import Truth
+from reconstruction.fields.model import Model as Trainable
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
 from reconstruction.stability.case import Case, Observation
@@ -104,7 +106,12 @@ class StiffScene:
         assert truth is not None
         camera, truth = held_out_camera(self.recording, HOLDOUT, run.plan.views, Truth.open(truth))
         assert truth is not None
-        return Trained(losses, score_against_truth(trainer.cloud.to(torch.float32), camera, truth)["psnr_db"])
+        return Trained(losses, score_against_truth(_single(trainer.cloud), camera, truth)["psnr_db"])
+
+
+def _single(cloud: Trainable) -> Trainable:
+    """As the native renderer takes it."""
+    return cloud.to(torch.float32) if isinstance(cloud, DynamicCloud) else cloud
 
 
 def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float, ...]:

@@ -123,7 +123,7 @@ class Trainer:
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
-        self._anneal(done, self.cloud.motion.advance(self.cloud.moving, done))
+        self._anneal(done, self.cloud.advance(done))
         every, coarse = self.settings.spike_every, done < self.settings.half_until
         due = self.spikes if not coarse and self.steps % every == every - 1 else None
         view = int(self.rng.integers(len(self.views)))
