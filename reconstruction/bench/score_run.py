@@ -21,7 +21,7 @@ CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 
 
 def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> dict:
-    """Scores of a trained run, its costs, and the `curve` of its snapshots: PSNR after so many wall seconds.
+    """Scores of a trained run, its costs, and the `curve` of its snapshots: PSNR and depth after so many wall seconds.
 
     `recording` has the truth; the run may have read one derived from it, with other cameras or fewer planes. Scoring
     lies behind the training, so that no second of it is on the run's clock.
@@ -36,13 +36,13 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)
     levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS) for cloud in clouds[:-1]]
-    seconds = run.document["seconds"]
+    seconds, unit = run.document["seconds"], clouds[-1].unit.lower()
     return {
         "revision": run.document["revision"],
         "model": run.plan.model,
         "steps": run.document["steps"],
         "steps_per_s": run.document["steps"] / seconds["train"],
-        "gaussians": sum(run.document["gaussians"].values()),
+        unit: sum(run.document[unit].values()),
         **{m: last[m] for m in METRICS if m in last},
         **{f"seconds.{s}": seconds[s] for s in STAGES},
         **(score_floors(held_out, truth, composite_sources(run, own)) if floors else {}),

@@ -44,10 +44,12 @@ class Laboratory:
         """The folder of a cell's run by this code, or with `keep` of the newest; None where there is none."""
         folder = self.work / "cells" / cell.name
         found = [file.parent for file in folder.glob(f"*/{SCORES}")]
+        if not found:  # nor perhaps a recording, which is not made for nothing
+            return None
         own = self._own(cell)
         if own in found:
             return own
-        return max(found, key=lambda run: (run / SCORES).stat().st_mtime) if found and self.keep else None
+        return max(found, key=lambda run: (run / SCORES).stat().st_mtime) if self.keep else None
 
     def known(self, cell: Cell) -> dict | None:
         """What was kept of a cell; None where there is nothing."""

@@ -95,6 +95,12 @@ def test_when_time_is_up_no_run_begins_and_what_is_missing_is_named(laboratory):
     assert "t, bad: no time was left (fan_and_ball-2 @10)" in document.omissions
 
 
+def test_no_recording_is_made_of_what_will_not_be_run(laboratory):
+    laboratory.own.recording_of = lambda scene, seed: pytest.fail("simulated for nothing")
+    document = bench_paper(PROTOCOL, laboratory.own, silent, Clock(0.0))
+    assert document.rows == []
+
+
 def test_what_a_stopped_run_of_other_code_left_is_removed(laboratory):
     cell = Cell(GOOD, "fan_and_ball", 2, EFFORT)
     left_over = laboratory.own.work / "cells" / cell.name / "0123456789ab" / "points"

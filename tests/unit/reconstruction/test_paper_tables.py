@@ -46,7 +46,7 @@ def row(method, level, scene="fan", seed=101, effort="30"):
         "steps_per_s": 20.0,
         "seconds": end,
     }
-    curve = [{"seconds": s, "psnr_db": y} for s, y in points]
+    curve = [{"seconds": s, "psnr_db": y, "abs_rel": 1 / y} for s, y in points]
     about = {"method": method, "scene": scene, "seed": seed, "effort": effort, "budget_s": end}
     return {**about, **machine, **scores, **STAGES, "curve": curve}
 
@@ -141,10 +141,11 @@ def test_the_error_behind_a_psnr():
 
 
 def test_a_curve_is_that_of_the_longest_runs():
-    seconds, errors = curves(ROWS, "tfi+4dgs")
+    seconds, errors = curves(ROWS, "tfi+4dgs", "psnr_db")
     assert seconds.tolist() == [15, 30, 60]
     np.testing.assert_allclose(errors, relative_error([[22.0, 26.0, 28.0]]))
-    assert curves(ROWS, "none") is None
+    assert curves(ROWS, "none", "psnr_db") is None
+    assert curves([row("auto", 30.0) | {"curve": [{"seconds": 1.0, "psnr_db": 30.0}]}], "auto", "abs_rel") is None
 
 
 def test_a_picture_for_each_question_that_has_an_answer(tmp_path, monkeypatch):
