@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from typing import TypeVar
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.open import Simulation
-from acquisition.durable import write_json
+from acquisition.durable import made_aside, write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
@@ -159,14 +158,13 @@ def recorded(case: Case, work: Path) -> Path:
     path = work / f"{case.scene}-{case.seed}-{case.ticks}{f'-no-{case.dead}' if case.dead else ''}"
     if path.exists():
         return path
-    aside = path.with_name(f"{path.name}.new")
-    shutil.rmtree(aside, ignore_errors=True)
     rig = catalog_rig("lab3x3").scaled(*SIZE)
-    apart(partial(simulate, Simulation(case.scene, case.seed), rig, case.ticks, aside))
-    if case.dead:
-        file = aside / Recording.open(aside).manifest.camera(case.dead).file
-        file.write_bytes(bytes(file.stat().st_size))
-    return aside.rename(path)
+    with made_aside(path) as aside:
+        apart(partial(simulate, Simulation(case.scene, case.seed), rig, case.ticks, aside))
+        if case.dead:
+            file = aside / Recording.open(aside).manifest.camera(case.dead).file
+            file.write_bytes(bytes(file.stat().st_size))
+    return path
 
 
 def apart(work: Callable[[], Result]) -> Result:

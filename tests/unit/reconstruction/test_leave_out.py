@@ -147,7 +147,7 @@ def test_the_plan_misses_the_card_of_faint_and_the_watch_sees_it(seed):
 def test_a_dead_camera_is_skipped_by_the_plan_and_kept_where_it_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(leave_out, "SIZE", (100, 62))
     (dead,) = (case for case in CASES if case.dead)
-    small = Case("small", "static", 1, dead.switches, ticks=64, dead=dead.dead)
+    small = Case("small", "static", 1, dead.switches, ticks=64, dead=dead.dead, everything=dead.everything)
     recording = Recording.open(recorded(small, tmp_path))
     assert not recording.stream("cam00").counts(0, 64).any()
     assert recording.stream("cam22").counts(0, 64).any()

@@ -183,3 +183,9 @@ def test_a_plan_without_prices_is_read():
 def test_impossible_configurations_are_refused(options, message):
     with pytest.raises(BadRunError, match=message):
         ReconstructionConfig(**options)
+
+
+def test_no_motion_saves_a_search_for_movers_however_long_the_training():
+    found = [make_plan(ReconstructionConfig(budget_s=None, steps=n), RIG, streams())[0] for n in (500, 1000)]
+    once, twice = (about(plan, "motion").saves_s for plan in found)
+    assert once == twice > 0
