@@ -3,9 +3,14 @@
 import ctypes
 import functools
 import importlib.metadata
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from acquisition.errors import AcquisitionError
+
+_chosen: ContextVar[str | None] = ContextVar("code_path", default=None)
 
 
 def _builds(package: str) -> dict[str, Path]:
@@ -17,16 +22,37 @@ def _builds(package: str) -> dict[str, Path]:
 
 
 @functools.cache
+def code_paths() -> tuple[str, ...]:
+    """The builds this processor runs, the best last: `v2` to `v4` on x86-64, `plain` elsewhere; none uninstalled."""
+    builds = _builds("acquisition")
+    if "plain" in builds or "v2" not in builds:
+        return ("plain",) if "plain" in builds else ()
+    level = ctypes.CDLL(str(builds["v2"])).native_x86_level()
+    return tuple(sorted(name for name in builds if int(name[1:]) <= level)) or ("v2",)
+
+
+@contextmanager
+def code_path(name: str) -> Iterator[None]:
+    """Inside the block, this thread's kernels are those of the build `name`, one of `code_paths`."""
+    if name not in code_paths():
+        raise AcquisitionError(f"found the code path {name}, expected one of {', '.join(code_paths())}")
+    token = _chosen.set(name)
+    try:
+        yield
+    finally:
+        _chosen.reset(token)
+
+
 def load_library(package: str) -> ctypes.CDLL:
-    """The shared library of `package`, built for the highest x86-64 level this processor has.
+    """The shared library of `package`, built for the highest x86-64 level this processor has or for `code_path`'s.
 
     Raises AcquisitionError where the package was imported without having been installed.
     """
-    builds = _builds(package)
-    if "plain" in builds:
-        return ctypes.CDLL(str(builds["plain"]))
-    if "v2" not in builds:
+    if not code_paths():
         raise AcquisitionError(f"found no native library in {package}, expected lib{package}-*.so; run `make install`")
-    level = ctypes.CDLL(str(_builds("acquisition")["v2"])).native_x86_level()
-    best = max((name for name in builds if int(name[1:]) <= level), default="v2")
-    return ctypes.CDLL(str(builds[best]))
+    return _loaded(package, _chosen.get() or code_paths()[-1])
+
+
+@functools.cache
+def _loaded(package: str, name: str) -> ctypes.CDLL:
+    return ctypes.CDLL(str(_builds(package)[name]))

@@ -22,4 +22,5 @@ class RigClock:
 
     def plane(self, instant_s: float) -> int:
         """The plane whose exposure holds `instant_s`."""
-        return math.floor(instant_s * self.tick_rate_hz + 1e-9)
+        ticks = instant_s * self.tick_rate_hz
+        return math.floor(ticks + max(1e-9, 2 * math.ulp(ticks)))  # an edge belongs to the plane that begins there

@@ -29,6 +29,7 @@ _STRESS = (
     stress.bright,
     stress.burst,
     stress.deforming,
+    stress.faint,
 )
 _CALIBRATION = (
     calibration.flat,

@@ -21,7 +21,7 @@ FLOOR_Y_M = 0.62
 BURST_S = 0.008  # when the bodies of `burst` appear
 FLICKER = Flicker(rate_hz=100.0, depth=0.8)
 ACROSS = Uneven(slope=(0.5, -0.2, 0.0), offset=0.6, least=0.08)  # full light on the right, little on the left
-DIM_WHITE, BRIGHT_WHITE = 0.01, 0.95
+DIM_WHITE, FAINT_WHITE, BRIGHT_WHITE = 0.01, 0.07, 0.95
 STRIPS, STRIP_M = 33, 0.028
 
 
@@ -88,6 +88,16 @@ def deforming(seed: int) -> Scene:
     sheet = Body("sheet", tuple(shapes), tuple(Strip(wave, i) for i in range(STRIPS)))
     pole = stage.pillar("pole", (-0.63, 0.05, 1.85), 0.025, 0.57, stage.finish(rng, Look(BLOCKS, 0.003, 0.05, 0.9)))
     return _scene("deforming", seed, (*_set(rng), pole, sheet))
+
+
+def faint(seed: int) -> Scene:
+    """A light card slides at 15 m/s by 0.07 spikes a tick on white: a few spikes in the whole time it takes to pass."""
+    rng = stage.placing(seed, NUMBER)
+    bodies = _set(rng)
+    start = Transform(np.eye(3), np.array([-0.25, 0.0, 1.7]))
+    face = Shape("rectangle", (0.22, 0.16), stage.finish(rng, Look(CLOTH, 0.006, 0.7, 1.0)))
+    card = Body("card", (face,), Motion(start, velocity_m_s=(15.0, 0.0, 0.0)))
+    return _scene("faint", seed, (*bodies, card), white=FAINT_WHITE, background=FAINT_WHITE / 30)
 
 
 def _turning(name: str, seed: int, **light) -> Scene:

@@ -17,21 +17,23 @@ import click
 from acquisition.durable import write_durably
 from reconstruction.bench.plot import plot_training
 from reconstruction.bench.plot_images import plot_images
+from reconstruction.bench.plot_leave_out import plot_leave_out
 from reconstruction.bench.plot_poses import plot_poses
 from reconstruction.bench.plot_viewpoints import plot_viewpoints
 from reconstruction.errors import BadRunError
 from reconstruction.images.learned.curve import plot_curves as plot_learned
 from reconstruction.initialization.msdi.curve import plot_curves as plot_msdi
 
-LINK = re.compile(r"\(tests/benchmarks/(\w+)\.json\)")
+LINK = re.compile(r"\(tests/benchmarks/([\w-]+)\.json\)")
 FIGURE = re.compile(r"^\| `([^`]+)` \| ([-+.\deE]+) \|$", re.MULTILINE)
-BLOCK = re.compile(r"(<!-- begin (\w+) ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- begin ([\w-]+) ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 Plot = Callable[[Path, dict], None]
 PLOTS: Mapping[str, Plot] = {
     "training": plot_training,
     "images": plot_images,
     "poses": plot_poses,
     "viewpoints": plot_viewpoints,
+    "leave-out": plot_leave_out,
 }
 IMAGE_NETWORKS = ("small.json", "blindspot.json")
 

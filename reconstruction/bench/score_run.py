@@ -9,7 +9,7 @@ from reconstruction.bench.variants import HOLDOUT
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
 from reconstruction.evaluation.truth import Truth
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import model_from_state
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.training.checkpoint import load_checkpoint
@@ -21,7 +21,7 @@ CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 
 
 def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> dict:
-    """Scores of a trained run, its costs, and the `curve` of its snapshots: PSNR after so many wall seconds.
+    """Scores of a trained run, its costs, and the `curve` of its snapshots: PSNR and depth after so many wall seconds.
 
     `recording` has the truth; the run may have read one derived from it, with other cameras or fewer planes. Scoring
     lies behind the training, so that no second of it is on the run's clock.
@@ -33,21 +33,21 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     held_out, truth = held_out_camera(seen, HOLDOUT, run.plan.views, Truth.open(recording.truth))
     assert truth is not None
     states = [load_checkpoint(path) for path in run.snapshots()]
-    clouds = [DynamicCloud.from_state(state["cloud"]) for state in states]
+    clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)
-    levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)["psnr_db"] for cloud in clouds[:-1]]
-    seconds = run.document["seconds"]
+    levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS) for cloud in clouds[:-1]]
+    seconds, unit = run.document["seconds"], clouds[-1].unit.lower()
     return {
         "revision": run.document["revision"],
         "model": run.plan.model,
         "steps": run.document["steps"],
         "steps_per_s": run.document["steps"] / seconds["train"],
-        "gaussians": sum(run.document["gaussians"].values()),
+        unit: sum(run.document[unit].values()),
         **{m: last[m] for m in METRICS if m in last},
         **{f"seconds.{s}": seconds[s] for s in STAGES},
         **(score_floors(held_out, truth, composite_sources(run, own)) if floors else {}),
         "curve": [
-            {"seconds": state["seconds"], "psnr_db": level}
-            for state, level in zip(states, [*levels, last["psnr_db"]], strict=True)
+            {"seconds": state["seconds"], **{m: level[m] for m in ("psnr_db", "abs_rel") if m in level}}
+            for state, level in zip(states, [*levels, last], strict=True)
         ],
     }

@@ -20,7 +20,7 @@ from acquisition.scenes.scene import Scene
 from reconstruction.bench.training import Clip
 from reconstruction.evaluation.evaluate import score_view
 from reconstruction.evaluation.truth import TruthFrame
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import Model
 from reconstruction.rendering.view import look
 from reconstruction.training.checkpoint import load_cloud
 from reconstruction.training.run import RunFolder
@@ -99,7 +99,7 @@ def frames_at(scene: Scene, camera: Camera, instants_s: NDArray[np.float64]) -> 
     return [TruthFrame(-1, *found) for found in zip(frames.intensity, frames.depth, moving, strict=True)]
 
 
-def _scores(scene: Scene, cloud: DynamicCloud, camera: Camera) -> dict[str, float]:
+def _scores(scene: Scene, cloud: Model, camera: Camera) -> dict[str, float]:
     """Means over INSTANTS; `empty` is the share of pixels without a surface where there is one."""
     span = cloud.clip.last_s - cloud.clip.first_s
     instants_s = cloud.clip.first_s + span * np.array(INSTANTS)

@@ -14,10 +14,12 @@ import numpy as np
 
 from reconstruction.calibration.problem import Indices, Problem, State
 from reconstruction.calibration.projection import Projection, project
+from reconstruction.errors import GeometryError
 from rigs.transform import Floats
 
 ITERATIONS = 30
 MOST_DAMPING = 1e8
+SINGULAR = 1e-12  # of what a value is observed by, left once the blocks are free; rounding leaves 1e-16
 UNSEEN_PX = 100.0  # what a point behind its camera costs
 
 
@@ -154,11 +156,17 @@ def _reduced(at: Linearised, inverse: Floats) -> tuple[Floats, Floats]:
 def covariance(problem: Problem, state: State) -> Floats:
     """Covariance [G, G] of the free camera values: the sandwich over blocks, priors included.
 
-    Raises numpy.linalg.LinAlgError where observations and priors do not determine the values.
+    Raises GeometryError where observations and priors do not determine the values: the sandwich would not show it.
     """
     at = linearised(problem, state)
-    inverse = _inverse(at.block_hessian, 1e-10)
+    # What one camera alone sees has no depth: its block is singular.
+    inverse = np.asarray(np.linalg.pinv(at.block_hessian, SINGULAR, hermitian=True), dtype=np.float64)
     reduced, _ = _reduced(at, inverse)
+    scale = 1 / np.sqrt(np.maximum(np.diag(at.hessian), np.finfo(np.float64).tiny))
+    if not np.linalg.eigvalsh(reduced * np.outer(scale, scale))[0] > SINGULAR:
+        raise GeometryError(
+            "found cameras that the observations leave free, expected them determined: show the cameras a deeper scene"
+        )
     scores = at.scores - np.einsum("lgd,lde,le->lg", at.coupling, inverse, at.block_gradient)
     bread = np.linalg.inv(reduced)
     meat = scores.T @ scores + np.diag(1 / problem.freedom.prior_sd**2)

@@ -13,7 +13,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.floors import depth_blend, nearest_view
 from reconstruction.evaluation.truth import Truth, TruthFrame, spread
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import Model
 from reconstruction.images.composite import CompositeSource
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
@@ -33,9 +33,7 @@ class HeldOut:
     recording: Recording
 
 
-def score_against_truth(
-    cloud: DynamicCloud, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
-) -> dict[str, float]:
+def score_against_truth(cloud: Model, held_out: HeldOut, truth: Truth, instants: int = INSTANTS) -> dict[str, float]:
     """Means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
     return _mean_scores(_frames(held_out, truth, instants), truth.white, lambda f: _look(cloud, held_out, f))
 
@@ -58,7 +56,7 @@ def score_floors(
     return {f"{name}.{key}": value for name, rows in scores.items() for key, value in _mean(rows).items()}
 
 
-def score_against_counts(cloud: DynamicCloud, held_out: HeldOut) -> dict[str, float]:
+def score_against_counts(cloud: Model, held_out: HeldOut) -> dict[str, float]:
     """Where no truth exists: errors of spike counts over 32-plane windows of the held-out camera, in spikes."""
     stream = held_out.recording.stream(held_out.camera.id)
     window = min(COUNT_WINDOW, len(stream))
@@ -99,7 +97,7 @@ def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
     return frames
 
 
-def _look(cloud: DynamicCloud, held_out: HeldOut, frame: TruthFrame) -> View:
+def _look(cloud: Model, held_out: HeldOut, frame: TruthFrame) -> View:
     return look(cloud, held_out.camera, held_out.recording.rig.clock.instant_s(frame.plane))
 
 

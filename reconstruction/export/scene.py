@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from reconstruction.errors import BadRunError
+from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
 from reconstruction.rendering.reference import ALPHA_MIN, LOG_SCALE_MAX, LOG_SCALE_MIN, unit_quats
@@ -35,12 +36,21 @@ class Choices:
 class Scene:
     """A trained run; `targets` reads the training views' target images, by camera, when it is called."""
 
-    cloud: DynamicCloud
+    cloud: Model
     rig: Rig
     white: float  # spikes per tick
     model: str  # as `--model` names it
     holdout: str | None
     targets: Callable[[], Mapping[str, CompositeSource]]
+
+    @property
+    def gaussians(self) -> DynamicCloud:
+        """The cloud of a model made of Gaussians; raises BadRunError for one that is not."""
+        if not isinstance(self.cloud, DynamicCloud):
+            raise BadRunError(
+                f"found the model {self.model}, a radiance field, expected Gaussians; export video or depth"
+            )
+        return self.cloud
 
     @property
     def middle_s(self) -> float:
@@ -95,7 +105,7 @@ class Splats:
 @torch.no_grad()
 def splats_at(scene: Scene, instant_s: float) -> Splats:
     """The scene's Gaussians at `instant_s` on the rig clock, without those too faint to be drawn (under 1/255)."""
-    now = scene.cloud.at(instant_s)
+    now = scene.gaussians.at(instant_s)
     splats = Splats(
         now.means.numpy().astype(np.float32),
         unit_quats(now.quats_wxyz).numpy().astype(np.float32),

@@ -52,7 +52,7 @@ def write_viewer(folder: Path, scene: Scene) -> None:
 @torch.no_grad()
 def viewer_of(scene: Scene) -> tuple[dict, bytes]:
     """The document of `viewer.json` and the bytes of `viewer.bin`."""
-    still, moving = _still(scene.cloud), _moving(scene.cloud)
+    still, moving = _still(scene.gaussians), _moving(scene.gaussians)
     count, movers = len(still["means"]), len(moving["means"])
     arrays = {name: np.concatenate([array, moving[name]]) for name, array in still.items()}
     arrays["intensities"] = arrays["intensities"] / np.float32(scene.white)
@@ -96,7 +96,7 @@ def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, i
 
 
 def _moving(cloud: DynamicCloud) -> Arrays:
-    return _polynomial(cloud, cloud.motion) if isinstance(cloud.motion, Motion) else _keyframes(cloud)
+    return _polynomial(cloud, cloud.motion) if type(cloud.motion) is Motion else _keyframes(cloud)
 
 
 def _polynomial(cloud: DynamicCloud, motion: Motion) -> Arrays:

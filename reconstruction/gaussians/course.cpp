@@ -26,8 +26,9 @@ struct MotionGradient {
     float *coefficients[kOrders], *instants, *log_durations, *logits;  // logits: [N + M]
 };
 
+// Comparisons are written so that NaN comes out as NaN: the renderer refuses it.
 inline double sigmoid(double logit) {
-    const double low = logit > -700 ? logit : -700, held = low < 700 ? low : 700;
+    const double low = logit < -700 ? -700 : logit, held = low > 700 ? 700 : low;
     return 1 / (1 + s4::exp_lane(-held));
 }
 
@@ -36,10 +37,10 @@ struct Gate {
     double value, ratio, inverse_duration, free;
 };
 inline Gate gate_of(const Motion &m, double since, double log_duration) {
-    const double low = log_duration > m.least_log_duration ? log_duration : m.least_log_duration;
-    const double held = low < m.most_log_duration ? low : m.most_log_duration;
+    const double low = log_duration < m.least_log_duration ? m.least_log_duration : log_duration;
+    const double held = low > m.most_log_duration ? m.most_log_duration : low;
     const double inverse = s4::exp_lane(-held), ratio = since * inverse, exponent = -0.5 * ratio * ratio;
-    return {s4::exp_lane(exponent > -700 ? exponent : -700), ratio, inverse, held == log_duration ? 1.0 : 0.0};
+    return {s4::exp_lane(exponent < -700 ? -700 : exponent), ratio, inverse, held == log_duration ? 1.0 : 0.0};
 }
 
 }  // namespace

@@ -19,6 +19,7 @@ from reconstruction.native import library
 
 LEAST_DURATION = 1e-3  # clips; shorter is a flash between two planes
 MOST_DURATION = 1e3  # clips; longer is always there
+FARTHEST = 1e6  # clips; beyond it nothing is seen, and a cube would overflow
 ORDERS = 3
 
 
@@ -33,10 +34,11 @@ class Course(NamedTuple):
 
 
 def evaluated(means: Tensor, opacity_logits: Tensor, course: Course, instant: float) -> tuple[Tensor, Tensor]:
-    """Means [N + M, 3] and opacities [N + M] at `instant`; of the still Gaussians first.
+    """Means [N + M, 3] and opacities [N + M] at `instant`, held within FARTHEST; of the still Gaussians first.
 
     Native for float32 on the CPU up to cubic motion, the reference elsewhere; differentiable in every tensor.
     """
+    instant = min(max(instant, -FARTHEST), FARTHEST)
     tensors = (means, opacity_logits, *course[:4], *course.coefficients)
     native = all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
     if not native or len(course.coefficients) > ORDERS:

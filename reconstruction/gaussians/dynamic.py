@@ -8,17 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Instantaneous, Motion, MotionModel
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TimestepMotion
 
-MODELS: dict[str, type[MotionModel]] = {m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion)}
+MODELS: dict[str, type[MotionModel]] = {
+    m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion, SpacetimeMotion, TimestepMotion, DeformationMotion)
+}
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,7 @@ class DynamicCloud:
     motion: MotionModel
     clip: Clip
     light: Tensor = field(default_factory=lambda: torch.ones(1))
+    unit: ClassVar[str] = "Gaussians"
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
@@ -65,9 +72,35 @@ class DynamicCloud:
             now = _joined(now, self.motion.at(moving, u))
         return now if len(self.light) == 1 else now._replace(intensities=now.intensities * self.gain(u))
 
+    @property
+    def changes(self) -> bool:
+        """Whether it is not the same at all instants."""
+        return len(self.moving) > 0 or len(self.light) > 1
+
     def gain(self, u: float) -> float:
         """How bright the light is at u, in clips."""
         return float(self.light[min(max(int(u * len(self.light)), 0), len(self.light) - 1)])
+
+    @property
+    def fixed(self) -> frozenset[str]:
+        """The kinds of tensors that no training changes."""
+        return self.motion.fixed
+
+    def positions(self, instant_s: float) -> Tensor:
+        """Where all Gaussians are at an instant [N + M, 3], m."""
+        return self.at(instant_s).means
+
+    def advance(self, done: float) -> float:
+        """Tell the motion how much of the training lies behind: what lies behind of the motion's own stage."""
+        return self.motion.advance(self.moving, done)
+
+    def penalty(self) -> Tensor | None:
+        """What the motion's own regulariser adds to the loss, where it has one."""
+        return self.motion.penalty(self.moving)
+
+    def opacity(self) -> Tensor:
+        """How much of the light each Gaussian takes at most [N + M], in [0, 1]."""
+        return torch.cat([part.opacity_logits.detach() for part in (self.still, self.moving)]).sigmoid()
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
         """Every stored tensor by a stable name, `still.means` to `motion.log_durations`."""
@@ -76,6 +109,11 @@ class DynamicCloud:
                 yield f"{name}.{key}", tensor
         for key, tensor in self.motion.tensors():
             yield f"motion.{key}", tensor
+
+    def to(self, target: torch.dtype) -> DynamicCloud:
+        """The same cloud as another float type."""
+        tensors = {k: t.to(target) if t.is_floating_point() else t for k, t in self.state()["tensors"].items()}
+        return DynamicCloud.from_state({**self.state(), "tensors": tensors})
 
     def state(self) -> dict:
         """Plain tensors, numbers and names, for a checkpoint."""

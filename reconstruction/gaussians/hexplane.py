@@ -1,9 +1,8 @@
 """4DGS: one canonical cloud, deformed by a field on six planes of space and time and a small network.
 
 Letters: M moving Gaussians, F features, S cells along x, y and z, T along time, W width of the network. Each level has
-planes xy, xz, yz [3, F, S, S] and xt, yt, zt [3, F, T, S]; six samples are multiplied, the levels joined. Offsets of
-positions are in units of half the box, so one learning rate fits scenes of any size; beyond the box and the clip the
-field goes on as at its edge. Cost: M x (12 x F bilinear samples + about 3 W^2 multiplications) a render.
+planes xy, xz, yz [3, F, S, S] and xt, yt, zt [3, F, T, S]; six samples are multiplied, the levels joined. Cost:
+M x (12 x F bilinear samples + about 3 W^2 multiplications) a render.
 Source: Wu et al., "4D Gaussian splatting for real-time dynamic scene rendering", CVPR 2024; Cao & Johnson, "HexPlane",
 CVPR 2023. As there: two levels, planes of space uniform in 0.1 to 0.5 and of time one at the start, opacity unchanged.
 Not as there: the last layers start at zero, so that the field starts as no deformation.
@@ -11,33 +10,29 @@ Not as there: the last layers start at zero, so that the field starts as no defo
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, linear
+from torch.nn.functional import grid_sample
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion import Instantaneous, MotionModel
+from reconstruction.gaussians.field import OUTPUTS, DeformationField, affine, box_around, layer
 
 FEATURES = 16
 WIDTH = 64
 SPACE_CELLS = (32, 64)  # coarse and fine
 TIME_CELLS = 25
 AXES = torch.tensor([[0, 1], [0, 2], [1, 2]])  # of planes xy, xz, yz
-STRAY = 0.02  # share of points at each end of an axis that the box may leave out
-OUTPUTS = (3, 4, 3)  # position, quaternion, log scales
 SMOOTH_SPACE, SMOOTH_TIME, TIME_ONE = 1e-4, 1e-2, 1e-4  # weights of the published regulariser
 
 
 @dataclass
-class HexPlaneMotion(MotionModel):
-    """The field; `box` holds the lowest and highest corner of what it covers."""
+class HexPlaneMotion(DeformationField):
+    """The field."""
 
     kind = "4dgs"
-    fixed = frozenset({"box"})
-    box: Tensor  # [2, 3] m
     coarse_space: Tensor  # [3, F, S, S] planes xy, xz, yz
     coarse_time: Tensor  # [3, F, T, S] planes xt, yt, zt
     fine_space: Tensor  # [3, F, 2 S, 2 S]
@@ -47,38 +42,19 @@ class HexPlaneMotion(MotionModel):
     heads: Tensor  # [10, W + 1]: rows of position, quaternion, log scales
 
     @classmethod
-    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> HexPlaneMotion:
-        """A field that deforms nothing yet, over most of `means` [M, 3] with half as much again on every side.
-
-        `least_m`: half the box at least, for points too close to one another to say how far they may go.
-        """
-        low, high = means.quantile(STRAY, dim=0), means.quantile(1 - STRAY, dim=0)
-        half = ((high - low) / 2).amax().clamp_min(least_m) * 1.5
+    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
+        """A field that deforms nothing yet, over the box that `box_around` finds."""
         spaces = [torch.empty(3, FEATURES, s, s).uniform_(0.1, 0.5, generator=generator) for s in SPACE_CELLS]
         times = [torch.ones(3, FEATURES, TIME_CELLS, s) for s in SPACE_CELLS]
         return cls(
-            box=torch.stack([(low + high) / 2 - half, (low + high) / 2 + half]),
+            box=box_around(means, least_m),
             coarse_space=spaces[0],
             coarse_time=times[0],
             fine_space=spaces[1],
             fine_time=times[1],
-            trunk=_layer((WIDTH, 2 * FEATURES), generator),
-            hidden=torch.stack([_layer((WIDTH, WIDTH), generator) for _ in OUTPUTS]),
+            trunk=layer((WIDTH, 2 * FEATURES), generator),
+            hidden=torch.stack([layer((WIDTH, WIDTH), generator) for _ in OUTPUTS]),
             heads=torch.zeros(sum(OUTPUTS), WIDTH + 1),
-        )
-
-    def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
-        """Every Gaussian shifted, turned and stretched by the field at its canonical mean and u."""
-        low, high = self.box
-        half = (high - low) / 2
-        places = ((moving.means - low) / half - 1).clamp(-1, 1)
-        shift, turn, stretch = self.offsets(places, min(max(u, 0.0), 1.0))
-        return Instantaneous(
-            moving.means + shift * half,
-            moving.quats_wxyz + turn,
-            moving.log_scales + stretch,
-            moving.opacity_logits.sigmoid(),
-            moving.intensities,
         )
 
     def offsets(self, places: Tensor, u: float) -> tuple[Tensor, Tensor, Tensor]:
@@ -87,29 +63,18 @@ class HexPlaneMotion(MotionModel):
         along = torch.stack([places.T, torch.full_like(places.T, 2 * u - 1)], dim=-1)[:, None]
         levels = ((self.coarse_space, self.coarse_time), (self.fine_space, self.fine_time))
         features = torch.cat([_fused(space, time, across, along) for space, time in levels])  # [2 F, M]
-        trunk = _affine(self.trunk, features.T).relu()
+        trunk = affine(self.trunk, features.T).relu()
         rows = self.heads.split(OUTPUTS)
-        shift, turn, stretch = (_affine(r, _affine(h, trunk).relu()) for r, h in zip(rows, self.hidden, strict=True))
+        shift, turn, stretch = (affine(r, affine(h, trunk).relu()) for r, h in zip(rows, self.hidden, strict=True))
         return shift, turn, stretch
 
-    def penalty(self) -> Tensor:
+    def penalty(self, moving: GaussianCloud) -> Tensor:
         """Squared differences of neighbouring cells in space, second ones in time, and how far time is from one."""
         space = sum(_rough(p, 2, 1) + _rough(p, 3, 1) for p in (self.coarse_space, self.fine_space))
         times = (self.coarse_time, self.fine_time)
         time = sum(_rough(p, 2, 2) for p in times)
         away = sum((1 - p).abs().mean() for p in times)
         return SMOOTH_SPACE * space + SMOOTH_TIME * time + TIME_ONE * away  # type: ignore[return-value]
-
-
-def _layer(shape: tuple[int, int], generator: torch.Generator) -> Tensor:
-    """Xavier's uniform weights with a last column of zeros for the bias."""
-    reach = math.sqrt(6 / sum(shape))
-    weights = torch.empty(shape).uniform_(-reach, reach, generator=generator)
-    return torch.cat([weights, torch.zeros(shape[0], 1)], dim=1)
-
-
-def _affine(layer: Tensor, values: Tensor) -> Tensor:
-    return linear(values, layer[:, :-1], layer[:, -1])
 
 
 def _fused(space: Tensor, time: Tensor, across: Tensor, along: Tensor) -> Tensor:

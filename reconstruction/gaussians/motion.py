@@ -45,7 +45,15 @@ class MotionModel(ABC):
         """Every stored tensor by a stable name."""
         yield from vars(self).items()
 
-    def penalty(self) -> Tensor | None:
+    def span(self) -> tuple[float, float]:
+        """The part of the clip, in clips, that training looks at now."""
+        return 0.0, 1.0
+
+    def advance(self, moving: GaussianCloud, done: float) -> float:
+        """Told before every step how much of the training lies behind; returns how much of its own stage does."""
+        return done
+
+    def penalty(self, moving: GaussianCloud) -> Tensor | None:
         """What the model's own regulariser adds to the loss, where it has one."""
         return None
 

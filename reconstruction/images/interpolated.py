@@ -7,7 +7,7 @@ than it fills it. It is the mean of TFI over the window's instants.
 Order: between TFI (a window of one plane) and TFP. Short windows suit whatever averages over many instants itself; they
 are noisier and less blurred. The window was chosen on `fan_and_ball`, seed 1, as targets of a training.
 Where no spike is within reach before or after an end, its clock is taken for half past; a pixel without any spike gets
-the most light that the silence allows. Neither is valid.
+the most light that the silence allows. Neither is valid, nor is a pixel that always fires in the window.
 Cost: two searches as of TFI and one count. Source: Zhu et al., ICME 2019 (the interval as a pixel's light).
 """
 
@@ -40,7 +40,7 @@ def interpolated(
     rate = (np.maximum(charge, 0) / np.float32(last - first)).astype(np.float32)
     sure, longest = np.asarray(known.all(axis=0)), found.ticks.max(axis=0)
     np.copyto(rate, 1 / longest.astype(np.float32), where=~sure & (rate <= 0))
-    return Estimate(rate, sure, interpolated_sigma(rate, longest, last - first))
+    return Estimate(rate, sure & (rate < 1), interpolated_sigma(rate, longest, last - first))
 
 
 def _clocks(found: Intervals) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

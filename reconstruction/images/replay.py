@@ -31,6 +31,11 @@ class Replay:
         self.longest = np.zeros(shape, dtype=np.int16)
         self.intervals = np.zeros(shape, dtype=np.int16)
 
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Pixels [H, W] that have fired in every plane played: how much brighter they are cannot be told."""
+        return self.longest <= 1
+
     def __iter__(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int16]]]:
         """Tick by tick: which pixels close an interval [H, W] and its length in ticks [H, W], 1 or more."""
         seen, playing = np.zeros(self.silence.shape, dtype=bool), np.ones(self.silence.shape, dtype=bool)

@@ -26,7 +26,7 @@ AGREE = 1.5  # ticks: an interval's quantisation, and what u still moves
 
 
 def tfstp(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from the synapses' state at its next spike; not valid where no interval was seen."""
+    """Image at `plane` from the synapses' state at its next spike; not valid without an interval or if never silent."""
     replay = Replay(stream, plane)
     spent = np.zeros(replay.silence.shape, dtype=np.float32)  # 1 - R
     primed = np.zeros(replay.silence.shape, dtype=np.float32)  # u - U0
@@ -58,4 +58,4 @@ def _read(spent: NDArray[np.float32], primed: NDArray[np.float32], replay: Repla
     ticks = np.where(np.abs(by_u - by_r) <= AGREE, by_u, by_r)
     ticks = np.where(valid, np.maximum(ticks, replay.silence), replay.longest + 1)
     ticks = np.maximum(ticks, 1).astype(np.float32)
-    return Estimate(np.reciprocal(ticks), valid, interval_sigma(np.floor(ticks).astype(np.int32)))
+    return Estimate(np.reciprocal(ticks), valid & ~replay.saturated, interval_sigma(np.floor(ticks).astype(np.int32)))

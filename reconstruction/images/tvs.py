@@ -27,7 +27,7 @@ MEMORY = 32  # intervals
 
 
 def tvs(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from each pixel's weight at its next spike; not valid where no interval was seen."""
+    """Image at `plane` from each pixel's weight at its next spike; not valid without an interval or if never silent."""
     replay = Replay(stream, plane)
     shape = replay.silence.shape
     mean, potential = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
@@ -45,4 +45,4 @@ def tvs(stream: SpikeStream, plane: int) -> Estimate:
     valid = replay.intervals > 0
     dark = np.where(valid, np.maximum(mean, replay.silence), replay.longest + 1).astype(np.float32)
     sigma = interval_sigma(np.floor(dark).astype(np.int32)) / np.maximum(length, 1).astype(np.float32)
-    return Estimate(np.reciprocal(np.maximum(dark, np.float32(1))), valid, sigma)
+    return Estimate(np.reciprocal(np.maximum(dark, np.float32(1))), valid & ~replay.saturated, sigma)

@@ -6,9 +6,12 @@ from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.field import DeformationField
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, spacing
 from rigs.transform import Transform
@@ -25,6 +28,12 @@ LARGEST_M = 0.25  # a lone point does not start as a cloud over everything
 def seed_cloud(still: Points, moving: Points, clip: Clip, instants: int, *, cubic: bool = False) -> DynamicCloud:
     """One Gaussian a point; `instants` is at how many moments of the clip movers were swept."""
     motion = Motion.at_rest(_fractions(moving, clip), duration=LIFE / instants, cubic=cubic)
+    return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
+
+
+def seed_spacetime(still: Points, moving: Points, clip: Clip, instants: int) -> DynamicCloud:
+    """As `seed_cloud`, of Gaussians that can also bend their paths and turn."""
+    motion = SpacetimeMotion.started(_fractions(moving, clip), LIFE / instants)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
 
 
@@ -51,13 +60,22 @@ def seed_rigid(still: Points, moving: Points, clip: Clip, instants: int, bodies:
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(carried, MOVING_OPACITY), motion, clip)
 
 
-def seed_field(still: Points, moving: Points, clip: Clip, seed: int) -> DynamicCloud:
-    """One canonical Gaussian a point, deformed by a HexPlane field that starts from `seed`; no field without points."""
+def seed_field(
+    still: Points, moving: Points, clip: Clip, seed: int, model: type[DeformationField] = HexPlaneMotion
+) -> DynamicCloud:
+    """One canonical Gaussian a point, deformed by a field that starts from `seed`; no field without points."""
     if len(moving) == 0:
         return seed_cloud(still, moving, clip, 1)
     canonical = _gaussians(moving, MOVING_OPACITY)
     least_m = ROOM * float(np.median(moving.spacing))
-    motion = HexPlaneMotion.around(canonical.means, least_m, torch.Generator().manual_seed(seed))
+    motion = model.around(canonical.means, least_m, torch.Generator().manual_seed(seed))
+    return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
+
+
+def seed_timesteps(still: Points, moving: Points, clip: Clip) -> DynamicCloud:
+    """One Gaussian a point, the moving ones at the first timestep."""
+    canonical = _gaussians(moving, MOVING_OPACITY)
+    motion = TimestepMotion.started(canonical.means)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
 
 

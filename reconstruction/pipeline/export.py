@@ -5,14 +5,14 @@ from __future__ import annotations
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.export.scene import Scene
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import Model
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.training.checkpoint import load_cloud
 from reconstruction.training.run import RunFolder
 
 
-def scene_of(run: RunFolder, recording: Recording, cloud: DynamicCloud) -> Scene:
+def scene_of(run: RunFolder, recording: Recording, cloud: Model) -> Scene:
     """`cloud` with the cameras of `recording`, which are those the run ended with."""
     targets = lambda: composite_sources(run, recording)  # noqa: E731
     return Scene(cloud, recording.rig, run.white(), run.plan.model, run.config.holdout, targets)

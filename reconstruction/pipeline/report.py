@@ -14,6 +14,7 @@ from reconstruction.evaluation.evaluate import (
 )
 from reconstruction.evaluation.truth import Truth, spread
 from reconstruction.export.viewer import write_viewer
+from reconstruction.fields.model import Model, model_from_state
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.export import scene_of
@@ -48,7 +49,8 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     centre = held_out.camera if held_out else recording.rig.cameras[len(recording.rig.cameras) // 2]
     white = truth.white if truth else run.white()
     write_orbit(run.path / "orbit.mp4", cloud, recording.rig, centre, white, lambda f, m: progress(0.5 + 0.4 * f, m))
-    write_viewer(run.path, scene_of(run, recording, cloud))
+    if isinstance(cloud, DynamicCloud):
+        write_viewer(run.path, scene_of(run, recording, cloud))
     _write_page(run, recording, cloud, truth, metrics)
     progress(1.0, f"{run.path / 'report.html'}")
 
@@ -94,7 +96,7 @@ def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, 
     rows = []
     for path in run.snapshots():
         state = load_checkpoint(path)
-        cloud = DynamicCloud.from_state(state["cloud"])
+        cloud = model_from_state(state["cloud"])
         if held_out is None:
             scores = {}
         elif truth is None:
@@ -110,14 +112,14 @@ def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, 
         draw_curve(run.path / "error_vs_time.png", rows, metric, floors, caption)
 
 
-def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None, metrics: dict) -> None:
+def _write_page(run: RunFolder, recording: Recording, cloud: Model, truth: Truth | None, metrics: dict) -> None:
     curve = run.path / "error_vs_time.png"
     white = truth.white if truth else run.white()
     document = {
         "title": f"Reconstruction of {recording.path.name}",
         "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at "
         f"{recording.rig.tick_rate_hz:g} Hz; "
-        f"{run.document.get('steps', 0)} steps, {len(cloud)} Gaussians, revision {run.document['revision']}",
+        f"{run.document.get('steps', 0)} steps, {len(cloud)} {cloud.unit}, revision {run.document['revision']}",
         "camera": run.config.holdout or "No camera held out",
         "rows": _pictures(run, recording, cloud, truth),
         "table": score_table(metrics),
@@ -131,7 +133,7 @@ def _write_page(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth
     write_durably(run.path / "report.html", report_html(document))
 
 
-def _pictures(run: RunFolder, recording: Recording, cloud: DynamicCloud, truth: Truth | None) -> list[list[dict]]:
+def _pictures(run: RunFolder, recording: Recording, cloud: Model, truth: Truth | None) -> list[list[dict]]:
     camera = recording.rig.cameras[0]
     if run.config.holdout:
         held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, truth)

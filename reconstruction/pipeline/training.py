@@ -12,6 +12,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
+from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.clean import GIVEN, CleanSource
 from reconstruction.images.composite import CompositeSource
@@ -22,12 +23,14 @@ from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.poses import write_refined
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.pipeline.watch import Watch
+from reconstruction.rendering.render import Backend
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
 from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
+from rigs.rig import Rig
 
 CHECKPOINT_EVERY_S = 5.0
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
@@ -37,7 +40,7 @@ def train_stage(
     run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
 ) -> None:
     """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
-    trainer = _trainer(run, recording)
+    trainer = trainer_of(run, recording)
     budget.before_training_s = budget.elapsed_s()
     watch = Watch(run, trainer)
     if run.checkpoint.exists():
@@ -53,7 +56,9 @@ def train_stage(
         watch.look(done, saver.checkpoint)
         saver.keep(done)
         if trainer.steps % 10 == 0 or done >= 1:
-            figures = f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} Gaussians"
+            figures = (
+                f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} {trainer.cloud.unit}"
+            )
             progress(done, f"{figures}{watch.note}")
         if should_stop() and done < 1:
             saver.checkpoint()
@@ -66,7 +71,7 @@ def train_stage(
     if trainer.refinement:
         write_refined(run, trainer.refinement.refined(recording.rig), trainer.refinement.report())
     run.document["steps"] = trainer.steps
-    run.document["gaussians"] = {"still": len(trainer.cloud.still), "moving": len(trainer.cloud.moving)}
+    run.document[trainer.cloud.unit.lower()] = {"still": len(trainer.cloud.still), "moving": len(trainer.cloud.moving)}
 
 
 def _say_ending(run: RunFolder, trainer: Trainer, progress: Progress) -> None:
@@ -113,7 +118,10 @@ class _Saver:
         self.last = self.budget.clock()
 
 
-def _trainer(run: RunFolder, recording: Recording) -> Trainer:
+def trainer_of(
+    run: RunFolder, recording: Recording, backend: Backend = "native", dtype: torch.dtype = torch.float32
+) -> Trainer:
+    """The trainer as a run starts it; float64 takes the reference as its backend."""
     rig, plan = recording.rig, run.plan
     clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
     sources = composite_sources(run, recording)
@@ -122,19 +130,23 @@ def _trainer(run: RunFolder, recording: Recording) -> Trainer:
     views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
     if run.config.model == "auto" and plan.model == "bases" and not run.checkpoint.exists():
         plan = _settled(run, clip, views, recording)
-    cloud = _seeded(run, clip)
+    cloud = _seeded(run, clip, rig)
     light = Light(run.read_array("plan/light"))
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
+    length = {"ends_early": run.config.steps is None, "half_until": plan.half_until}
     settings = TrainerSettings(
         plan.supervision,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
-        ends_early=run.config.steps is None,
         refines=plan.refine,
-        **METHODS[plan.model].trainer,
+        backend=backend,
+        **(length | dict(METHODS[plan.model].trainer)),
     )
+    if dtype != torch.float32:
+        assert isinstance(cloud, DynamicCloud)
+        cloud = cloud.to(dtype)
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 
@@ -159,7 +171,9 @@ def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: R
     errors = {}
     for model in ("bases", "linear"):
         run.document["plan"]["model"] = model
-        errors[model] = count_error(_seeded(run, clip), views, planes, clock)
+        cloud = _seeded(run, clip, recording.rig)
+        assert isinstance(cloud, DynamicCloud)
+        errors[model] = count_error(cloud, views, planes, clock)
     model = min(errors, key=errors.__getitem__)
     reason = (
         f"between the swept instants {run.document['bodies']['rigid']} rigid bodies miss the counts of {WINDOW} "
@@ -171,7 +185,8 @@ def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: R
     return plan
 
 
-def _seeded(run: RunFolder, clip: Clip) -> DynamicCloud:
+def _seeded(run: RunFolder, clip: Clip, rig: Rig) -> Model:
     still, moving = (read_points(run, kind) for kind in ("still", "moving"))
-    seeds = Seeds(still, moving, clip, INSTANTS, run.config.seed, lambda: read_bodies(run))
+    cameras = [rig.camera(view) for view in run.plan.views]
+    seeds = Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: read_bodies(run))
     return METHODS[run.plan.model].start(seeds)

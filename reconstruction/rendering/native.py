@@ -24,9 +24,12 @@ class _Cloud(ctypes.Structure):
     _fields_ = (("tensors", ctypes.c_void_p * 5), ("count", ctypes.c_int64))
 
 
-@functools.cache
 def _kernels() -> ctypes.CDLL:
-    kernels = library()
+    return _declared(library())
+
+
+@functools.cache
+def _declared(kernels: ctypes.CDLL) -> ctypes.CDLL:
     kernels.render_forward.restype = ctypes.c_void_p
     kernels.render_release.argtypes = (ctypes.c_void_p,)
     return kernels
@@ -35,12 +38,11 @@ def _kernels() -> ctypes.CDLL:
 class _Frame:
     """Holds what the kernels keep between forward and backward; gives it back when nobody can ask for it."""
 
-    def __init__(self, pointer: int) -> None:
-        self.pointer = pointer
-        self._release = _kernels().render_release
+    def __init__(self, kernels: ctypes.CDLL, pointer: int) -> None:
+        self.kernels, self.pointer = kernels, pointer
 
     def __del__(self) -> None:
-        self._release(self.pointer)
+        self.kernels.render_release(self.pointer)
 
 
 def _pointers(*tensors: Tensor | None) -> ctypes.Array:
@@ -59,14 +61,15 @@ def _forward(
     middle = torch.empty(camera.height, camera.width) if median else None
     radii = torch.empty(len(cloud[0]), dtype=torch.int32)
     numbers = (*camera.rotation, *camera.translation, *camera.focal, *camera.principal, camera.near_m)
-    pointer = _kernels().render_forward(
+    kernels = _kernels()
+    pointer = kernels.render_forward(
         ctypes.byref(_Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)),
         ctypes.byref(_cloud(cloud)),
         _pointers(intensity, depth, alpha, middle),
         ctypes.c_void_p(radii.data_ptr()),
         torch.get_num_threads(),
     )
-    return _Frame(pointer), (intensity, depth, alpha, radii, middle)
+    return _Frame(kernels, pointer), (intensity, depth, alpha, radii, middle)
 
 
 class Work(NamedTuple):
@@ -82,7 +85,7 @@ def work_of(cloud: tuple[Tensor, ...], camera: Pinhole) -> Work:
     """Renders a cloud as `render_native` takes it, intensities [N], and counts."""
     frame, _ = _forward(camera, cloud)
     counts = (ctypes.c_int64 * 4)()
-    _kernels().render_work(ctypes.c_void_p(frame.pointer), counts)
+    frame.kernels.render_work(ctypes.c_void_p(frame.pointer), counts)
     return Work(*counts)
 
 
@@ -102,7 +105,7 @@ class _Render(Function):
         cloud = ctx.saved_tensors
         wanted = [None if g is None else g.contiguous() for g in gradients[:3]]
         out = tuple(torch.zeros_like(t) for t in cloud)
-        _kernels().render_backward(
+        ctx.frame.kernels.render_backward(
             ctypes.c_void_p(ctx.frame.pointer),
             ctypes.byref(_cloud(cloud)),
             _pointers(*wanted),

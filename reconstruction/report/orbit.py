@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.progress import Progress
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import Model
 from reconstruction.rendering.view import look
 from reconstruction.report.pictures import Pixels, depth_colours, depth_span_m, grey
 from reconstruction.report.video import write_video
@@ -35,7 +35,7 @@ def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRA
 
 def write_orbit(
     path: Path,
-    cloud: DynamicCloud,
+    cloud: Model,
     rig: Rig,
     centre: Camera,
     white: float,

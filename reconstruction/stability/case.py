@@ -5,47 +5,63 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from reconstruction.rendering.render import Backend
+STEEPER = 10.0  # gradients may be so much farther off than values
 
-Observation = tuple[str, float]  # in words, and how far it is from what was expected
+
+class Observation(NamedTuple):
+    """What was seen, in words, how far that is from what was expected, and how far the gradients are."""
+
+    said: str
+    error: float
+    gradient: float | None = None
+
+
+def alone() -> tuple[str, ...]:
+    """For what needs no backend, method or model."""
+    return ("none",)
 
 
 @dataclass(frozen=True)
 class Case:
-    """`observe` returns what a backend made of it; the case passes where the error is at most `tolerance`.
+    """`observe` looks at what one of `on()` makes of it: a renderer, an image method, a motion model, or `none`.
 
-    `number` is the stress catalogue's. Cases that render nothing run once, as backend `none`.
+    It passes where the error is at most `tolerance`, and that of gradients at most STEEPER times as much. `number` is
+    the stress catalogue's; runs on the stiff scenes have none.
     """
 
-    number: int
+    number: int | None
     name: str
     expected: str
     tolerance: float
-    observe: Callable[[Backend], Observation]
-    renders: bool = True
+    observe: Callable[[str], Observation]
+    on: Callable[[], tuple[str, ...]] = alone
 
 
 @dataclass(frozen=True)
 class Row:
-    """The outcome of a case on a backend."""
+    """The outcome of a case; `error` and `gradient` are None where there is none, or it is not a number."""
 
     case: str
     backend: str
     expected: str
     observed: str
-    error: float | None  # None where it is not a number
+    error: float | None
+    gradient: float | None
     verdict: Literal["pass", "fail"]
 
 
-def row_of(case: Case, backend: Backend) -> Row:
-    """Run a case on a backend; an exception is a failure, with its text."""
-    name = f"{case.number} {case.name}"
-    on = backend if case.renders else "none"
+def row_of(case: Case, backend: str) -> Row:
+    """Run a case on one of `case.on()`; an exception is a failure, with its text."""
+    name = case.name if case.number is None else f"{case.number} {case.name}"
     try:
-        observed, error = case.observe(backend)
-    except Exception as error:  # noqa: BLE001 - whatever a backend throws is what it made of the case
-        return Row(name, on, case.expected, f"{type(error).__name__}: {error}", None, "fail")
-    verdict = "pass" if error <= case.tolerance else "fail"
-    return Row(name, on, case.expected, observed, error if math.isfinite(error) else None, verdict)
+        said, error, gradient = case.observe(backend)
+    except Exception as error:  # noqa: BLE001 - whatever is thrown is what was made of the case
+        return Row(name, backend, case.expected, f"{type(error).__name__}: {error}", None, None, "fail")
+    good = error <= case.tolerance and (gradient is None or gradient <= STEEPER * case.tolerance)
+    return Row(name, backend, case.expected, said, _finite(error), _finite(gradient), "pass" if good else "fail")
+
+
+def _finite(number: float | None) -> float | None:
+    return number if number is not None and math.isfinite(number) else None

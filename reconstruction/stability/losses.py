@@ -7,22 +7,22 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.losses.ssim import ssim_map
 from reconstruction.losses.variation import variation_loss
-from reconstruction.rendering.render import NAMES, Backend, render
+from reconstruction.rendering.render import NAMES, render
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import CAMERA, gaussians_of
+from reconstruction.stability.probe import CAMERA, apart, gaussians_of, renderers, running
 
 
-def _constant_signal(_: Backend) -> Observation:
+def _constant_signal(_: str) -> Observation:
     frames = torch.full((4, 9, 11), 0.3, requires_grad=True)
     loss = variation_loss(frames, torch.full((4, 9, 11), 0.2))
     loss.backward()
     assert frames.grad is not None
     slope = float(frames.grad.abs().max())
-    return f"loss {loss.item():.0e}, gradient {slope:.0e}", slope if math.isfinite(slope) else math.inf
+    return Observation(f"loss {loss.item():.0e}, gradient {slope:.0e}", abs(loss.item()), slope)
 
 
-def _equal_images(_: Backend) -> Observation:
-    error = 0.0
+def _equal_images(_: str) -> Observation:
+    error, slope = 0.0, 0.0
     flat, dark = torch.full((20, 24), 0.4), torch.zeros(20, 24)
     noise = torch.rand(20, 24, generator=torch.Generator().manual_seed(1))
     for image in (flat, dark, noise):
@@ -30,34 +30,35 @@ def _equal_images(_: Backend) -> Observation:
         similarity = ssim_map(leaf, image, 1.0)
         similarity.mean().backward()
         assert leaf.grad is not None
-        worst = max(float((similarity.detach() - 1).abs().max()), float(leaf.grad.abs().max()))
-        error = max(error, worst if math.isfinite(worst) else math.inf)
-    return f"flat, dark and noise: 1 and no gradient to {error:.0e}", error
+        error = max(error, apart(similarity.detach(), torch.ones_like(image)))
+        slope = max(slope, apart(leaf.grad, torch.zeros_like(image)))
+    return Observation(f"flat, dark and noise: 1 to {error:.0e}, no gradient to {slope:.0e}", error, slope)
 
 
-def _refused(backend: Backend) -> Observation:
-    device = "cuda" if backend == "gsplat" else "cpu"
+def _refused(renderer: str) -> Observation:
+    device = "cuda" if renderer == "gsplat" else "cpu"
     taken = []
     for position, name in enumerate(NAMES):
         for value in (math.nan, math.inf, -math.inf):
             tensors = [t.clone().to(device) for t in gaussians_of(9)]
             tensors[position][4] = value
-            taken += _taken(tensors, backend, f"{value} in {name}", name)
+            taken += _taken(tensors, renderer, f"{value} in {name}", name)
     half = [t.to(device, torch.bfloat16) for t in gaussians_of(9)]
-    taken += _taken(half, backend, "bfloat16", "bfloat16")
-    return f"taken: {', '.join(taken) or 'none of 16'}", float(len(taken))
+    taken += _taken(half, renderer, "bfloat16", "bfloat16")
+    return Observation(f"taken: {', '.join(taken) or 'none of 16'}", float(len(taken)))
 
 
-def _taken(tensors: list[torch.Tensor], backend: Backend, what: str, named: str) -> list[str]:
+def _taken(tensors: list[torch.Tensor], renderer: str, what: str, named: str) -> list[str]:
     try:
-        render(tuple(tensors), CAMERA, backend=backend)  # type: ignore[arg-type]
+        with running(renderer) as backend:
+            render(tuple(tensors), CAMERA, backend=backend)  # type: ignore[arg-type]
     except ReconstructionError as error:
         return [] if named in str(error) else [f"{what} ({error})"]
     return [what]
 
 
 CASES = (
-    Case(20, "variation loss of constant light", "zero gradient", 0.0, _constant_signal, renders=False),
-    Case(21, "SSIM of equal images", "1, zero gradient", 1e-5, _equal_images, renders=False),
-    Case(30, "NaN, infinity, bfloat16", "refused by name", 0.0, _refused),
+    Case(20, "variation loss of constant light", "zero gradient", 0.0, _constant_signal),
+    Case(21, "SSIM of equal images", "1, zero gradient", 1e-5, _equal_images),
+    Case(30, "NaN, infinity, bfloat16", "refused by name", 0.0, _refused, renderers),
 )

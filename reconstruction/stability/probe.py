@@ -1,19 +1,24 @@
-"""A small scene rendered by a backend with its gradients, and how far that is from the float64 reference."""
+"""A small scene rendered with its gradients, and how far that is from the reference in float64."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
+from acquisition.native import code_path, code_paths
 from reconstruction.rendering.gsplat_backend import why_unavailable
 from reconstruction.rendering.render import Backend, Rendering, render
 from rigs.camera import Camera
 from rigs.transform import Transform
 
 CAMERA = Camera("cam11", 40, 28, 60.0, 60.0, 20.0, 14.0, Transform.identity())
+BUILDS = ("v2", "v3", "v4")  # of the native kernels, on x86-64
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
@@ -32,9 +37,33 @@ class Probe:
         return finite and float(r.alpha.min()) >= 0 and float(r.alpha.max()) <= 1
 
 
-def backends() -> tuple[Backend, ...]:
-    """The backends this machine can run."""
-    return ("reference", "native") if why_unavailable() else ("reference", "native", "gsplat")
+class Apart(NamedTuple):
+    """How far a probe's images and gradients are from those of the reference in float64; infinite where unsound."""
+
+    images: float
+    gradients: float
+
+
+def renderers() -> tuple[str, ...]:
+    """The backends this machine can run, the native one by each code path; all are float32 here."""
+    native = tuple(f"native {name}" for name in code_paths())
+    return ("reference", *native) if why_unavailable() else ("reference", *native, "gsplat")
+
+
+def omissions() -> list[str]:
+    """What `renderers` lacks on this machine, and why."""
+    missing = () if "plain" in code_paths() else BUILDS
+    left_out = [f"native {name}: this processor lacks its instructions" for name in missing if name not in code_paths()]
+    reason = why_unavailable()
+    return [*left_out, f"gsplat: {reason}"] if reason else left_out
+
+
+@contextmanager
+def running(renderer: str) -> Iterator[Backend]:
+    """The backend to ask for, and while it lasts the code path, of one of `renderers`."""
+    backend, _, path = renderer.partition(" ")
+    with code_path(path) if path else nullcontext():
+        yield cast(Backend, backend)
 
 
 def gaussians_of(n: int = 1, **changes: Tensor) -> Gaussians:
@@ -50,15 +79,21 @@ def gaussians_of(n: int = 1, **changes: Tensor) -> Gaussians:
     return means, quats, log_scales, opacities, intensities
 
 
-def probe(gaussians: Gaussians, backend: Backend, near_m: float = 0.01, background: float | None = None) -> Probe:
-    """Render on `backend`, the reference in float64; gradients are of an uneven sum over all three images."""
-    dtype = torch.float64 if backend == "reference" else torch.float32
-    device = "cuda" if backend == "gsplat" else "cpu"
-    leaves = tuple(t.detach().to(device, dtype).clone().requires_grad_() for t in gaussians)
-    rendering = render(leaves, CAMERA, backend=backend, near_m=near_m, background=background)  # type: ignore[arg-type]
+def probe(
+    gaussians: Gaussians,
+    renderer: str,
+    near_m: float = 0.01,
+    background: float | None = None,
+    dtype: torch.dtype = torch.float32,
+) -> Probe:
+    """Render on `renderer`; gradients are of an uneven sum over all three images."""
+    device = "cuda" if renderer == "gsplat" else "cpu"
+    leaves = cast(Gaussians, tuple(t.detach().to(device, dtype).clone().requires_grad_() for t in gaussians))
     # Not symmetric, or the gradients would cancel.
     weights = 0.2 + torch.rand(28, 40, generator=torch.Generator().manual_seed(3)).to(device, dtype)
-    (weights * (rendering.intensity[..., 0] + 0.1 * rendering.depth + 0.3 * rendering.alpha)).sum().backward()
+    with running(renderer) as backend:
+        rendering = render(leaves, CAMERA, backend=backend, near_m=near_m, background=background)
+        (weights * (rendering.intensity[..., 0] + 0.1 * rendering.depth + 0.3 * rendering.alpha)).sum().backward()
     images = (rendering.intensity, rendering.depth, rendering.alpha)
     intensity, depth, alpha = (t.detach().cpu().double() for t in images)
     return Probe(
@@ -75,16 +110,15 @@ def apart(found: Tensor, expected: Tensor) -> float:
     return worst if math.isfinite(worst) else math.inf
 
 
-def against_reference(gaussians: Gaussians, backend: Backend, **options: float) -> tuple[Probe, float]:
-    """What `backend` made of it, and the worst of its images and a tenth of its gradients; infinite where unsound."""
-    found = probe(gaussians, backend, **options)
-    expected = found if backend == "reference" else probe(gaussians, "reference", **options)
+def against_reference(
+    gaussians: Gaussians, renderer: str, near_m: float = 0.01, background: float | None = None
+) -> tuple[Probe, Apart]:
+    """What `renderer` made of it, and how far that is off."""
+    found = probe(gaussians, renderer, near_m, background)
+    expected = probe(gaussians, "reference", near_m, background, torch.float64)
     if not (found.sound and expected.sound):
-        return found, math.inf
-    images = max(
-        apart(getattr(found.rendering, name), getattr(expected.rendering, name))
-        for name in ("intensity", "depth", "alpha")
-    )
+        return found, Apart(math.inf, math.inf)
+    names = ("intensity", "depth", "alpha")
+    images = max(apart(getattr(found.rendering, name), getattr(expected.rendering, name)) for name in names)
     pairs = zip(found.gradients, expected.gradients, strict=True)
-    slopes = max(apart(f, e) if e.numel() else 0.0 for f, e in pairs)
-    return found, max(images, slopes / 10)
+    return found, Apart(images, max(apart(f, e) for f, e in pairs))

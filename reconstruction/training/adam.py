@@ -15,6 +15,8 @@ from torch import Tensor
 from reconstruction.errors import ReconstructionError
 from reconstruction.native import library
 
+BETAS, EPS = (0.9, 0.99), 1e-15
+
 
 class _Leaf(ctypes.Structure):
     _fields_ = (
@@ -31,7 +33,7 @@ class Adam(torch.optim.Optimizer):
     Leaves without a gradient are left alone. Raises ReconstructionError for any other kind of tensor.
     """
 
-    def __init__(self, groups: Iterable[dict], betas: tuple[float, float] = (0.9, 0.99), eps: float = 1e-15):
+    def __init__(self, groups: Iterable[dict], betas: tuple[float, float] = BETAS, eps: float = EPS):
         super().__init__(groups, {"lr": 1e-3, "betas": betas, "eps": eps})
         self.betas, self.eps = betas, eps
         for group in self.param_groups:

@@ -10,7 +10,7 @@ import torch
 
 from acquisition.durable import write_durably
 from reconstruction.errors import BadRunError
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.fields.model import Model, model_from_state
 
 
 def save_checkpoint(path: Path, state: dict) -> None:
@@ -31,6 +31,6 @@ def load_checkpoint(path: Path) -> dict:
         raise BadRunError(f"{path}: found a damaged checkpoint, expected one of this version; train again") from error
 
 
-def load_cloud(path: Path) -> DynamicCloud:
-    """The cloud of a checkpoint or snapshot."""
-    return DynamicCloud.from_state(load_checkpoint(path)["cloud"])
+def load_cloud(path: Path) -> Model:
+    """The model of a checkpoint or snapshot."""
+    return model_from_state(load_checkpoint(path)["cloud"])

@@ -7,7 +7,20 @@ from typing import Any, Literal, get_args
 
 from reconstruction.errors import BadRunError
 
-Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
+Model = Literal[
+    "auto",
+    "static",
+    "linear",
+    "cubic",
+    "bases",
+    "4dgs",
+    "stg",
+    "d3dgs",
+    "spikegs",
+    "dy-spikegs",
+    "spikenerf",
+    "dy-spikenerf",
+]
 Init = Literal["auto", "sweep", "natural", "sfm", "dust3r", "msdi"]
 ImageSource = Literal[
     "auto",
@@ -25,7 +38,7 @@ ImageSource = Literal[
     "blurred",
 ]
 Refine = Literal["auto", "on", "off"]
-Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
+Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative", "both"]
 
 DEFAULT_BUDGET_S = 120.0
 CHOICES = (

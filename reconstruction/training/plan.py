@@ -56,7 +56,10 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians."""
+    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians.
+
+    `half_until`: share of the training at half resolution.
+    """
 
     views: tuple[str, ...]
     model: str
@@ -67,6 +70,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     init: str = "sweep"
     refine: bool = False
+    half_until: float = HALF_UNTIL
 
     def amended(self, decision: Decision, **changes: object) -> Plan:
         """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
@@ -95,15 +99,28 @@ def make_plan(
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
     method = METHODS[model]
+    _refuse_for_rays(config, method)
     if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
     still, moving = _split(config.gaussians, method, masks)
-    decisions += _economies(config, work, _share(masks), (still, moving))
+    half_until = method.trainer.get("half_until", HALF_UNTIL)
+    decisions += _economies(config, work, _share(masks), (still, moving), half_until)
     decisions += _left_out(rig, views, work)
     init = _choose_init(config, rig, decisions)
-    refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
+    refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
     return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine), masks, light
+
+
+def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
+    """A radiance field learns from the spikes of single rays, whose cameras stand as they are."""
+    if method.rays and config.refine == "on":
+        raise BadRunError(f"found --refine on with --model {method.name}, which cannot refine poses; leave it out")
+    if method.rays and config.supervision != "auto":
+        raise BadRunError(
+            f"found --supervision {config.supervision} with --model {method.name}, which learns from spikes of single "
+            "rays; leave it out"
+        )
 
 
 def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], views: Sequence[str]) -> Work:
@@ -138,7 +155,9 @@ def _choose_targets(
     return images, supervision
 
 
-def _economies(config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int]) -> list[Decision]:
+def _economies(
+    config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int], half_until: float
+) -> list[Decision]:
     """Instants, Gaussians and resolution: what is kept small from the start."""
     stride, (still, moving) = config.tick_stride, counts
     fewer = work.images(1) - work.images(stride)
@@ -149,12 +168,13 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
     every = f"an image every {stride} planes"
     splats = f"{still:,} still and {moving:,} moving"
     cost = (work.splats_s(config.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * config.gaussians)
-    sizes = f"half size for the first {HALF_UNTIL:.0%}"
-    why = "positions and brightness settle on coarse images first, at less than full size"
+    sizes = f"half size for the first {half_until:.0%}" if half_until else "full size throughout"
+    coarse = "positions and brightness settle on coarse images first, at less than full size"
+    why = coarse if half_until else "spikes are counted pixel by pixel"
     return [
         Decision("instants", every, reason, "--tick-stride", *spared),
         Decision("Gaussians", splats, "the cap as given, against twice as many", "none", *cost),
-        Decision("resolution", sizes, why, "none", work.half_size_s(HALF_UNTIL)),
+        Decision("resolution", sizes, why, "none", work.half_size_s(half_until) if half_until else None),
     ]
 
 
@@ -196,7 +216,7 @@ def _training_views(
     for view in asked:
         stream = streams[view]
         rate = stream.counts(0, len(stream)).mean() / len(stream)
-        if rate < DARK_RATE:
+        if rate < DARK_RATE and view not in config.views:
             reason, spared_s = (
                 f"{rate:.1e} spikes per tick: no light",
                 _work(config, rig, streams, [view]).view_s(INSTANTS),

@@ -6,7 +6,7 @@ moving), kernels of level v3. They say which work is dear, not how long another 
 - SWEEP_S, SWEEP_MOVERS_S: `sweep_view` of one view against four, 128 hypotheses; 64 at half the width and height.
 - BACKGROUND_S: `background` of one view with moving pixels.
 - IMAGE_S: the image method at one plane of one view; `interpolated` looks at the moving pixels alone.
-- STEP_S, STILL_STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians, and without the moving ones.
+- STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians.
 - HALF_STEP_S: the same step as STEP_S against images of half the width and height.
 - VARIATION_STEP_S: a step with `variation`, which renders three instants.
 - SPLATS_S: what each Gaussian adds to a step, from 12,000 to 24,000 of them.
@@ -37,7 +37,6 @@ IMAGE_S = {
     "blurred": 0.0,
 }
 STEP_S = 0.0225
-STILL_STEP_S = 0.0138
 HALF_STEP_S = 0.0129
 VARIATION_STEP_S = 0.0424
 SPLATS_S = 6.7e-7
@@ -81,9 +80,8 @@ class Work:
         return self.likely_steps() * self.step_s() * share
 
     def movers_s(self, instants: int) -> float:
-        """Seconds of sweeping movers at `instants`, and of carrying them through all steps."""
-        swept = instants * self.views * SWEEP_MOVERS_S + self.views * BACKGROUND_S
-        return self.scale * swept + self._steps_s(1 - STILL_STEP_S / STEP_S)
+        """Seconds of looking for movers at `instants`; where nothing moves none are found, so no step carries any."""
+        return self.scale * self.views * (instants * SWEEP_MOVERS_S + BACKGROUND_S)
 
     def view_s(self, instants: int) -> float:
         """Seconds of preparing one more view: its background, its sweep, and those of movers at `instants`."""

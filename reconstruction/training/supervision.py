@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from reconstruction.images.estimate import shrunk
 from reconstruction.losses.counts import cumulative_loss, robust_loss
 from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
-from reconstruction.rendering.render import Rendering, render
+from reconstruction.rendering.render import Backend, Rendering, render
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
@@ -44,7 +44,7 @@ class TrainingView:
         return self.correction.seen(cloud, instant_s) if self.correction else cloud.at(instant_s)
 
 
-Term = Callable[[DynamicCloud, TrainingView, np.random.Generator, int], Tensor]
+Term = Callable[[Any, TrainingView, np.random.Generator, int], Tensor]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class ImageTerm:
 
     `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
     kept; `solid` works against light that passes through everything: dark texture is not a hole. `closeness` is told
-    of every image compared.
+    of every image compared. Images take the float type that `backend` renders the cloud in.
     """
 
     clock: RigClock
@@ -62,10 +62,11 @@ class ImageTerm:
     ssim: float = 0.2
     solid: float = 0.02
     closeness: Closeness | None = None
+    backend: Backend = "native"
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss at a random plane."""
-        instants = view.source.instants(self.stride)
+        instants = _instants(cloud, view, self.stride)
         plane = int(instants[rng.integers(len(instants))])
         return self.against(*self.pair(cloud, view, plane, shrink))
 
@@ -75,7 +76,8 @@ class ImageTerm:
         if shrink > 1:
             camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
             image = shrunk(image, camera)
-        return render(view.seen(cloud, self.clock.instant_s(plane)), camera), torch.from_numpy(image)
+        rendered = render(view.seen(cloud, self.clock.instant_s(plane)), camera, backend=self.backend)
+        return rendered, torch.from_numpy(image).to(rendered.intensity.dtype)
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W]."""
@@ -98,7 +100,7 @@ class VariationTerm:
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of instants that begin at a random plane."""
-        instants = view.source.instants(self.image.stride)
+        instants = _instants(cloud, view, self.image.stride)
         gap = max(1, min(self.gap // self.image.stride, (len(instants) - 1) // (self.instants - 1)))
         first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
         at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
@@ -110,9 +112,21 @@ class VariationTerm:
 
 
 @dataclass(frozen=True)
+class SumTerm:
+    """Several terms in one step, each at instants of its own."""
+
+    terms: tuple[Term, ...]
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+        """The sum of their losses."""
+        return torch.stack([term(cloud, view, rng, shrink) for term in self.terms]).sum()
+
+
+@dataclass(frozen=True)
 class SpikeTerm:
     """Counts over a random window against the render integrated over it, in a part of the view that sees a mover.
 
+    `size_px`: width and height of the part; None is the whole view.
     Windows are log-uniform between `shortest` and `longest` planes. The integral is a Gauss-Legendre quadrature of an
     instant for every `planes_a_node`, at most `most_nodes`; `cumulative` compares as many equal parts of the window.
     """
@@ -123,15 +137,15 @@ class SpikeTerm:
     longest: int = 33
     planes_a_node: int = 8
     most_nodes: int = 4
-    size_px: tuple[int, int] = (160, 128)
+    size_px: tuple[int, int] | None = (160, 128)
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
         """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
         part = _part(view, self.size_px, rng)
-        planes = len(view.source.stream)
-        low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
+        begin, end = _planes(cloud, view)
+        low, high = (math.log(min(x, end - begin)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
-        first = int(rng.integers(planes - window + 1))
+        first = begin + int(rng.integers(end - begin - window + 1))
         nodes = min(self.most_nodes, math.ceil(window / self.planes_a_node))
         if self.norm == "cumulative":
             return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
@@ -146,10 +160,11 @@ class SpikeTerm:
     ) -> tuple[Tensor, Tensor]:
         """Mean light and alpha [H, W] over the planes of the span (first, length, nodes)."""
         first, length, nodes = span
+        nodes = nodes if cloud.changes else 1
         light = alpha = torch.zeros(())
-        for node, weight in zip(*_quadrature(nodes), strict=True):
+        for node, weight in zip(*quadrature(nodes), strict=True):
             instant_s = self.image.clock.instant_s(first + length * node - 0.5)
-            rendered = render(view.seen(cloud, instant_s), part.camera)
+            rendered = render(view.seen(cloud, instant_s), part.camera, backend=self.image.backend)
             light = light + weight * rendered.intensity[..., 0]
             alpha = alpha + weight * rendered.alpha
         return light, alpha
@@ -165,6 +180,20 @@ class SpikeTerm:
         loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)
         alpha = torch.stack([alpha for _, alpha in pairs])
         return loss / self.image.white + self.image.solid * (1 - alpha).mean()
+
+
+def _planes(cloud: DynamicCloud, view: TrainingView) -> tuple[int, int]:
+    """The planes [first, last) of the part of the clip that the motion is learnt from now."""
+    planes, (low, high) = len(view.source.stream), cloud.motion.span()
+    first = min(math.floor(low * planes), planes - 1)
+    return first, min(max(math.ceil(high * planes), first + 1), planes)
+
+
+def _instants(cloud: DynamicCloud, view: TrainingView, stride: int) -> NDArray[np.int64]:
+    """The planes of that part whose images are targets; the nearest one where there is none."""
+    instants, (first, last) = view.source.instants(stride), _planes(cloud, view)
+    within = instants[(instants >= first) & (instants < last)]
+    return within if len(within) else instants[[np.abs(2 * instants + 1 - first - last).argmin()]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +214,10 @@ class Part:
         return self.of(view.source.stream.counts(first, last)).astype(np.float32)
 
 
-def _part(view: TrainingView, size_px: tuple[int, int], rng: np.random.Generator) -> Part:
+def _part(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:
     """A rectangle around a random pixel that moves (any pixel where none does)."""
     camera, moving = view.camera, view.source.moving
+    size_px = size_px or (camera.width, camera.height)
     width, height = min(size_px[0], camera.width), min(size_px[1], camera.height)
     seen = np.flatnonzero(moving)
     pixel = int(seen[rng.integers(len(seen))]) if len(seen) else int(rng.integers(moving.size))
@@ -207,7 +237,7 @@ def _norm(name: SpikeNorm, light: Tensor, rate: Tensor, window: int) -> Tensor:
     return robust_loss(light, rate, window)
 
 
-def _quadrature(nodes: int) -> tuple[list[float], list[float]]:
+def quadrature(nodes: int) -> tuple[list[float], list[float]]:
     """Gauss-Legendre places in (0, 1) and weights that sum to 1."""
     places, weights = np.polynomial.legendre.leggauss(nodes)
     return [float(p + 1) / 2 for p in places], [float(w) / 2 for w in weights]

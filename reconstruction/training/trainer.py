@@ -11,22 +11,27 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.fields.model import Model, model_from_state
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.training.adam import Adam
+from reconstruction.rendering.render import Backend
+from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
 from reconstruction.training.plan import HALF_UNTIL
+from reconstruction.training.rays import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
-from reconstruction.training.supervision import ImageTerm, SpikeTerm, Term, TrainingView, VariationTerm
+from reconstruction.training.supervision import ImageTerm, SpikeTerm, SumTerm, Term, TrainingView, VariationTerm
 from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
 DEAD = 0.005  # opacity below which a Gaussian is not rendered to any effect
 LIVING_EVERY = 100  # steps between looks at whether any is left
-RATE_OF = {  # tensors of the field of 4dgs that share a rate
+RATE_OF = {  # tensors of fields that share a rate
     **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
     **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
+    **dict.fromkeys(("entry", "inner", "again", "exit"), "network"),
+    "offsets": "offsets",
 }
 
 
@@ -47,10 +52,14 @@ class Rates:
     intensities: float = 8e-3
     instants: float = 4e-3
     log_durations: float = 2e-2
+    turns: float = 3e-2
     knot_quats: float = 5e-4
     knot_centers: float = 1e-4
     planes: float = 5e-2
     layers: float = 4e-3
+    network: float = 1.5e-3
+    densities: float = 0.1
+    offsets: float = 0.05
     final: float = 0.05
 
 
@@ -60,8 +69,11 @@ class TrainerSettings:
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
+    `spike_px`: width and height of the part of a view it looks at (None: all). `spike_planes`: its shortest and longest
+    window.
     `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
     lags of the views are learnt too.
+    `backend`: native for float32; the reference trains in any float type.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
 
@@ -71,9 +83,12 @@ class TrainerSettings:
     tick_stride: int = 1
     half_until: float = HALF_UNTIL
     spike_every: int = 2
+    spike_px: tuple[int, int] | None = (160, 128)
+    spike_planes: tuple[int, int] = (8, 33)
     canonical_until: float = 3 / 17
     ends_early: bool = False
     refines: bool = False
+    backend: Backend = "native"
 
 
 class Trainer:
@@ -81,7 +96,7 @@ class Trainer:
 
     def __init__(
         self,
-        cloud: DynamicCloud,
+        cloud: Model,
         views: Sequence[TrainingView],
         settings: TrainerSettings,
         clock: RigClock,
@@ -108,13 +123,13 @@ class Trainer:
 
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
-        self._anneal(done)
+        self._anneal(done, self.cloud.advance(done))
         every, coarse = self.settings.spike_every, done < self.settings.half_until
         due = self.spikes if not coarse and self.steps % every == every - 1 else None
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
         loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
-        penalty = self.cloud.motion.penalty()
+        penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty
         loss.backward()
@@ -131,21 +146,22 @@ class Trainer:
 
     def _refuse_dead(self) -> None:
         """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
-        clouds = (self.cloud.still, self.cloud.moving)
-        if not any(bool((cloud.opacity_logits.detach().sigmoid() >= DEAD).any()) for cloud in clouds):
+        if not (self.cloud.opacity() >= DEAD).any():
             raise ReconstructionError(
-                f"found no Gaussian of opacity {DEAD} or more after {self.steps} steps, expected some to learn from; "
-                "check that the recording is lit and the poses are its own, then start a new run"
+                f"found no {self.cloud.unit} of opacity {DEAD} or more after {self.steps} steps, expected some to "
+                "learn from; check that the recording is lit and the poses are its own, then start a new run"
             )
 
     def done(self, share: float) -> float:
         """How much of the training lies behind, where the budget says `share`: more once it ends early."""
         return self.ending.done(share, self.steps) if self.ending else share
 
-    def _anneal(self, done: float) -> None:
+    def _anneal(self, done: float, stage: float) -> None:
+        """Rates at `done` of the training; of what moves, at its `stage`."""
         for group in self.optimizer.param_groups:
             begun = not group["field"] or done >= self.settings.canonical_until
-            group["lr"] = group["start"] * group["end"] ** min(max(done, 0.0), 1.0) if begun else 0.0
+            share = min(max(stage if group["moves"] else done, 0.0), 1.0)
+            group["lr"] = group["start"] * group["end"] ** share if begun else 0.0
 
     def state(self) -> dict:
         """Everything a resumed training needs, as tensors, numbers and strings."""
@@ -160,7 +176,7 @@ class Trainer:
 
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
-        self.cloud = DynamicCloud.from_state(state["cloud"])
+        self.cloud = model_from_state(state["cloud"])
         self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
@@ -175,6 +191,7 @@ class Trainer:
 
         Adam's moments are carried over; those of a motion that a Gaussian did not have before are zero.
         """
+        assert isinstance(self.cloud, DynamicCloud)
         names = {id(tensor): name for name, tensor in self.cloud.tensors()}
         old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
         moments = {
@@ -196,12 +213,19 @@ class Trainer:
             self.ending.begin_again()
 
 
-def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[ImageTerm, Term | None]:
-    image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness)
+def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[Term, Term | None]:
+    image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness, backend=settings.backend)
     name = settings.supervision
     if name == "pixels":
         return image, None
-    return image, VariationTerm(image) if name == "variation" else SpikeTerm(image, name)  # type: ignore[arg-type]
+    if name == RAYS:
+        return RayTerm(clock, settings.white, closeness=closeness), None
+    if name == "variation":
+        return image, VariationTerm(image)
+    shortest, longest = settings.spike_planes
+    norm = "counts" if name == "both" else name
+    spikes = SpikeTerm(image, norm, shortest, longest, size_px=settings.spike_px)  # type: ignore[arg-type]
+    return image, SumTerm((VariationTerm(image), spikes)) if name == "both" else spikes
 
 
 def train(
@@ -219,22 +243,25 @@ def train(
             return
 
 
-def _optimizer(cloud: DynamicCloud, extent_m: float, rates: Rates) -> Adam:
+def _optimizer(cloud: Model, extent_m: float, rates: Rates) -> torch.optim.Optimizer:
     groups = []
     for name, tensor in cloud.tensors():
         kind = name.split(".")[1]
-        if tensor.numel() == 0 or kind in cloud.motion.fixed:
+        if tensor.numel() == 0 or kind in cloud.fixed:
             continue
         tensor.requires_grad_(True)
         length = kind in LENGTHS
         start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
         end = rates.final if length else 1 / 3
-        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, "field": kind in RATE_OF})
-    return Adam(groups)
+        flags = {"field": kind in RATE_OF, "moves": not name.startswith("still")}
+        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, **flags})
+    if all(tensor.dtype == torch.float32 for group in groups for tensor in group["params"]):
+        return Adam(groups)
+    return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 
 
-def _extent_m(cloud: DynamicCloud, views: Sequence[TrainingView]) -> float:
+def _extent_m(cloud: Model, views: Sequence[TrainingView]) -> float:
     """Mean distance from the cameras to the points: what a length is measured against."""
     centers = torch.tensor(np.stack([v.camera.center for v in views]), dtype=torch.float32)
-    points = cloud.at((cloud.clip.first_s + cloud.clip.last_s) / 2).means.detach()
+    points = cloud.positions((cloud.clip.first_s + cloud.clip.last_s) / 2).detach()
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())

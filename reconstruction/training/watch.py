@@ -33,7 +33,11 @@ LIGHT_ERROR = 0.008  # of a gain, where light flickers
 DEVIATIONS = 8.0
 LEAST_PX = 60
 GROW_PX = 2
-FRESH = {"velocities": 0.0, "accelerations": 0.0, "jerks": 0.0, "instants": 0.5, "log_durations": math.log(LONG_LIFE)}
+FRESH = {
+    **dict.fromkeys(("velocities", "accelerations", "jerks", "turns"), 0.0),
+    "instants": 0.5,
+    "log_durations": math.log(LONG_LIFE),
+}
 BENDS = ("accelerations", "jerks")  # of straight paths these stay empty
 
 Mask = NDArray[np.bool_]

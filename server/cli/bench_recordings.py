@@ -25,5 +25,7 @@ def recording(scene: str, seed: int, work: Path, ticks: int = TICKS, rig: str | 
         path.parent.mkdir(parents=True, exist_ok=True)
         options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path} | ({"rig": rig} if rig else {})
         command = [sys.executable, "-m", "server.cli", "simulate"]
-        subprocess.run(command + [word for k, v in options.items() for word in (f"--{k}", str(v))], check=True)
+        subprocess.run(
+            command + [word for k, v in options.items() for word in (f"--{k}", str(v))], check=True, stdout=sys.stderr
+        )
     return path

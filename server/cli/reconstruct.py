@@ -13,7 +13,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, Init, ReconstructionConfig
+from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, Init, Model, ReconstructionConfig
 from reconstruction.training.run import RunFolder
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.progress import progress_of
@@ -24,10 +24,14 @@ FOLDER = click.Path(path_type=Path)
 @click.command("reconstruct")
 @click.argument("recording", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Run folder; an unfinished one is resumed.")
-@click.option("--model", default="auto", help="auto, static, linear, cubic, bases or 4dgs.")
+@click.option("--model", default="auto", help=f"One of: {', '.join(get_args(Model))}.")
 @click.option("--init", default="auto", help=f"One of: {', '.join(get_args(Init))}; auto: natural where nominal.")
 @click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
-@click.option("--supervision", default="auto", help="auto, pixels, l1, l2, variation, counts or cumulative.")
+@click.option(
+    "--supervision",
+    default="auto",
+    help="auto, pixels, l1, l2, variation, counts, cumulative or both: variation and counts.",
+)
 @click.option("--dust3r-checkpoint", metavar="FILE", help="Your DUSt3R weights, for --init dust3r; none are shipped.")
 @click.option("--refine", default="auto", help="auto, on or off: learn poses, gains and lags beside the Gaussians.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")

@@ -12,7 +12,20 @@ from server.schemas.progress import Request
 Images = Literal["auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot", "msdi"]
 ImageMethod = Literal["tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot", "msdi"]
 Init = Literal["auto", "sweep", "natural", "sfm", "msdi"]
-Model = Literal["auto", "static", "linear", "cubic", "bases", "4dgs"]
+Model = Literal[
+    "auto",
+    "static",
+    "linear",
+    "cubic",
+    "bases",
+    "4dgs",
+    "stg",
+    "d3dgs",
+    "spikegs",
+    "dy-spikegs",
+    "spikenerf",
+    "dy-spikenerf",
+]
 Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative"]
 Refine = Literal["auto", "on", "off"]
 Stage = Literal["plan", "poses", "images", "points", "train", "report"]

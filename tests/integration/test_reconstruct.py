@@ -13,7 +13,9 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
+from reconstruction.export.formats import export_scene
 from reconstruction.pipeline.budget import StoppedError
+from reconstruction.pipeline.export import trained_scene
 from reconstruction.pipeline.run import STAGES, reconstruct
 from reconstruction.rendering.view import look
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
@@ -99,7 +101,34 @@ def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tm
         assert torch.equal(a, b), name
 
 
-@pytest.mark.parametrize("model", ["bases", "4dgs"])
+@pytest.mark.parametrize(("model", "kind"), [("spikenerf", 0), ("dy-spikenerf", 1)])
+def test_a_radiance_field_trains_resumes_is_scored_and_exports_what_it_can(model, kind, recording, tmp_path):
+    config = replace(CONFIG, model=model, steps=6)
+    whole = reconstruct(recording, tmp_path / "whole", config, quiet)
+    calls = iter(range(10**6))
+    for stage in STAGES[:4]:
+        reconstruct(recording, tmp_path / "run", config, quiet, stage=stage)
+    with pytest.raises(StoppedError, match="stopped at step 3"):
+        reconstruct(recording, tmp_path / "run", config, quiet, stage="train", should_stop=lambda: next(calls) == 2)
+    resumed = reconstruct(recording, tmp_path / "run", config, quiet, stage="train")
+    fields = [load_cloud(run.checkpoint) for run in (whole, resumed)]
+    for (name, a), (_, b) in zip(*(field.tensors() for field in fields), strict=True):
+        assert torch.equal(a, b), name
+    assert (len(fields[0].moving) > 0) == bool(kind)
+    metrics = json.loads((whole.path / "metrics.json").read_text())
+    assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"]
+    assert not (whole.path / "viewer.json").exists()
+    with pytest.raises(BadRunError, match="expected Gaussians"):
+        export_scene(trained_scene(whole), "ply", tmp_path / "scene.ply")
+
+
+@pytest.mark.parametrize("choice", [{"refine": "on"}, {"supervision": "counts"}])
+def test_a_radiance_field_refuses_what_it_cannot_do(choice, recording, tmp_path):
+    with pytest.raises(BadRunError, match="--model spikenerf"):
+        reconstruct(recording, tmp_path / "run", replace(CONFIG, model="spikenerf", **choice), quiet, stage="plan")
+
+
+@pytest.mark.parametrize("model", ["bases", "4dgs", "stg", "d3dgs", "dy-spikegs"])
 def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tmp_path):
     config = replace(CONFIG, model=model, steps=12)
     calls = iter(range(10**6))
@@ -109,7 +138,7 @@ def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tm
         reconstruct(recording, tmp_path / "run", config, quiet, stage="train", should_stop=lambda: next(calls) == 5)
     run = reconstruct(recording, tmp_path / "run", config, quiet, stage="train")
     cloud = load_cloud(run.checkpoint)
-    assert cloud.motion.kind == model
+    assert cloud.motion.kind == {"dy-spikegs": "deformation"}.get(model, model)
     assert len(cloud.moving) > 20
     if model == "bases":
         found = run.document["bodies"]

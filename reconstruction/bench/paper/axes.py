@@ -26,6 +26,8 @@ CAPTION_CHARACTERS = 150
 GREY = "#666"
 COLOURS = ("#0b5fa5", "#d1495b", "#2e8b57", "#e08e0b", "#7b4ea3", "#00838f", "#8d5a2b", "#c2579e", "#5f6b73", "#9aa500")
 MARKS = "os^Dvp<>hX"
+FEW_TICKS, MANY_TICKS = (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+WIDE = 30  # an axis that has few ticks a decade
 DB_STEPS = (0.25, 0.5, 1, 2, 5, 10)
 MOST_DB_TICKS = 11
 
@@ -44,14 +46,15 @@ def new_figure(title: str) -> tuple[Figure, Axes]:
 
 
 def log_axes(axes: Axes, x: str, y: str, *, log_x: bool = True) -> None:
-    """Name the axes and make them logarithmic, with plain numbers at 1, 2 and 5; a legend of what is drawn."""
+    """Name the axes and make them logarithmic, with plain numbers at round places; a legend of what is drawn."""
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.set_yscale("log")
     if log_x:
         axes.set_xscale("log")
     for axis in (axes.xaxis, axes.yaxis) if log_x else (axes.yaxis,):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=FEW_TICKS if high > WIDE * low else MANY_TICKS))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     axes.grid(True, color="#ddd", linewidth=0.6)
@@ -67,24 +70,25 @@ def db_scale(axes: Axes) -> None:
     ticks = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
     axes.yaxis.set_major_locator(FixedLocator(relative_error(ticks).tolist()))
     axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda error, _: f"{error:.3f}  ({-20 * np.log10(error):g} dB)"))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda error, _: f"{error:.3f}  ({0 - 20 * np.log10(error):g} dB)"))
 
 
 def line(axes: Axes, x: ArrayLike, levels: ArrayLike, number: int, label: str) -> None:
     """A method's median over recordings [R, P] at each place x [P], and from its lowest to its highest."""
     values = np.atleast_2d(np.asarray(levels, dtype=np.float64))
-    style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKS[number % len(MARKS)]}
-    axes.plot(x, np.median(values, axis=0), linewidth=1.6, markersize=4.5, label=label, **style)
+    colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+    axes.plot(x, np.median(values, axis=0), marker=mark, color=colour, linewidth=1.6, markersize=4.5, label=label)
     if len(values) > 1:
-        axes.fill_between(np.asarray(x), values.min(axis=0), values.max(axis=0), color=style["color"], alpha=0.12, lw=0)
+        axes.fill_between(np.asarray(x), values.min(axis=0), values.max(axis=0), color=colour, alpha=0.12, lw=0)
 
 
 def marks(axes: Axes, x: Sequence[float], groups: Sequence[Sequence[float]], number: int, label: str) -> None:
     """A method's median at each place, joined, with a bar from the lowest to the highest of its group."""
     middle = np.array([np.median(group) for group in groups])
     reach = np.abs(np.array([[min(group), max(group)] for group in groups]).T - middle)
-    style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKS[number % len(MARKS)]}
-    axes.errorbar(x, middle, reach, linewidth=1.6, elinewidth=0.9, capsize=2, markersize=5.5, label=label, **style)
+    colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+    axes.plot(x, middle, marker=mark, color=colour, linewidth=1.6, markersize=5.5, label=label)
+    axes.errorbar(x, middle, reach, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2)
 
 
 def caption(document: dict, rows: Sequence[dict], *more: str) -> str:

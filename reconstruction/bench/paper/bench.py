@@ -10,9 +10,10 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
 from reconstruction.bench.paper.method import Cell, Protocol
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.paper.summary import summarise
+from reconstruction.bench.paper.summary import name_of, summarise
 from rigs.errors import Spike4dgsError
 
+OVERRUN = 0.1  # of the budget, behind which a run is named
 NOTES = (
     "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
     "the paper's real recordings: not public; and its CARLA scenes: not public, so its figures are of other scenes",
@@ -69,16 +70,21 @@ def _found(cell: Cell, laboratory: Laboratory, time_left: Callable[[], bool], re
 
 def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[str, str]) -> None:
     """What has no figure and why: a line for each row of a table and each length of its runs."""
-    have = {f"{r['scene']}-{r['seed']}-{r['method']}-{r['effort']}" for r in document.rows}
+    have = {name_of(row) for row in document.rows}
     for table in protocol.tables:
         for row in table.rows:
             if row.omitted:
                 document.omissions.append(f"{table.name}, {row.label}: {row.omitted}")
-            wanted = [cell for cell in protocol.wanted(table, row) if cell.name not in have]
-            for reason in dict.fromkeys(refusals.get(cell.name, "no time was left") for cell in wanted):
-                cells = [cell for cell in wanted if refusals.get(cell.name, "no time was left") == reason]
-                where = ", ".join(f"{c.scene}-{c.seed} @{c.effort.label}" for c in cells)
-                document.omissions.append(f"{table.name}, {row.label}: {reason} ({where})")
+            places: dict[str, list[str]] = {}
+            for cell in (c for c in protocol.wanted(table, row) if c.name not in have):
+                where = f"{cell.scene}-{cell.seed} @{cell.effort.label}"
+                places.setdefault(refusals.get(cell.name, "no time was left"), []).append(where)
+            for reason, found in places.items():
+                document.omissions.append(f"{table.name}, {row.label}: {reason} ({', '.join(found)})")
+    for row in document.rows:
+        if row["budget_s"] is not None and row["seconds"] > (1 + OVERRUN) * row["budget_s"]:
+            took = f"took {row['seconds']:.0f} s: the stages before training left no time for it"
+            document.omissions.append(f"{name_of(row)}: {took}")
     document.omissions += NOTES
     others = sorted({r["revision"] for r in document.rows if r.get("kept")})
     if others:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
 
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.axes import (
@@ -30,7 +31,9 @@ ERROR = "RMS error of the held-out view / white  (PSNR)"
 SECONDS = "wall seconds, from recording to result"
 STOPPED = "The clock stands while a result is scored; a run that warms up came before."
 BAND = "Line: median; band: lowest to highest of recordings."
+DEPTH = ("Depth of the held-out view", "Abs Rel")
 SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name)
+DEEP = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values()))
 BAR = "Mark: median; bar: lowest to highest of recordings."
 SWEEPS = {  # a number in a method's name: its axis, and what it is where the name has none
     "views": ("training views", len(m.VIEWS)),
@@ -44,8 +47,8 @@ HOW = {"drop": "planes dropped", "reintegrate": "planes re-integrated"}
 def write_diagrams(out: Path, document: dict, others: Mapping[str, dict | None]) -> list[Path]:
     """Write each diagram that has something to show as `paper-QUESTION.png`; returns what was written."""
     drawn: dict[str, Callable[[Path], bool]] = {
-        "novel-view": lambda path: novel_view(path, document),
-        "depth": lambda path: depth(path, document),
+        "novel-view": lambda path: against_time(path, document, SHOWN, "psnr_db", ("Novel view", ERROR)),
+        "depth": lambda path: against_time(path, document, DEEP, "abs_rel", DEPTH),
         "time-to": lambda path: time_to(path, document),
         "stages": lambda path: stages(path, document),
         "gaussians": lambda path: sweep(path, document, ("gaussians",), "Error against the number of Gaussians"),
@@ -62,57 +65,46 @@ def write_diagrams(out: Path, document: dict, others: Mapping[str, dict | None])
     return [paths[name] for name, draw in drawn.items() if draw(paths[name])]
 
 
-def curves(rows: Sequence[dict], method: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Seconds [P] and errors [R, P] of a method's longest runs, by snapshot, where its R recordings have as many."""
-    own = [r for r in rows if r["method"] == method]
+def curves(rows: Sequence[dict], method: str, metric: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """Seconds [P] and errors [R, P] of a method's longest runs, by snapshot; None where none has snapshots of it."""
+    own = [r for r in rows if r["method"] == method and all(metric in p for p in r["curve"])]
     if not own:
         return None
     longest = max(own, key=lambda r: r["seconds"])["effort"]
     runs = [r["curve"] for r in own if r["effort"] == longest]
     count = min(len(points) for points in runs)  # an early end has fewer; the last ones are those of the end
     seconds = np.array([[p["seconds"] for p in points[-count:]] for points in runs])
-    levels = np.array([[p["psnr_db"] for p in points[-count:]] for points in runs])
-    return np.median(seconds, axis=0), relative_error(levels)
+    return np.median(seconds, axis=0), _error(metric, [[p[metric] for p in points[-count:]] for points in runs])
 
 
-def novel_view(path: Path, document: dict) -> bool:
-    """Error against time of training: the snapshots of each method's longest runs, and the end of every shorter one."""
-    rows = [r for r in document["rows"] if r["method"] in SHOWN]
-    methods = [name for name in SHOWN if any(r["method"] == name for r in rows)]
-    if not methods:
+def against_time(path: Path, document: dict, known: Sequence[str], metric: str, names: tuple[str, str]) -> bool:
+    """Error against time of training: snapshots of each method's longest runs, and the end of each length of them."""
+    rows = [r for r in document["rows"] if r["method"] in known and metric in r]
+    if not rows:
         return False
-    figure, axes = new_figure("Novel view: error against run time")
-    for name in methods:
-        number, found = SHOWN.index(name), curves(rows, name)
-        assert found is not None
-        line(axes, *found, number, name)
-        _ends(axes, [r for r in rows if r["method"] == name], number)
-    log_axes(axes, SECONDS, ERROR)
-    db_scale(axes)
+    title, y = names
+    figure, axes = new_figure(f"{title}: error against run time")
+    for number, name in enumerate(known):
+        found = curves(rows, name, metric)
+        if found is not None:
+            line(axes, *found, number, name)
+        _ends(axes, [r for r in rows if r["method"] == name], metric, number)
+    log_axes(axes, SECONDS, y)
+    if metric == "psnr_db":
+        db_scale(axes)
     write_figure(path, figure, caption(document, rows, f"{BAND} Rings: ends of runs. {STOPPED}"))
     return True
 
 
-def _ends(axes: Axes, rows: Sequence[dict], number: int) -> None:
+def _error(metric: str, values: ArrayLike) -> np.ndarray:
+    return relative_error(values) if metric == "psnr_db" else np.asarray(values, dtype=np.float64)
+
+
+def _ends(axes: Axes, rows: Sequence[dict], metric: str, number: int) -> None:
     """The end of each length of runs, median over recordings."""
     ring = {"mfc": "none", "mec": COLOURS[number % len(COLOURS)], "markersize": 9}
     for own in _by_effort(rows):
-        axes.plot(_seconds(own), relative_error(np.median([r["psnr_db"] for r in own])), "o", **ring)
-
-
-def depth(path: Path, document: dict) -> bool:
-    """Abs Rel of the held-out view against time, at the end of each length of runs."""
-    known = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values()))
-    rows = [r for r in document["rows"] if r["method"] in known and "abs_rel" in r]
-    if not rows:
-        return False
-    figure, axes = new_figure("Depth of the held-out view: error against run time")
-    for number, name in enumerate(n for n in known if any(r["method"] == n for r in rows)):
-        groups = sorted(_by_effort([r for r in rows if r["method"] == name]), key=_seconds)
-        marks(axes, [_seconds(g) for g in groups], [[r["abs_rel"] for r in g] for g in groups], number, name)
-    log_axes(axes, SECONDS, "Abs Rel")
-    write_figure(path, figure, caption(document, rows, f"{BAR} {STOPPED}"))
-    return True
+        axes.plot(_seconds(own), _error(metric, np.median([r[metric] for r in own])), "o", **ring)
 
 
 def time_to(path: Path, document: dict) -> bool:

@@ -64,6 +64,10 @@ class Method:
         """A method that differs in this alone."""
         return Method(name, self.choices | choices, self.change if change is None else change)
 
+    def on(self, scene: str, effort: Effort) -> Cell:
+        """The run of a scene's first seed."""
+        return Cell(self, scene, seed_of(scene, 0), effort)
+
 
 @dataclass(frozen=True)
 class Row:

@@ -40,23 +40,43 @@ class Laboratory:
     keep: bool = False
     warm: bool = False
 
-    def known(self, cell: Cell) -> dict | None:
-        """The kept result of a cell: of this code, or with `keep` the newest; None where there is none."""
+    def kept(self, cell: Cell) -> Path | None:
+        """The folder of a cell's run by this code, or with `keep` of the newest; None where there is none."""
         folder = self.work / "cells" / cell.name
-        kept = list(folder.glob(f"*/{SCORES}"))
-        if not kept:
+        found = [file.parent for file in folder.glob(f"*/{SCORES}")]
+        if not found:  # nor perhaps a recording, which is not made for nothing
             return None
-        own = folder / cell_digest(cell, self.recording_of(cell.scene, cell.seed)) / SCORES
-        if own not in kept and not self.keep:
+        own = self._own(cell)
+        if own in found:
+            return own
+        return max(found, key=lambda run: (run / SCORES).stat().st_mtime) if self.keep else None
+
+    def known(self, cell: Cell) -> dict | None:
+        """What was kept of a cell; None where there is nothing."""
+        folder = self.kept(cell)
+        if folder is None:
             return None
-        newest = own if own in kept else max(kept, key=lambda file: file.stat().st_mtime)
-        return json.loads(newest.read_text()) | ({} if newest == own else {"kept": True})
+        return json.loads((folder / SCORES).read_text()) | ({} if folder == self._own(cell) else {"kept": True})
+
+    def folder(self, cell: Cell) -> Path:
+        """Where the run of a cell lies, which is made where there is none; raises ReconstructionError if refused."""
+        found = self.kept(cell)
+        if found is None:
+            self.result(cell)
+            found = self._own(cell)
+        refused = json.loads((found / SCORES).read_text()).get("refused")
+        if refused:
+            raise ReconstructionError(refused)
+        return found
+
+    def _own(self, cell: Cell) -> Path:
+        return self.work / "cells" / cell.name / cell_digest(cell, self.recording_of(cell.scene, cell.seed))
 
     def result(self, cell: Cell) -> dict:
         """What a cell came to, now: its row, or `refused` with the reason."""
         config = cell.method.config(cell.effort, cell.seed)  # a name that is not known is refused before any work
         recording = self.recording_of(cell.scene, cell.seed)
-        out = self.work / "cells" / cell.name / cell_digest(cell, recording)
+        out = self._own(cell)
         try:
             found = self._run(cell, config, recording, out)
         except ReconstructionError as refusal:
@@ -71,6 +91,9 @@ class Laboratory:
         return found
 
     def _run(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
+        for left_over in out.parent.glob("*"):  # of other code, stopped on the way
+            if left_over != out and not (left_over / SCORES).exists():
+                shutil.rmtree(left_over)
         change = cell.method.change
         own = self.work / "recordings" / f"{recording.name}-{change.label}"
         path = changed(recording, own, change, cell.seed)

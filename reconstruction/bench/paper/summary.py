@@ -33,9 +33,7 @@ def summarise(document: BenchDocument, protocol: Protocol) -> None:
             gaps = margins(document.rows, rival, effort)
             if gaps:
                 document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(gaps))
-    ahead, points = rivals_ahead(document.rows)
-    if points:
-        document.summary |= {"leads.at_every_time": ahead, "leads.points": points}
+    document.summary |= leads(document.rows)
     for target in TARGETS_DB:
         reached = times_to(document.rows, m.AUTO.name, target)
         if reached and None not in reached:
@@ -56,9 +54,12 @@ def margins(rows: Sequence[dict], rival: str, effort: str) -> list[float]:
     return [level - levels[rival, *key] for key, level in ours.items() if (rival, *key) in levels]
 
 
-def rivals_ahead(rows: Sequence[dict]) -> tuple[int, int]:
-    """At how many points of a rival's curve it is above all that ours has shown by then, and of how many points."""
-    ahead = points = 0
+def leads(rows: Sequence[dict]) -> dict[str, float]:
+    """`leads.points` of all rivals' curves, and at how many of them ours is behind: 0 where it leads at every time.
+
+    `leads.before_first` are those of them before ours has anything to show; the others are above all it has shown.
+    """
+    ahead = points = early = 0
     for recording in dict.fromkeys((r["scene"], r["seed"]) for r in rows):
         here = [r for r in rows if (r["scene"], r["seed"]) == recording]
         ours = curve(r for r in here if r["method"] == m.AUTO.name)
@@ -66,8 +67,12 @@ def rivals_ahead(rows: Sequence[dict]) -> tuple[int, int]:
             continue
         for t, level in (p for r in here if r["method"] in RIVALS for p in curve([r])):
             points += 1
-            ahead += level > max((y for x, y in ours if x <= t), default=-np.inf)
-    return ahead, points
+            shown = [y for x, y in ours if x <= t]
+            early += not shown
+            ahead += not shown or level > max(shown)
+    if not points:
+        return {}
+    return {"leads.at_every_time": ahead, "leads.before_first": early, "leads.points": points}
 
 
 def curve(rows: Iterable[dict]) -> list[tuple[float, float]]:

@@ -9,10 +9,13 @@ import torch
 from reconstruction.export.scene import Scene
 from reconstruction.gaussians import hexplane
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TIMESTEPS, TimestepMotion
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
@@ -38,6 +41,16 @@ def motion_of(kind: str, moving: GaussianCloud):
     instants, logs = torch.linspace(-0.2, 1.2, count), torch.full((count,), math.log(0.4))
     if kind == "cubic":
         return Motion(0.3 * draw(count, 3), 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs)
+    if kind == "stg":
+        turns = draw(count, 4)
+        return SpacetimeMotion(0.3 * turns[:, :3], 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs, turns)
+    if kind == "d3dgs":
+        motion = TimestepMotion.started(moving.means)
+        for done in torch.linspace(0, 1, 2 * TIMESTEPS):
+            motion.advance(moving, float(done))
+            moving.means += 0.001 * draw(count, 3)
+            moving.quats_wxyz += 0.02 * draw(count, 4)
+        return motion
     if kind == "bases":
         riders, angles = count // 2, torch.linspace(0, 3, 5)
         zero = torch.zeros(5)
@@ -46,8 +59,8 @@ def motion_of(kind: str, moving: GaussianCloud):
         centers = torch.stack([0.1 * angles, zero, zero + 2], -1)[None]
         bodies = torch.zeros(riders, dtype=torch.int64)
         return RigidMotion(bodies, quats, centers, 0.3 * draw(count - riders, 3), instants, logs)
-    if kind == "4dgs":
-        field = HexPlaneMotion.around(moving.means, 0.1, generator)
+    if kind in ("4dgs", "deformation"):
+        field = (HexPlaneMotion if kind == "4dgs" else DeformationMotion).around(moving.means, 0.1, generator)
         for name, tensor in field.tensors():
             if name != "box":
                 tensor += 0.1 * draw(*tensor.shape)

@@ -21,6 +21,9 @@ SHAPES = {
     "cubic": {"velocities": (3,), "accelerations": (3,), "jerks": (3,), "instants": (), "durations": ()},
     "bases": {"key_means": (3,), "key_quats": (4,), "key_opacities": ()},
     "4dgs": {"key_means": (3,), "key_quats": (4,), "key_opacities": (), "key_scales": (3,)},
+    "deformation": {"key_means": (3,), "key_quats": (4,), "key_opacities": (), "key_scales": (3,)},
+    "stg": {"key_means": (3,), "key_quats": (4,), "key_opacities": ()},
+    "d3dgs": {"key_means": (3,), "key_quats": (4,), "key_opacities": ()},
 }
 
 
@@ -144,7 +147,7 @@ def test_durations_beyond_what_is_rendered_are_held(scene_with):
     assert arrays_of(*viewer_of(scene))["durations"].tolist() == pytest.approx([1e-3, 1e3])
 
 
-@pytest.mark.parametrize("kind", ["bases", "4dgs"])
+@pytest.mark.parametrize("kind", ["bases", "4dgs", "deformation", "stg", "d3dgs"])
 def test_movers_that_are_never_seen_leave_a_static_scene(kind, scene_with):
     scene = scene_with(kind)
     scene.cloud.moving.opacity_logits[:] = -20

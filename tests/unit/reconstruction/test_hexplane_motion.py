@@ -86,7 +86,7 @@ def test_gradients_agree_with_numerical_ones():
 
     def outputs(*tensors):
         model = HexPlaneMotion(motion.box, *tensors[5:])
-        return (*model.at(GaussianCloud(*tensors[:5]), 0.37), model.penalty())
+        return (*model.at(GaussianCloud(*tensors[:5]), 0.37), model.penalty(cloud))
 
     assert torch.autograd.gradcheck(outputs, learnt, fast_mode=True)
 
@@ -95,11 +95,11 @@ def test_the_penalty_is_that_of_steps_between_cells_and_nought_for_even_planes()
     motion = field(cloud_of(4), trained=False)
     motion.coarse_space.fill_(0.3)
     motion.fine_space.fill_(0.2)
-    assert float(motion.penalty()) == 0
+    assert float(motion.penalty(cloud_of(4))) == 0
     motion.coarse_time[0, 0, 2, :] = 1.5  # second differences of .5, -1, .5 over three rows of 3 x 2 x 3 x 4
     rough = hexplane.SMOOTH_TIME * (0.25 + 1.0 + 0.25) * 4 / (3 * 2 * 3 * 4)
     away = hexplane.TIME_ONE * 0.5 * 4 / (3 * 2 * 5 * 4)
-    assert float(motion.penalty()) == pytest.approx(rough + away, rel=1e-5)
+    assert float(motion.penalty(cloud_of(4))) == pytest.approx(rough + away, rel=1e-5)
 
 
 @pytest.mark.parametrize("n", [1, 2])

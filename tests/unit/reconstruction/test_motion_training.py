@@ -12,10 +12,13 @@ from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion, MotionModel
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
+from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light
@@ -31,7 +34,7 @@ from rigs.transform import Transform
 WIDTH, HEIGHT, PLANES, RATE_HZ = 48, 40, 48, 20_000.0
 CLIP, CLOCK = Clip(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
 CAMERA = Camera("cam00", WIDTH, HEIGHT, 40.0, 40.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
-KINDS = ("polynomial", "bases", "4dgs")
+KINDS = ("polynomial", "bases", "4dgs", "stg", "d3dgs", "deformation")
 
 
 def motion_of(kind: str, means: torch.Tensor, speed: float) -> MotionModel:
@@ -41,6 +44,14 @@ def motion_of(kind: str, means: torch.Tensor, speed: float) -> MotionModel:
         motion = Motion.at_rest(instants, 100.0)
         motion.velocities[:, 0] = speed
         return motion
+    if kind == "stg":
+        motion = SpacetimeMotion.started(instants, 100.0)
+        motion.velocities[:, 0] = speed
+        return motion
+    if kind == "d3dgs":
+        return TimestepMotion.started(means)
+    if kind == "deformation":
+        return DeformationMotion.around(means, 0.3, torch.Generator().manual_seed(0))
     if kind == "4dgs":
         return HexPlaneMotion.around(means, 0.3, torch.Generator().manual_seed(0))
     quats = torch.tensor([1.0, 0, 0, 0]).expand(1, 5, 4).clone()
@@ -95,7 +106,7 @@ def test_a_training_stopped_and_resumed_ends_in_the_same_state(kind, view, tmp_p
         assert torch.equal(a, b), name
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [k for k in KINDS if k != "d3dgs"])  # learns in timesteps: test_timestep_motion
 def test_everything_is_learnt_but_what_is_fixed(kind, view):
     trainer = trainer_of(kind, view, speed=0.1)
     before = {name: t.detach().clone() for name, t in trainer.cloud.tensors()}
@@ -106,8 +117,9 @@ def test_everything_is_learnt_but_what_is_fixed(kind, view):
         assert tensor.numel() == 0 or torch.equal(before[name], tensor) == fixed, name
 
 
-def test_the_canonical_stage_leaves_the_field_alone(view):
-    trainer = trainer_of("4dgs", view)
+@pytest.mark.parametrize("kind", ["4dgs", "deformation"])
+def test_the_canonical_stage_leaves_the_field_alone(kind, view):
+    trainer = trainer_of(kind, view)
     before = {name: t.detach().clone() for name, t in trainer.cloud.tensors()}
     for _ in range(3):
         trainer.step(0.2)
@@ -115,7 +127,7 @@ def test_the_canonical_stage_leaves_the_field_alone(view):
         assert torch.equal(before[name], tensor) == name.startswith("motion."), name
 
 
-@pytest.mark.parametrize("kind", ["bases", "4dgs"])
+@pytest.mark.parametrize("kind", ["bases", "4dgs", "deformation"])
 def test_a_motion_is_learnt_from_standing_still(kind, view):
     rates = replace(TrainerSettings("pixels").rates, knot_centers=6e-3)
     trainer = trainer_of(kind, view)
@@ -136,5 +148,5 @@ def test_a_training_with_nothing_left_to_see_stops_with_the_reason(alive, view):
     if alive:
         assert trainer.step(0.3) > 0
         return
-    with pytest.raises(ReconstructionError, match=r"found no Gaussian of opacity 0\.005 or more after 100 steps"):
+    with pytest.raises(ReconstructionError, match=r"found no Gaussians of opacity 0\.005 or more after 100 steps"):
         trainer.step(0.3)

@@ -76,6 +76,13 @@ def test_a_dark_view_is_skipped_and_named():
     assert any("cam20 skipped" in d.choice for d in plan.decisions)
 
 
+def test_a_dark_view_that_is_named_is_kept():
+    config = ReconstructionConfig(views=("cam00", "cam20", "cam22"))
+    plan, _, _ = make_plan(config, RIG, streams(dark=("cam20",)))
+    assert plan.views == ("cam00", "cam20", "cam22")
+    assert not any(d.about == "views" for d in plan.decisions)
+
+
 @pytest.mark.parametrize("images", get_args(ImageSource))
 def test_every_choice_of_images_has_a_price(images):
     plan, _, _ = make_plan(ReconstructionConfig(images=images), RIG, streams(moving=True))
@@ -176,3 +183,9 @@ def test_a_plan_without_prices_is_read():
 def test_impossible_configurations_are_refused(options, message):
     with pytest.raises(BadRunError, match=message):
         ReconstructionConfig(**options)
+
+
+def test_no_motion_saves_a_search_for_movers_however_long_the_training():
+    found = [make_plan(ReconstructionConfig(budget_s=None, steps=n), RIG, streams())[0] for n in (500, 1000)]
+    once, twice = (about(plan, "motion").saves_s for plan in found)
+    assert once == twice > 0

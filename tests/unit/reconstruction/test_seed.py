@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid
+from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
 from rigs.transform import Transform
 
 CLIP = Clip(0.0, 0.04)
@@ -99,6 +100,9 @@ def test_every_model_comes_back_from_its_state(tmp_path):
         seed_cloud(points(3), moving, CLIP, INSTANTS, cubic=True),
         seed_rigid(points(3), moving, CLIP, INSTANTS, bodies),
         seed_field(points(3), moving, CLIP, 0),
+        seed_field(points(3), moving, CLIP, 0, DeformationMotion),
+        seed_spacetime(points(3), moving, CLIP, INSTANTS),
+        seed_timesteps(points(3), moving, CLIP),
     ):
         torch.save(cloud.state(), tmp_path / "state.pt")
         back = DynamicCloud.from_state(torch.load(tmp_path / "state.pt", weights_only=True))

@@ -57,7 +57,7 @@ def seen(truth: DynamicCloud) -> TrainingView:
 
 @pytest.mark.parametrize("nodes", [1, 2, 4])
 def test_the_quadrature_is_exact_for_polynomials_of_its_order(nodes):
-    places, weights = supervision._quadrature(nodes)
+    places, weights = supervision.quadrature(nodes)
     for power in range(2 * nodes):
         assert sum(w * p**power for p, w in zip(places, weights, strict=True)) == pytest.approx(
             1 / (power + 1), abs=1e-12
@@ -100,7 +100,7 @@ def test_the_integral_over_a_window_is_that_of_many_instants():
     assert float((light - dense).abs().max()) < 0.1 * float((middle - dense).abs().max())
 
 
-@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative"])
+@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative", "both"])
 def test_every_supervision_moves_a_displaced_mover_back(supervised):
     view = seen(cloud(0.0))
     model = cloud(0.0)
@@ -110,6 +110,31 @@ def test_every_supervision_moves_a_displaced_mover_back(supervised):
     for step in range(30):
         assert np.isfinite(trainer.step(0.2 + step / 100))
     assert abs(float(model.moving.means.detach()[0, 0])) < 0.04
+
+
+def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
+    view, model = seen(cloud(0.0)), cloud(0.0)
+    model.moving.means[:] += torch.tensor([0.05, 0.0, 0.0])
+    rates = replace(TrainerSettings("pixels").rates, means=4e-3)
+    settings = TrainerSettings("counts", rates=rates, spike_every=1, spike_px=None, spike_planes=(8, 64), half_until=0)
+    trainer, sizes = Trainer(model, [view], settings, CLOCK, seed=0), []
+    part_of = supervision._part
+    monkeypatch.setattr(supervision, "_part", lambda *a: sizes.append(part_of(*a).camera.width) or part_of(*a))
+    monkeypatch.setattr(ImageTerm, "__call__", lambda *_: pytest.fail("an image was compared"))
+    for step in range(30):
+        trainer.step(step / 100)
+    assert sizes == [WIDTH] * 30
+    assert abs(float(model.moving.means.detach()[0, 0])) < 0.04
+
+
+@pytest.mark.parametrize("norm", ["counts", "cumulative"])
+def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
+    view, still = seen(cloud(0.0)), cloud(0.0)
+    still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), Motion.at_rest(torch.zeros(0), 1.0), CLIP)
+    term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), norm, shortest=32, size_px=None), []
+    monkeypatch.setattr(supervision, "render", lambda *a: renders.append(a) or render(*a))
+    term(still, view, np.random.default_rng(0), 1)
+    assert len(renders) == (1 if norm == "counts" else 4)
 
 
 def test_a_clip_shorter_than_any_window_is_used_whole():

@@ -11,10 +11,12 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import RigidMotion
+from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.light import Light, estimate_light
@@ -99,12 +101,15 @@ def motion_of(kind: str, moving: GaussianCloud):
         quats, centers = torch.tensor([1.0, 0, 0, 0]).expand(1, 3, 4).clone(), torch.zeros(1, 3, 3)
         owners = torch.zeros(count - 1, dtype=torch.int64)
         return RigidMotion(owners, quats, centers, torch.zeros(1, 3), instants, instants * 0)
-    if kind == "4dgs":
-        return HexPlaneMotion.around(moving.means, 0.3, torch.Generator().manual_seed(0))
+    if kind == "stg":
+        return SpacetimeMotion.started(instants, 0.2)
+    if kind in ("4dgs", "deformation"):
+        model = HexPlaneMotion if kind == "4dgs" else DeformationMotion
+        return model.around(moving.means, 0.3, torch.Generator().manual_seed(0))
     return Motion.at_rest(instants, 0.2, cubic=kind == "cubic")
 
 
-@pytest.mark.parametrize("kind", ["linear", "cubic", "bases", "4dgs"])
+@pytest.mark.parametrize("kind", ["linear", "cubic", "bases", "4dgs", "deformation", "stg"])
 def test_freed_gaussians_stay_where_they_are_at_first(kind):
     moving = gaussians(4)
     cloud = DynamicCloud(gaussians(9), moving, motion_of(kind, moving), CLIP)

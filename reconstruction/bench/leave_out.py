@@ -1,0 +1,173 @@
+"""What a plan leaves out against a run that leaves out nothing: seconds, memory, error, at equal steps and equal time.
+
+Every run is made in a process of its own. `cost_db` is how much better the other run is (a plan may cost LEAST_DB),
+`saved_s` and `saved_mb` how much more processor time and memory it takes; of a single decision these stand beside what
+the plan claimed. A plan that is wrong is measured by a mover it misses, with the watch and without.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from acquisition.bench_document import BenchDocument
+from acquisition.devices.open import Simulation
+from acquisition.durable import made_aside, write_json
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
+from reconstruction.bench.leave_out_cases import (
+    BUDGET_S,
+    CASES,
+    GREY,
+    MISSED,
+    PLAN,
+    QUICK_STEPS,
+    SIZE,
+    STEPS,
+    UNWATCHED,
+    Arm,
+    Case,
+)
+from rigs.toml import catalog_rig
+
+COST_DB = 0.1  # the most that a plan may cost
+Result = TypeVar("Result")
+SCORES = ("psnr_db", "dynamic_psnr_db")
+OMISSIONS = (
+    "one seed a case; clips of 200x125, 6,000 Gaussians",
+    "colour: three channels; the third-degree harmonics that the plan's bytes are against are not in the engine",
+    "pixels, light: nothing to switch",
+)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where runs lie, how many steps and seconds they have, and the process that makes each."""
+
+    work: Path
+    steps: int = STEPS
+    budget_s: float | None = BUDGET_S
+
+    def row(self, case: Case, arm: Arm, decision: str, budget_s: float | None = None) -> dict:
+        """The run of a case by an arm: measured now, or found in `work`."""
+        extent = f"{budget_s:g}s" if budget_s else f"{self.steps}"
+        name = f"{case.name}-{arm.name}-{extent}"
+        file = self.work / f"{name}.json"
+        if not file.exists():
+            steps = None if budget_s else self.steps
+            recording = recorded(case, self.work)
+            found = apart(partial(_measured, recording, arm, self.work / f"{name}.run", steps, budget_s))
+            write_json(file, found)
+        about = {"case": case.name, "scene": case.scene, "seed": case.seed, "decision": decision}
+        about |= {"run": "plan" if arm in (PLAN, GREY) else "all", "extent": extent}
+        return about | json.loads(file.read_text())
+
+
+def bench_leave_out(
+    work: Path, progress: Progress, *, quick: bool = False, cases: Sequence[Case] = CASES
+) -> BenchDocument:
+    """Every case by its plan, by everything on and with each decision of its own switched; runs lie in `work`.
+
+    `quick`: the first case alone, in few steps. A run found in `work` is not repeated, so that a stopped bench resumes.
+    """
+    document = BenchDocument("leave-out")
+    work.mkdir(parents=True, exist_ok=True)
+    bench = Bench(work, QUICK_STEPS, None) if quick else Bench(work)
+    todo = list(cases[:1] if quick else cases)
+    for number, case in enumerate(todo):
+        progress(number / (len(todo) + 1), f"{case.name}: {case.scene}, seed {case.seed}")
+        _compare(document, bench, case)
+    if not quick:
+        progress(len(todo) / (len(todo) + 1), f"{MISSED.name}: {MISSED.scene}, seed {MISSED.seed}")
+        _mistaken(document, bench)
+    document.omissions += OMISSIONS
+    progress(1.0, f"{len(document.rows)} runs")
+    return document
+
+
+def _compare(document: BenchDocument, bench: Bench, case: Case) -> None:
+    """A case at equal steps and at equal time, and each of its decisions."""
+    plan, everything = bench.row(case, PLAN, "all"), bench.row(case, case.all, "all")
+    document.rows += [plan, everything]
+    document.summary |= costs(case.name, plan, everything)
+    if bench.budget_s:
+        pair = [bench.row(case, arm, "all", bench.budget_s) for arm in (PLAN, case.all)]
+        document.rows += pair
+        gaps = costs(case.name, *pair)
+        document.summary |= {f"{k}@{bench.budget_s:g}": v for k, v in gaps.items() if k.endswith("cost_db")}
+    for name, arm in case.switches.items():
+        base = plan if arm.channels is None else bench.row(case, GREY, name)
+        other = bench.row(case, arm, name)
+        document.rows += [other] if base is plan else [base, other]
+        key = f"{case.name}.{name}"
+        document.summary |= costs(key, base, other) | claims(key, plan, name)
+    document.omissions += [
+        f"{case.name}, {row['decision']}, {row['run']}: refused, {row['refused']}"
+        for row in document.rows
+        if row["case"] == case.name and "refused" in row
+    ]
+
+
+def costs(key: str, plan: dict, other: dict) -> dict[str, float]:
+    """What the plan costs in dB and saves in seconds of a processor and MB, as far as both runs have them."""
+    if "refused" in plan or "refused" in other:
+        return {}
+    found = {f"{key}.saved_s": other["cpu_s"] - plan["cpu_s"], f"{key}.saved_mb": other["peak_mb"] - plan["peak_mb"]}
+    for score in SCORES:
+        if score in plan and score in other:
+            found[f"{key}.{score.replace('psnr', 'cost')}"] = other[score] - plan[score]
+    return found
+
+
+def claims(key: str, plan: dict, decision: str) -> dict[str, float]:
+    """What the plan said that a decision saves, where it said so."""
+    said = plan.get("decisions", {}).get(decision, {})
+    found = {f"{key}.claimed_s": said.get("saves_s")}
+    if said.get("saves_bytes") is not None:
+        found[f"{key}.claimed_mb"] = said["saves_bytes"] / 1e6
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _mistaken(document: BenchDocument, bench: Bench) -> None:
+    """A plan that took a mover for still: undone by the watch, and left as it is."""
+    watched, left = bench.row(MISSED, PLAN, "watch"), bench.row(MISSED, UNWATCHED, "watch")
+    document.rows += [watched, left]
+    gains = costs(MISSED.name, left, watched)
+    document.summary |= {k.replace("cost", "gained"): v for k, v in gains.items() if k.endswith("cost_db")}
+    watch = watched.get("decisions", {}).get("watch", {})
+    document.summary[f"{MISSED.name}.found"] = float("move after all" in watch.get("choice", ""))
+    step = watch.get("reason", "").partition("from step ")[2].partition(" ")[0]
+    if step:
+        document.summary[f"{MISSED.name}.found_at_step"] = float(step)
+
+
+def _measured(recording: Path, arm: Arm, out: Path, steps: int | None, budget_s: float | None) -> dict:
+    from reconstruction.bench.leave_out_run import Job, measured  # torch, in the process of the run alone
+
+    return measured(Job(recording, arm, out, steps, budget_s))
+
+
+def recorded(case: Case, work: Path) -> Path:
+    """The recording of a case in `work`, simulated where there is none; a dead camera's planes are zeros."""
+    path = work / f"{case.scene}-{case.seed}-{case.ticks}{f'-no-{case.dead}' if case.dead else ''}"
+    if path.exists():
+        return path
+    rig = catalog_rig("lab3x3").scaled(*SIZE)
+    with made_aside(path) as aside:
+        apart(partial(simulate, Simulation(case.scene, case.seed), rig, case.ticks, aside))
+        if case.dead:
+            file = aside / Recording.open(aside).manifest.camera(case.dead).file
+            file.write_bytes(bytes(file.stat().st_size))
+    return path
+
+
+def apart(work: Callable[[], Result]) -> Result:
+    """What `work` returns, done in a fresh process."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(work)

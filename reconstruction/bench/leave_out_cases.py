@@ -1,0 +1,100 @@
+"""What the leave-out bench runs: for each case what a plan leaves out, and what an engine does that leaves out nothing.
+
+Clips are small, 200x125 and mostly 200 planes, with as many Gaussians a pixel as a run of 400x250 has: figures are to
+be compared with one another, not with those of other benches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from reconstruction.bench.variants import HOLDOUT
+from reconstruction.training.config import ReconstructionConfig
+
+SIZE, TICKS = (200, 125), 200
+GAUSSIANS = 6_000
+STEPS, QUICK_STEPS, BUDGET_S = 700, 40, 10.0
+DEAD = "cam00"
+TRAINING = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam22")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way to run a case.
+
+    `choices`: fields of the configuration. `plan`: fields of the plan that no option reaches. `everywhere`: every pixel
+    is taken to move. `channels`: of the Gaussians; where given, the training alone is measured, from the first snapshot
+    of a run by the plan.
+    """
+
+    name: str
+    choices: dict[str, Any] = field(default_factory=dict)
+    plan: dict[str, Any] = field(default_factory=dict)
+    everywhere: bool = False
+    channels: int | None = None
+
+    def config(self, *, steps: int | None = None, budget_s: float | None = None) -> ReconstructionConfig:
+        """The configuration of a run to a number of steps, or to a budget."""
+        kind: dict[str, Any] = {"holdout": HOLDOUT, "gaussians": GAUSSIANS} | self.choices
+        return ReconstructionConfig(steps=steps, budget_s=budget_s, **kind)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording of `ticks` planes and the decisions that are its own, each with the arm that decides otherwise.
+
+    `dead`: a camera whose planes are empty. `everything`: what the arm `all` does beyond EVERYTHING.
+    """
+
+    name: str
+    scene: str
+    seed: int
+    switches: dict[str, Arm]
+    ticks: int = TICKS
+    dead: str | None = None
+    everything: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def all(self) -> Arm:
+        """The run that leaves out nothing."""
+        return Arm("all", EVERYTHING | self.everything, FULL_SIZE, everywhere=True)
+
+
+EVERYTHING: dict[str, Any] = {
+    "model": "linear",
+    "init": "natural",
+    "images": "adaptive",
+    "supervision": "variation",
+    "refine": "on",
+    "tick_stride": 1,
+}
+FULL_SIZE = {"half_until": 0.0}
+AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses what is dark
+PLAN = Arm("plan")
+MOTION = Arm("motion", {"model": "linear"})
+POSES = Arm("poses", {"init": "natural"})
+IMAGES = Arm("images", {"images": "adaptive"})
+INSTANTS = Arm("instants", {"tick_stride": 1})
+SUPERVISION = Arm("supervision", {"supervision": "variation"})
+GAUSSIANS_TWICE = Arm("Gaussians", {"gaussians": 2 * GAUSSIANS})
+RESOLUTION = Arm("resolution", plan=FULL_SIZE)
+VIEWS = Arm("views", {"views": TRAINING})
+GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
+UNWATCHED = Arm("unwatched", {"model": "static"})  # what is asked for by name is not undone
+
+
+def _switched(*arms: Arm) -> dict[str, Arm]:
+    return {arm.name: arm for arm in arms}
+
+
+CASES = (
+    Case("static", "static", 101, _switched(MOTION, SUPERVISION, RESOLUTION)),
+    Case("mono", "fan_and_ball", 1, _switched(COLOUR)),
+    Case("calibrated", "fan_and_ball", 2, _switched(POSES)),
+    Case("few-movers", "stiff", 101, _switched(IMAGES, INSTANTS)),
+    Case("dim", "dim", 101, _switched(MOTION), ticks=800, everything=AS_GIVEN),
+    Case("one-dead-view", "fan_and_ball", 3, _switched(VIEWS), dead=DEAD, everything=AS_GIVEN | {"views": TRAINING}),
+    Case("outdoors", "outdoor", 101, _switched(IMAGES, GAUSSIANS_TWICE)),
+)
+MISSED = Case("missed-mover", "faint", 101, {})

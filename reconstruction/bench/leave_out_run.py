@@ -1,0 +1,179 @@
+"""One run of the leave-out bench, in a process of its own: what it took, how good it is, what the plan claimed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from acquisition.progress import Progress, silent
+from acquisition.recording.reader import Recording
+from acquisition.revision import code_revision
+from reconstruction.bench.leave_out_cases import PLAN, Arm
+from reconstruction.bench.variants import HOLDOUT
+from reconstruction.errors import ReconstructionError
+from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
+from reconstruction.evaluation.truth import Truth
+from reconstruction.fields.model import Model
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.pipeline.poses import posed
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import composite_sources
+from reconstruction.rendering.render import Rendering
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from reconstruction.training.run import RunFolder
+from reconstruction.training.supervision import ImageTerm, TrainingView
+from reconstruction.training.trainer import Trainer, TrainerSettings
+
+Result = TypeVar("Result")
+SAMPLE_S = 0.01
+STAGES = ("plan", "poses", "images", "points", "train")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording, an arm, the folder `out` the run has to itself, and how long it is: one of `steps`, `budget_s`."""
+
+    recording: Path
+    arm: Arm
+    out: Path
+    steps: int | None = None
+    budget_s: float | None = None
+
+
+def measured(job: Job) -> dict:
+    """Seconds, processor seconds, peak memory in MB, scores and claims of a run; or why there is none.
+
+    The memory is that of this whole process: call it in a fresh one. The folder of the run is gone afterwards.
+    """
+    row: dict = {"revision": code_revision()}
+    try:
+        if job.arm.channels is None:
+            row |= _reconstructed(job)
+        else:
+            row |= _trained(job, job.arm.channels)
+    except ReconstructionError as refusal:
+        row |= {"refused": str(refusal)}
+    finally:
+        shutil.rmtree(job.out, ignore_errors=True)
+    return row
+
+
+def _reconstructed(job: Job) -> dict:
+    shutil.rmtree(job.out, ignore_errors=True)
+    run, row = _clocked(lambda: _run(job))
+    plan = run.plan
+    claims = {
+        d.about: {"choice": d.choice, "reason": d.reason, "saves_s": d.saves_s, "saves_bytes": d.saves_bytes}
+        for d in plan.decisions
+    }
+    row |= {f"seconds.{stage}": run.document["seconds"][stage] for stage in STAGES}
+    row |= {"steps": run.document["steps"], "model": plan.model, "views": len(plan.views)}
+    return row | _scores(run, load_cloud(run.checkpoint)) | {"decisions": claims}
+
+
+def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
+    """What `work` returns, and what it took."""
+    with Memory() as memory:
+        began, processed = time.monotonic(), time.process_time()
+        result = work()
+        took = {"seconds": time.monotonic() - began, "cpu_s": time.process_time() - processed}
+    return result, took | {"peak_mb": memory.peak_mb}
+
+
+def _run(job: Job) -> RunFolder:
+    """A run up to its training; what the arm decides without an option is put in after the plan."""
+    config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
+    run = reconstruct(job.recording, job.out, config, _quiet, last="plan")
+    if job.arm.plan or job.arm.everywhere:
+        run.document["plan"] |= job.arm.plan
+        for view in run.plan.views if job.arm.everywhere else ():
+            run.write_array(f"plan/moving_{view}", np.ones_like(run.read_array(f"plan/moving_{view}")))
+        run.save()
+    return reconstruct(job.recording, job.out, config, _quiet, last="train")
+
+
+def _quiet(stage: str) -> Progress:
+    return silent
+
+
+def _scores(run: RunFolder, cloud: Model) -> dict[str, float]:
+    """Of the held-out camera, against the truth."""
+    recording = posed(run, Recording.open(run.recording), refined=True)
+    assert recording.truth is not None
+    held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, Truth.open(recording.truth))
+    assert truth is not None
+    return score_against_truth(cloud, held_out, truth)
+
+
+def _trained(job: Job, channels: int) -> dict:
+    """The training alone, of Gaussians with so many channels, all of which are compared with the grey target images."""
+    run = _run(replace(job, arm=PLAN))
+    recording = Recording.open(job.recording)
+    cloud = DynamicCloud.from_state(load_checkpoint(run.snapshots()[0])["cloud"])
+    for part in (cloud.still, cloud.moving):
+        part.intensities = part.intensities.detach().repeat(1, channels)
+    views = [TrainingView(recording.rig.camera(v), s) for v, s in composite_sources(run, recording).items()]
+    settings = TrainerSettings("pixels", white=run.white(), tick_stride=run.config.tick_stride)
+    trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
+    assert isinstance(trainer.image, ImageTerm)
+    trainer.image = EveryChannel(trainer.image)
+    assert job.steps is not None
+    shares = [step / job.steps for step in range(job.steps)]
+    _, row = _clocked(lambda: [trainer.step(share) for share in shares])
+    for part in (cloud.still, cloud.moving):
+        part.intensities = part.intensities.detach()[:, :1]
+    return row | {"steps": trainer.steps} | _scores(run, cloud)
+
+
+class EveryChannel(ImageTerm):
+    """An image term whose loss is the mean over all channels of the render, each against the same grey image."""
+
+    def __init__(self, grey: ImageTerm):
+        super().__init__(**vars(grey))
+
+    def against(self, rendered: Rendering, target: Tensor) -> Tensor:
+        """The loss of one render against its target image [H, W]."""
+        light = rendered.intensity
+        losses = [
+            super(EveryChannel, self).against(replace(rendered, intensity=light[..., c : c + 1]), target)
+            for c in range(light.shape[2])
+        ]
+        return torch.stack(losses).mean()
+
+
+class Memory:
+    """The most anonymous memory this process holds while it is entered: `peak_mb`, sampled by a thread.
+
+    What is mapped from files, such as libraries, is left out: it comes and goes as others on the machine need memory.
+    """
+
+    def __enter__(self) -> Memory:
+        self.peak_mb, self._ended = held_mb(), threading.Event()
+        self._thread = threading.Thread(target=self._sample, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _sample(self) -> None:
+        while not self._ended.wait(SAMPLE_S):
+            self.peak_mb = max(self.peak_mb, held_mb())
+
+
+def held_mb() -> float:
+    """Anonymous memory of this process in MB."""
+    found = re.search(r"RssAnon:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found is not None
+    return int(found[1]) * 1024 / 1e6

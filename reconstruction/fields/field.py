@@ -1,0 +1,148 @@
+"""A radiance field: grey light and density in cells around the surfaces, some still, some moved by a deformation.
+
+Sources: Zhu et al., "SpikeNeRF", CVPR 2024 (a radiance field learnt from spikes); Fridovich-Keil et al., "Plenoxels",
+CVPR 2022 (sparse cells in place of a network); Pumarola et al., "D-NeRF", CVPR 2021 (one canonical space and a
+deformation into it). Ours: the grid (`frustum`), cells only around points of the sweep, still cells beside the deformed
+ones, and a deformation stored at knots of space and time. Letters: N still and M moving cells, T knots of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from reconstruction.errors import ReconstructionError
+from reconstruction.fields.frustum import Frustum
+from reconstruction.fields.march import BLOCK, Grid
+from reconstruction.gaussians.dynamic import Clip
+
+KIND = "field"
+REACH = (3, 3, 2)  # blocks around moving cells from which the deformation may lead to them
+SMOOTH = 2e-3  # weight of what neighbouring knots differ by, squared, in nodes
+
+
+@dataclass
+class RadianceField:
+    """`still` [N] and `moving` [M] int32: the nodes that hold a cell, flat and sorted; over `clip`.
+
+    `densities` and `intensities` [N + M]: raw densities (`march` says of what) and light in spikes per tick;
+    `offsets` [T, h, w, d, 3]: where moving samples are read, in nodes, [0, 1, 1, 1, 3] where nothing moves. `light`:
+    the gain of each of the clip's planes; one alone where the light is steady.
+    """
+
+    frustum: Frustum
+    still: Tensor
+    moving: Tensor
+    densities: Tensor
+    intensities: Tensor
+    offsets: Tensor
+    clip: Clip
+    light: Tensor = field(default_factory=lambda: torch.ones(1))
+    unit: ClassVar[str] = "cells"
+    fixed: ClassVar[frozenset[str]] = frozenset()
+
+    def __post_init__(self) -> None:
+        parts = [_grid(self.still, 0, self.frustum.shape, (0, 0, 0))]
+        if len(self.moving):
+            parts.append(_grid(self.moving, len(self.still), self.frustum.shape, REACH))
+        self.grids = tuple(parts)
+
+    def __len__(self) -> int:
+        return len(self.still) + len(self.moving)
+
+    def tensors(self) -> Iterator[tuple[str, Tensor]]:
+        """Every learnt tensor by a stable name."""
+        for name in ("densities", "intensities", "offsets"):
+            yield f"field.{name}", getattr(self, name)
+
+    def at(self, instant_s: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Densities, intensities and offsets [h, w, d, 3] at one instant, as `march` takes them; differentiable."""
+        u = self.clip.fraction(instant_s)
+        intensities = self.intensities
+        if len(self.light) > 1:
+            intensities = intensities * self.light[min(max(int(u * len(self.light)), 0), len(self.light) - 1)]
+        if not len(self.moving):
+            return self.densities, intensities, self.offsets.new_zeros(1, 1, 1, 3)
+        place = min(max(u, 0.0), 1.0) * (len(self.offsets) - 1)
+        low = min(int(place), len(self.offsets) - 2)
+        return self.densities, intensities, torch.lerp(self.offsets[low], self.offsets[low + 1], place - low)
+
+    def positions(self, instant_s: float) -> Tensor:
+        """The nodes of all cells [N + M, 3] in the rig frame, m; where they are read from, at any instant."""
+        flat = torch.cat([self.still, self.moving]).long()
+        nodes = torch.stack(torch.unravel_index(flat, self.frustum.shape), 1)
+        return torch.from_numpy(self.frustum.positions(nodes.double().numpy())).float()
+
+    def advance(self, done: float) -> float:
+        """How much of the training lies behind, of which a field makes one stage."""
+        return done
+
+    def penalty(self) -> Tensor | None:
+        """Neighbouring knots of the deformation differ little, in space and time."""
+        if not len(self.moving):
+            return None
+        gaps = [self.offsets.diff(dim=axis).square().mean() for axis in range(4) if self.offsets.shape[axis] > 1]
+        return SMOOTH * torch.stack(gaps).sum()
+
+    def variation(self, cells: Tensor) -> Tensor:
+        """How much `cells` [K] differ from their neighbours, a mean of L1; raw densities count a tenth."""
+        nodes, total = torch.cat([self.still, self.moving])[cells].long(), torch.zeros(())
+        _, columns, layers = self.frustum.shape
+        for part, grid in enumerate(self.grids):
+            own = (cells >= len(self.still)) == bool(part)
+            for stride in (columns * layers, layers, 1):
+                beside = nodes[own] + stride
+                other = grid.lookup.view(-1)[beside.clamp_max(grid.lookup.numel() - 1)].long()
+                pairs = torch.stack([cells[own], other])[:, other >= 0]
+                for values, weight in ((self.densities, 0.1), (self.intensities, 1.0)):
+                    gaps = values.index_select(0, pairs[0]) - values.index_select(0, pairs[1])
+                    total = total + weight * gaps.abs().sum() / len(cells)
+        return total
+
+    def opacity(self) -> Tensor:
+        """How much of the light each cell takes [N + M], in [0, 1]."""
+        return 1 - torch.exp(-softplus(self.densities.detach()))
+
+    def state(self) -> dict:
+        """Plain tensors, numbers and names, for a checkpoint."""
+        return {
+            "model": KIND,
+            "clip": [self.clip.first_s, self.clip.last_s],
+            "frustum": asdict(self.frustum),
+            **{name: getattr(self, name).detach().clone() for name in ("light", "still", "moving")},
+            "tensors": {k: v.detach().clone() for k, v in self.tensors()},
+        }
+
+    @classmethod
+    def from_state(cls, state: dict) -> RadianceField:
+        """The inverse of `state`; raises ReconstructionError for tensors it does not know."""
+        try:
+            learnt = {name.removeprefix("field."): tensor for name, tensor in state["tensors"].items()}
+            kept = {name: state[name] for name in ("light", "still", "moving")}
+            return cls(frustum=Frustum(**state["frustum"]), clip=Clip(*state["clip"]), **learnt, **kept)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ReconstructionError(
+                f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}, expected one as this "
+                "version stores it; train again"
+            ) from error
+
+
+def _grid(nodes: Tensor, first: int, shape: tuple[int, int, int], reach: tuple[int, int, int]) -> Grid:
+    """Cells numbered from `first` on at flat `nodes`, met by samples up to `reach` blocks away."""
+    lookup = torch.full(shape, -1, dtype=torch.int32)
+    lookup.view(-1)[nodes.long()] = torch.arange(first, first + len(nodes), dtype=torch.int32)
+    blocks = [-(-size // block) for size, block in zip(shape, BLOCK, strict=True)]
+    near = torch.zeros(1, 1, *blocks)
+    places = torch.unravel_index(nodes.long(), shape)
+    for back in range(8):  # a cell is read by samples between its node and the one before
+        before = [(at - (back >> axis & 1)).clamp_min(0) // BLOCK[axis] for axis, at in enumerate(places)]
+        near[0, 0][tuple(before)] = 1
+    if any(reach):
+        kernel = tuple(2 * r + 1 for r in reach)
+        near = torch.nn.functional.max_pool3d(near, kernel, stride=1, padding=reach)
+    return Grid(lookup, near[0, 0].to(torch.uint8).contiguous())

@@ -1,0 +1,116 @@
+"""The projective grid of a field: pixels of a camera in the middle of the array, layers even in inverse depth.
+
+A straight ray is straight in it, so a march needs no division. Letters: D layers, H rows, W columns, R rays, N points.
+Source of the space: the normalised device coordinates of Mildenhall et al., "NeRF", ECCV 2020; here bounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rigs.camera import Camera
+from rigs.transform import Transform
+
+LAYER_PX = 1.0  # parallax between neighbouring layers, seen from the camera farthest out
+MOST_LAYERS = 192
+MARGIN = 4  # nodes on every side of the outermost points
+OUTLIERS = 0.2  # percent of the points at either end that do not count
+
+
+@dataclass(frozen=True)
+class Frustum:
+    """Node (y, x, w) is at X fx - left = x, Y fy - top = y and 1 / z = nearest - w step, with X = x / z in the middle.
+
+    `pose` is middle_from_rig as quaternion (w, x, y, z) and translation in m; inverse depths are in 1 / m.
+    """
+
+    pose: tuple[float, ...]
+    focal: tuple[float, float]
+    corner: tuple[float, float]
+    nearest: float
+    step: float
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def around(cls, points: NDArray[np.float64], cameras: Sequence[Camera]) -> Frustum:
+        """What holds `points` [N, 3], for a middle camera that looks as `cameras` do on average."""
+        centers = np.stack([c.center for c in cameras])
+        middle = centers.mean(axis=0)
+        forward = np.mean([c.cam_from_rig.rotation[2] for c in cameras], axis=0)
+        down = np.mean([c.cam_from_rig.rotation[1] for c in cameras], axis=0)
+        pose = Transform.looking_at(middle, middle + forward, down)
+        focal = float(np.mean([c.fx for c in cameras])), float(np.mean([c.fy for c in cameras]))
+        x, y, z = pose.apply(points).T
+        seen = z > 0
+        spots = np.stack([focal[0] * x[seen] / z[seen], focal[1] * y[seen] / z[seen], 1 / z[seen]])
+        low, high = np.percentile(spots, (OUTLIERS, 100 - OUTLIERS), axis=1)
+        parallax = focal[0] * float(np.linalg.norm(centers - middle, axis=1).max())
+        step = max(LAYER_PX / max(parallax, 1e-9), (high[2] - low[2]) / MOST_LAYERS)
+        step = min(step, low[2] / (MARGIN + 2))  # the farthest layer is in front of infinity
+        width, height = (int(np.ceil(high[i] - low[i])) + 2 * MARGIN + 1 for i in (0, 1))
+        layers = int(np.ceil((high[2] - low[2]) / step)) + 2 * MARGIN + 1
+        corner = float(low[0] - MARGIN), float(low[1] - MARGIN)
+        numbers = (*pose.quat_wxyz.tolist(), *pose.translation.tolist())
+        return cls(numbers, focal, corner, float(high[2] + MARGIN * step), float(step), (height, width, layers))
+
+    @property
+    def middle_from_rig(self) -> Transform:
+        """The pose of the middle camera."""
+        return Transform.from_quat_wxyz(np.array(self.pose[:4]), np.array(self.pose[4:]))
+
+    def nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where points [N, 3] of the rig frame are, as (y, x, w) [N, 3]; NaN behind the middle camera."""
+        x, y, z = self.middle_from_rig.apply(points).T
+        z = np.where(z > 0, z, np.nan)
+        columns = self.focal[0] * x / z - self.corner[0], self.focal[1] * y / z - self.corner[1]
+        return np.stack([columns[1], columns[0], (self.nearest - 1 / z) / self.step], axis=1)
+
+    def positions(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse of `nodes`, for nodes in front of infinity."""
+        y, x, w = nodes.T
+        z = 1 / (self.nearest - w * self.step)
+        spots = [(x + self.corner[0]) * z / self.focal[0], (y + self.corner[1]) * z / self.focal[1], z]
+        return self.middle_from_rig.inverse().apply(np.stack(spots, axis=1))
+
+    def rays(self, camera: Camera, columns: NDArray, rows: NDArray) -> Rays:
+        """The rays of `camera` through the centres of R pixels."""
+        spots = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1)
+        turn = self.middle_from_rig.rotation @ camera.cam_from_rig.rotation.T
+        across = (spots - [camera.cx, camera.cy, 0]) / [camera.fx, camera.fy, 1] @ turn.T
+        origin = self.middle_from_rig.apply(camera.center)
+        forward = np.where(across[:, 2] > 1e-6, across[:, 2], np.nan)
+        ends = across[:, :2] / forward[:, None]
+        shifts = (origin[:2] - origin[2] * ends) * self.focal
+        starts = ends * self.focal + shifts * self.nearest - self.corner
+        first = (self.nearest - 1 / origin[2]) / self.step if origin[2] > 0 else 0.0
+        stretch = np.linalg.norm(across, axis=1) / forward
+        lines = [starts, -shifts * self.step, stretch[:, None], np.full((len(rows), 1), max(first, 0.0))]
+        packed = torch.from_numpy(np.nan_to_num(np.concatenate(lines, axis=1), nan=-1e9).astype(np.float32))
+        return Rays(packed, torch.from_numpy(forward), float(origin[2]))
+
+    def depths(self, rays: Rays, layers: Tensor) -> Tensor:
+        """Depth [R] in m along the camera's z of what the rays meet at `layers` [R], NaN kept."""
+        z = 1 / (self.nearest - layers.double() * self.step)
+        return ((z - rays.origin_z) / rays.forward).float()
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """R rays: `lines` [R, 6] float32 hold x and y at layer 0, their change a layer, path over depth, the first layer.
+
+    `forward` [R] float64: how far into the frustum a ray goes for each metre of its camera's depth; NaN and a line far
+    outside where it does not. `origin_z`: the camera's own depth in it, m.
+    """
+
+    lines: Tensor
+    forward: Tensor
+    origin_z: float
+
+    def __len__(self) -> int:
+        return len(self.lines)

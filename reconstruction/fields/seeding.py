@@ -1,0 +1,64 @@
+"""Points of the sweep to the field that training starts from: cells around them, opaque next to a point.
+
+Letters: D layers, H rows, W columns, N points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from reconstruction.fields.field import RadianceField
+from reconstruction.fields.frustum import Frustum
+from reconstruction.fields.march import KNOT
+from reconstruction.gaussians.dynamic import Clip
+from rigs.camera import Camera
+
+AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells
+SOLID = (2, 2, 0)  # within which they start opaque: one layer, lest a surface start in front of its points
+OPAQUE, CLEAR = 8.0, -4.5  # raw densities: all, and 0.01 of the light a layer
+INSTANTS = 9  # knots of time
+
+
+def seed_field(still: tuple, moving: tuple, clip: Clip, cameras: Sequence[Camera]) -> RadianceField:
+    """A field around points, each kind as positions [N, 3] in m and intensities [N] in spikes per tick.
+
+    The moving ones are canonical: where they are at rest before the deformation is learnt.
+    """
+    frustum = Frustum.around(np.concatenate([still[0], moving[0]]), cameras)
+    parts = [_cells(frustum, *points) for points in (still, moving)]
+    knots = [-(-size // knot) + 1 for size, knot in zip(frustum.shape, KNOT, strict=True)]
+    offsets = torch.zeros(INSTANTS, *knots, 3) if len(parts[1][0]) else torch.zeros(0, 1, 1, 1, 3)
+    densities, intensities = (torch.cat([part[i] for part in parts]) for i in (1, 2))
+    return RadianceField(frustum, parts[0][0], parts[1][0], densities, intensities, offsets, clip)
+
+
+def _cells(frustum: Frustum, positions: np.ndarray, intensities: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+    """Flat nodes (sorted int32) of the cells around points, their raw densities and intensities."""
+    nodes = np.rint(np.nan_to_num(frustum.nodes(positions), nan=-1.0)).astype(np.int64)
+    inside = ((nodes >= 0) & (nodes < frustum.shape)).all(axis=1)
+    if not inside.any():
+        return torch.zeros(0, dtype=torch.int32), torch.zeros(0), torch.zeros(0)
+    flat, length = np.ravel_multi_index(tuple(nodes[inside].T), frustum.shape), int(np.prod(frustum.shape))
+    sums = (np.bincount(flat, weights, length).astype(np.float32) for weights in (None, intensities[inside]))
+    count, total = (grid.reshape(frustum.shape) for grid in sums)
+    counts, totals = ([_gathered(grid, reach) for reach in (SOLID, AROUND)] for grid in (count, total))
+    cells = np.flatnonzero(counts[1] > 0.5)
+    solid = counts[0][cells] > 0.5
+    values = np.where(solid, totals[0][cells], totals[1][cells]) / np.where(solid, counts[0][cells], counts[1][cells])
+    raws = np.where(solid, np.float32(OPAQUE), np.float32(CLEAR))
+    return torch.from_numpy(cells.astype(np.int32)), torch.from_numpy(raws), torch.from_numpy(values.astype(np.float32))
+
+
+def _gathered(grid: NDArray[np.float32], reach: tuple[int, int, int]) -> NDArray[np.float32]:
+    """The sum [H * W * D] of a grid [H, W, D] over all nodes within `reach` of each."""
+    rows, columns, layers = (2 * r + 1 for r in reach)
+    options = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
+    flat = cv2.boxFilter(grid.reshape(-1, grid.shape[2]), -1, (layers, 1), **options).reshape(grid.shape)
+    slices = [cv2.boxFilter(flat[..., k], -1, (columns, rows), **options) for k in range(grid.shape[2])]
+    return np.stack(slices, axis=-1).ravel().astype(np.float32)

@@ -1,0 +1,75 @@
+"""What fields that deform one canonical cloud share: the box they cover, and what they do to a Gaussian."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from torch import Tensor
+from torch.nn.functional import linear
+
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.motion import Instantaneous, MotionModel
+
+STRAY = 0.02  # share of points at each end of an axis that the box may leave out
+OUTPUTS = (3, 4, 3)  # position, quaternion, log scales
+
+
+@dataclass
+class DeformationField(MotionModel):
+    """Offsets of place, quaternion and log scales; `box` holds the lowest and highest corner of what it covers.
+
+    Offsets of places are in units of half the box, so one learning rate fits scenes of any size; beyond the box and the
+    clip the field goes on as at its edge.
+    """
+
+    fixed = frozenset({"box"})
+    box: Tensor  # [2, 3] m
+
+    @classmethod
+    @abstractmethod
+    def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
+        """A field that deforms nothing yet, over the box that `box_around` finds."""
+
+    def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
+        """Every Gaussian shifted, turned and stretched by the field at its canonical mean and u."""
+        low, high = self.box
+        half = (high - low) / 2
+        places = ((moving.means - low) / half - 1).clamp(-1, 1)
+        shift, turn, stretch = self.offsets(places, min(max(u, 0.0), 1.0))
+        return Instantaneous(
+            moving.means + shift * half,
+            moving.quats_wxyz + turn,
+            moving.log_scales + stretch,
+            moving.opacity_logits.sigmoid(),
+            moving.intensities,
+        )
+
+    @abstractmethod
+    def offsets(self, places: Tensor, u: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Offsets [M, 3], [M, 4], [M, 3] at `places` [M, 3] in -1 to 1 and u in 0 to 1."""
+
+
+def box_around(means: Tensor, least_m: float) -> Tensor:
+    """Corners [2, 3] of a cube over most of `means` [M, 3] with half as much again on every side.
+
+    `least_m`: half the cube at least, for points too close to one another to say how far they may go.
+    """
+    low, high = means.quantile(STRAY, dim=0), means.quantile(1 - STRAY, dim=0)
+    half = ((high - low) / 2).amax().clamp_min(least_m) * 1.5
+    return torch.stack([(low + high) / 2 - half, (low + high) / 2 + half])
+
+
+def layer(shape: tuple[int, int], generator: torch.Generator) -> Tensor:
+    """Xavier's uniform weights with a last column of zeros for the bias."""
+    reach = math.sqrt(6 / sum(shape))
+    weights = torch.empty(shape).uniform_(-reach, reach, generator=generator)
+    return torch.cat([weights, torch.zeros(shape[0], 1)], dim=1)
+
+
+def affine(weights: Tensor, values: Tensor) -> Tensor:
+    """`values` [M, n] through a layer [m, n + 1] whose last column is the bias."""
+    return linear(values, weights[:, :-1], weights[:, -1])

@@ -1,0 +1,41 @@
+"""SpikeGS and Dy-SpikeGS: Gaussians that learn from spikes alone, of a still scene and with a field that deforms them.
+
+Source: Zhang et al., "SpikeGS: Learning 3D Gaussian fields from continuous spike stream", ACCV 2024; Spike4DGS, which
+names both as baselines. As published: no image is made of the spikes; what is rendered goes through a model of the
+integrate-and-fire pixel and is compared with what fired; SpikeGS takes the scene for still; Dy-SpikeGS deforms
+it. Unknown: the weights and rates of either, how Dy-SpikeGS deforms, how noise is embedded. Ours: the expected count
+of a pixel whose phase is random over a window (`losses.counts`) in place of single spikes through a surrogate gradient;
+whole views every step; long windows where the scene is thought still, short ones integrated over instants where it
+moves; sensor noise as the variance of a count; Yang et al.'s deformation network (`gaussians.deformation`); our points,
+a cap in place of densification, our rates and kernels.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from reconstruction.methods.method import Method, Seeds
+
+if TYPE_CHECKING:
+    from reconstruction.gaussians.dynamic import DynamicCloud
+
+SPIKES_ALONE: dict[str, Any] = {"spike_every": 1, "spike_px": None, "half_until": 0.0}
+
+
+def _still(seeds: Seeds) -> DynamicCloud:
+    from reconstruction.methods.seeding import seed_cloud
+
+    return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants)
+
+
+def _deformed(seeds: Seeds) -> DynamicCloud:
+    from reconstruction.gaussians.deformation import DeformationMotion
+    from reconstruction.methods.seeding import seed_field
+
+    return seed_field(seeds.still, seeds.moving, seeds.clip, seeds.seed, DeformationMotion)
+
+
+SPIKEGS = Method(
+    "spikegs", _still, moves=False, supervision="counts", trainer={**SPIKES_ALONE, "spike_planes": (64, 4096)}
+)
+DY_SPIKEGS = Method("dy-spikegs", _deformed, canonical=0.5, supervision="counts", watched=True, trainer=SPIKES_ALONE)

@@ -1,0 +1,27 @@
+"""SpikeNeRF and its extension by a deformation, the baselines that march rays in place of drawing Gaussians.
+
+Sources: Zhu et al., "SpikeNeRF: learning neural radiance fields from continuous spike stream", CVPR 2024: a radiance
+field, volume rendering, and a loss on long-term spikes through a neuron whose threshold varies from pixel to pixel.
+Dy-SpikeNeRF is named by the authors of Spike4DGS; its form is not public. Ours: cells in place of a network
+(`fields.field`), the neuron in expectation (`training.rays`), the sweep's points to start from, no view dependence.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from reconstruction.methods.method import Method, Seeds
+
+if TYPE_CHECKING:
+    from reconstruction.fields.field import RadianceField
+
+
+def _start(seeds: Seeds) -> RadianceField:
+    from reconstruction.fields.seeding import seed_field
+
+    still, moving = ((points.positions, points.intensities) for points in (seeds.still, seeds.moving))
+    return seed_field(still, moving, seeds.clip, seeds.cameras)
+
+
+SPIKENERF = Method("spikenerf", _start, moves=False, supervision="rays", rays=True)
+DY_SPIKENERF = Method("dy-spikenerf", _start, canonical=0.5, supervision="rays", rays=True)

@@ -1,0 +1,124 @@
+"""Case 26 at length: a sensor, its counts and the rig clock over ten million ticks, against whole numbers.
+
+Letters: q the charge of one tick in units of 2^-40 spike, Q what has been added since the start, n the spikes since. A
+pixel that starts with the charge c and loses nothing has n = floor(c + Q), so that n - Q stays within (c - 1, c].
+"""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.native import code_path
+from acquisition.progress import Progress
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import FRACTION_BITS, Sensor
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.stability.case import Case, Observation
+from reconstruction.stability.probe import renderers
+from rigs.clock import RigClock
+
+CHUNK = 100_000  # ticks at a time
+LIGHTS = np.array([1e-6, 0.01, 1 / 3, 0.95], dtype=np.float32)  # spikes per tick at most, by column
+SLOW = 70_000.0  # ticks to a radian of the swell that half the light has
+REPLAYED = 200  # ticks by NumPy after all of them by the kernel
+ROW = PlaneLayout(len(LIGHTS), 1)
+TICK_RATE_HZ = 1e6 / 3  # a tick that is no finite binary fraction
+
+
+def _light(first: int, last: int) -> NDArray[np.float32]:
+    """Spikes per tick [n, 1, W]."""
+    swell = 0.75 + 0.25 * np.sin(np.arange(first, last) / SLOW)
+    return (swell[:, None, None] * LIGHTS).astype(np.float32)
+
+
+class _Balance:
+    """n - Q of every pixel, in whole numbers."""
+
+    def __init__(self) -> None:
+        self._last = np.zeros(len(LIGHTS), dtype=np.int64)
+        self._low, self._high = self._last.copy(), self._last.copy()
+
+    def add(self, light: NDArray[np.float32], spikes: NDArray[np.uint8]) -> None:
+        """What came in and went out, tick by tick [n, 1, W]."""
+        charge = (light[:, 0].astype(np.float64) * 2.0**FRACTION_BITS + 0.5).astype(np.int64)
+        steps = (spikes[:, 0].astype(np.int64) << FRACTION_BITS) - charge
+        balance = self._last + np.cumsum(steps, axis=0)
+        self._last = balance[-1]
+        self._low = np.minimum(self._low, balance.min(axis=0))
+        self._high = np.maximum(self._high, balance.max(axis=0))
+
+    @property
+    def span(self) -> float:
+        """The widest that n - Q of a pixel was, in spikes."""
+        return float((self._high - self._low).max()) / 2.0**FRACTION_BITS
+
+
+def _charge(renderer: str, ticks: int, progress: Progress) -> Observation:
+    """Spikes out against charge in, then all of them counted from the file they make."""
+    path = renderer.split()[1]
+    sensor, balance = Sensor(len(LIGHTS), 1, "ideal", 7, 0), _Balance()
+    total, wrong = np.zeros(len(LIGHTS), dtype=np.int64), 0
+    with code_path(path), tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "long.dat"
+        with file.open("wb") as out:
+            for first in range(0, ticks, CHUNK):
+                light = _light(first, min(ticks, first + CHUNK))
+                spikes = sensor.expose(light)
+                balance.add(light, spikes)
+                total += spikes[:, 0].sum(axis=0, dtype=np.int64)
+                out.write(pack(spikes, ROW).tobytes())
+                progress(first / ticks, f"{first:,} ticks of a sensor, {path}")
+        stream = SpikeStream.open(file, ROW, TICK_RATE_HZ)
+        wrong += int((stream.counts(0, ticks)[0] != total).sum()) + (sensor.tick != ticks)
+        del stream
+        twin, light = copy.deepcopy(sensor), _light(ticks, ticks + REPLAYED)
+        wrong += int((sensor.expose(light) != twin.expose_reference(light)).sum())
+    said = f"{int(total.sum()):,} spikes, spikes less charge within {balance.span:.6f}, {wrong} counts or bits wrong"
+    return Observation(said, max(0.0, balance.span - 1) + wrong)
+
+
+def _noise(renderer: str, ticks: int, progress: Progress) -> Observation:
+    """A sensor with noise: after all ticks its kernel and its twin still give the same spikes."""
+    path = renderer.split()[1]
+    sensor, spikes = Sensor(len(LIGHTS), 1, "real", 7, 0), 0
+    with code_path(path):
+        for first in range(0, ticks, CHUNK):
+            spikes += int(sensor.expose(_light(first, min(ticks, first + CHUNK))).sum())
+            progress(first / ticks, f"{first:,} ticks of a noisy sensor, {path}")
+        twin, light = copy.deepcopy(sensor), _light(ticks, ticks + REPLAYED)
+        differing = int((sensor.expose(light) != twin.expose_reference(light)).sum())
+    return Observation(f"{spikes:,} spikes; of the next {REPLAYED} ticks {differing} bits differ", float(differing))
+
+
+def _clock(ticks: int, progress: Progress) -> Observation:
+    """Every tick to its instant and back; every 97th against rational numbers."""
+    clock, exact = RigClock(TICK_RATE_HZ), Fraction(TICK_RATE_HZ)
+    wrong, error = 0, 0.0
+    for first in range(0, ticks, CHUNK):
+        progress(first / ticks, f"{first:,} ticks of the clock")
+        last = min(ticks, first + CHUNK)
+        wrong += sum(clock.plane(clock.instant_s(plane)) != plane for plane in range(first, last))
+        for plane in range(first, last, 97):
+            error = max(error, abs(float(Fraction(clock.instant_s(plane)) * exact - Fraction(2 * plane + 1, 2))))
+    return Observation(f"{wrong} of {ticks:,} in another plane, {error:.0e} ticks off", error + wrong)
+
+
+def drift_cases(ticks: int, progress: Progress) -> tuple[Case, ...]:
+    """Over so many ticks; each reports its own progress from 0 to 1."""
+    balanced, alike = "spikes less charge within one spike", "as its twin in NumPy"
+    return (
+        Case(26, f"{ticks:,} ticks of a sensor", balanced, 0.0, lambda on: _charge(on, ticks, progress), _natives),
+        Case(26, f"{ticks:,} ticks with noise", alike, 0.0, lambda on: _noise(on, ticks, progress), _natives),
+        Case(26, f"{ticks:,} ticks of the clock", "as in rational numbers", 1e-6, lambda _: _clock(ticks, progress)),
+    )
+
+
+def _natives() -> tuple[str, ...]:
+    return tuple(name for name in renderers() if name.startswith("native"))

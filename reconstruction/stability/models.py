@@ -1,0 +1,106 @@
+"""A small cloud by every motion model, for the cases that each must bear."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import chain
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from acquisition.native import code_path, code_paths
+from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.initialization.bodies import Bodies
+from reconstruction.initialization.points import Points
+from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid
+from reconstruction.stability.probe import Apart, apart
+
+CLIP = Clip(0.0, 0.02)
+INSTANTS = 8
+BESIDE = 6  # points at each instant, four of them on a body
+POINTS = INSTANTS * BESIDE
+TIMES_S = (np.arange(INSTANTS) + 0.5) / INSTANTS * CLIP.last_s
+
+
+def models() -> Mapping[str, Callable[..., DynamicCloud]]:
+    """By name, what makes a cloud of `count` moving points, up to POINTS, with lengths in units of `scale` m."""
+    return {
+        "linear": partial(_free, cubic=False),
+        "cubic": partial(_free, cubic=True),
+        "bases": _rigid,
+        "4dgs": _field,
+    }
+
+
+def model_names() -> tuple[str, ...]:
+    """The names of `models`."""
+    return tuple(models())
+
+
+def _points(scale: float, count: int) -> Points:
+    rng, times = np.random.default_rng(0), np.repeat(TIMES_S, BESIDE)[:count]
+    places, light = scale * rng.normal(size=(count, 3)), rng.random(count).astype(np.float32)
+    return Points(places, light, np.full(count, 0.02 * scale), times)
+
+
+def _free(scale: float = 1.0, count: int = POINTS, *, cubic: bool) -> DynamicCloud:
+    cloud = seed_cloud(Points.none(), _points(scale, count), CLIP, INSTANTS, cubic=cubic)
+    return _shaken(cloud, scale)
+
+
+def _rigid(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
+    """The body turns half a circle."""
+    angles = np.linspace(0, math.pi, INSTANTS) / 2
+    quats = np.stack([np.cos(angles), 0 * angles, 0 * angles, np.sin(angles)], axis=1)[None]
+    centers = scale * np.stack([angles, 0 * angles, 0 * angles], axis=1)[None]
+    owners = np.resize([0, 0, 0, 0, -1, -1], count)
+    bodies = Bodies(owners, quats, centers, TIMES_S, np.array([[0, INSTANTS - 1]]), np.full(count, ""))
+    return _shaken(seed_rigid(Points.none(), _points(scale, count), CLIP, INSTANTS, bodies), scale)
+
+
+def _field(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
+    cloud = seed_field(Points.none(), _points(scale, count), CLIP, 0)
+    generator = torch.Generator().manual_seed(1)
+    for name, tensor in cloud.motion.tensors():
+        if name == "heads":
+            tensor[:] = 0.1 * torch.randn(tensor.shape, generator=generator)
+    return cloud
+
+
+def _shaken(cloud: DynamicCloud, scale: float) -> DynamicCloud:
+    for name, tensor in cloud.motion.tensors():
+        if name in ("velocities", "accelerations", "jerks"):
+            tensor[:] = scale
+    return cloud
+
+
+def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], dict[str, Tensor]]:
+    """Everything at an instant, and the gradients of an uneven sum of it, in float64."""
+    own = DynamicCloud.from_state(cloud.state())
+    leaves = {name: t.requires_grad_() for name, t in own.tensors() if name.split(".")[1] not in own.motion.fixed}
+    now = own.at(instant_s)
+    generator = torch.Generator().manual_seed(2)
+    total = sum((t.double() * torch.rand(t.shape, generator=generator)).sum() for t in now)
+    assert isinstance(total, Tensor)
+    total.backward()
+    slopes = {name: torch.zeros_like(t) if t.grad is None else t.grad for name, t in leaves.items()}
+    return tuple(t.detach().double() for t in now), {name: t.double() for name, t in slopes.items()}
+
+
+def against_float64(cloud: DynamicCloud, instants_s: tuple[float, ...]) -> Apart:
+    """How far the cloud in float32, by every code path, is from its float64 self; infinite where not finite."""
+    worst = Apart(0.0, 0.0)
+    for instant_s in instants_s:
+        values, slopes = evaluated(cloud.to(torch.float64), instant_s)
+        finite = all(bool(t.isfinite().all()) for t in chain(values, slopes.values()))
+        for name in code_paths():
+            with code_path(name):
+                found, steep = evaluated(cloud, instant_s)
+            gaps = max(apart(a, b) for a, b in zip(found, values, strict=True))
+            steeper = max(apart(steep[key], slopes[key]) for key in slopes)
+            gaps, steeper = (gaps, steeper) if finite else (math.inf, math.inf)
+            worst = Apart(max(worst.images, gaps), max(worst.gradients, steeper))
+    return worst

@@ -1,0 +1,184 @@
+"""Short, small trainings on the stiff scenes: spread over seeds, float32 against float64, kill and resume, baselines.
+
+All trainings of a scene take the same number of steps; those of one seed draw the same views and instants, whatever the
+float type. The centre camera is held out. float64 is rendered, and its motion evaluated, by the torch references.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from acquisition.devices.open import Simulation
+from acquisition.native import code_path, code_paths
+from acquisition.progress import silent
+from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
+from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
+from reconstruction.evaluation.truth import Truth
+from reconstruction.fields.model import Model as Trainable
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.training import trainer_of
+from reconstruction.stability.case import Case, Observation
+from reconstruction.stability.models import model_names
+from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.config import Model, ReconstructionConfig
+from reconstruction.training.run import RunFolder
+from reconstruction.training.trainer import Trainer
+from rigs.toml import catalog_rig
+
+HOLDOUT = "cam11"
+TRUTH_INSTANTS = 4
+SPREAD_DB = 2.0  # between seeds, of so few Gaussians and steps; worst measured 1.2, on `dim`
+APART_DB = 0.1  # what float32 may cost
+FALLS_TO = 0.95  # of the first losses, the last ones at most; worst measured 0.88, on `flicker`
+ENDS = 10  # losses that are the first and the last
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is trained: scenes with their planes, pictures [width, height], Gaussians, steps, seeds."""
+
+    planes: dict[str, int]
+    size: tuple[int, int]
+    gaussians: int
+    steps: int
+    seeds: tuple[int, ...]
+
+
+FULL = Extent({"stiff": 200, "flicker": 200, "burst": 200, "bright": 200, "dim": 1000}, (64, 41), 400, 100, (0, 1, 2))
+
+
+class Trained(NamedTuple):
+    """The loss of every step, and what the held-out view scores."""
+
+    losses: tuple[float, ...]
+    psnr_db: float
+
+
+@dataclass
+class StiffScene:
+    """One scene recorded in `folder`; every training of it is done once, when it is asked for."""
+
+    name: str
+    folder: Path
+    extent: Extent
+    done: dict[tuple, Trained] = field(default_factory=dict)
+
+    @cached_property
+    def recording(self) -> Recording:
+        """Simulated, with its truth."""
+        planes, path = self.extent.planes[self.name], self.folder / self.name
+        simulation = Simulation(self.name, seed=1, truth_every=planes // TRUTH_INSTANTS)
+        simulate(simulation, catalog_rig("ci3x3").scaled(*self.extent.size), planes, path)
+        return Recording.open(path)
+
+    def run(self, seed: int, model: Model) -> RunFolder:
+        """A run folder that is ready for training."""
+        config = ReconstructionConfig(
+            model, holdout=HOLDOUT, budget_s=None, steps=self.extent.steps, seed=seed, gaussians=self.extent.gaussians
+        )
+        path = self.folder / f"{self.name}-{model}-{seed}"
+        return reconstruct(self.recording.path, path, config, lambda _: silent, last="points")
+
+    def trained(self, seed: int, model: Model = "auto", *, exact: bool = False, path: str | None = None) -> Trained:
+        """Float32 by a code path of the kernels (None: the best one), or float64 by the references."""
+        key = (seed, model, exact, path or code_paths()[-1])
+        if key not in self.done:
+            with code_path(key[-1]):
+                self.done[key] = self._train(seed, model, exact=exact)
+        return self.done[key]
+
+    def _train(self, seed: int, model: Model, *, exact: bool) -> Trained:
+        run = self.run(seed, model)
+        kind = ("reference", torch.float64) if exact else ("native", torch.float32)
+        trainer = trainer_of(run, self.recording, *kind)
+        losses = _stepped(trainer, 0, self.extent.steps, self.extent.steps)
+        truth = self.recording.truth
+        assert truth is not None
+        camera, truth = held_out_camera(self.recording, HOLDOUT, run.plan.views, Truth.open(truth))
+        assert truth is not None
+        return Trained(losses, score_against_truth(_single(trainer.cloud), camera, truth)["psnr_db"])
+
+
+def _single(cloud: Trainable) -> Trainable:
+    """As the native renderer takes it."""
+    return cloud.to(torch.float32) if isinstance(cloud, DynamicCloud) else cloud
+
+
+def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float, ...]:
+    return tuple(trainer.step(step / steps) for step in range(first, last))
+
+
+def _seeds(scene: StiffScene) -> Observation:
+    """Apart from the best to the worst seed."""
+    scores = [scene.trained(seed).psnr_db for seed in scene.extent.seeds]
+    said = f"{', '.join(f'{s:.2f}' for s in scores)} dB, standard deviation {np.std(scores):.2f}"
+    return Observation(said, max(scores) - min(scores))
+
+
+def _precision(scene: StiffScene, path: str) -> Observation:
+    seed = scene.extent.seeds[0]
+    found, expected = scene.trained(seed, path=path), scene.trained(seed, exact=True)
+    losses = np.array([found.losses, expected.losses])
+    gaps = np.abs(losses[0] / losses[1] - 1)
+    said = (
+        f"losses {gaps[0]:.0e} apart at first, {gaps.max():.1e} at most; "
+        f"{found.psnr_db:.3f} dB, {expected.psnr_db:.3f} in float64"
+    )
+    return Observation(said, abs(found.psnr_db - expected.psnr_db) if np.isfinite(losses).all() else math.inf)
+
+
+def _resumed(scene: StiffScene) -> Observation:
+    """Half, kept on disk, loaded by a trainer that knows nothing, and the other half."""
+    seed, steps = scene.extent.seeds[0], scene.extent.steps
+    run, kept = scene.run(seed, "auto"), scene.folder / f"{scene.name}.pt"
+    first, second = (trainer_of(run, scene.recording) for _ in range(2))
+    losses = _stepped(first, 0, steps // 2, steps)
+    save_checkpoint(kept, first.state())
+    second.restore(load_checkpoint(kept))
+    losses += _stepped(second, steps // 2, steps, steps)
+    gap = float(np.abs(np.array(losses) - scene.trained(seed).losses).max())
+    return Observation(f"killed at step {steps // 2}: losses {gap:.0e} apart", gap)
+
+
+def _baseline(scene: StiffScene, model: str) -> Observation:
+    """Whether it learns, and stays finite."""
+    found = scene.trained(scene.extent.seeds[0], model)  # type: ignore[arg-type]
+    ends = np.mean(found.losses[:ENDS]), np.mean(found.losses[-ENDS:])
+    said = f"loss {ends[0]:.3f} to {ends[1]:.3f}, {found.psnr_db:.2f} dB"
+    return Observation(said, float(ends[1] / ends[0]) if np.isfinite(found.losses).all() else math.inf)
+
+
+def stiff_cases(scene: StiffScene) -> tuple[Case, ...]:
+    """What is asked of one scene."""
+    name, count = scene.name, len(scene.extent.seeds)
+
+    def case(kind: str, expected: str, tolerance: float, observe: Callable[[str], Observation], on: tuple = ("none",)):
+        return Case(None, f"{name}: {kind}", expected, tolerance, observe, lambda: on)
+
+    within, cost = f"within {SPREAD_DB:g} dB", f"{APART_DB:g} dB apart at most"
+    natives = tuple(f"native {path}" for path in code_paths())
+    return (
+        case(f"{count} seeds", within, SPREAD_DB, lambda _: _seeds(scene), natives[-1:]),
+        case("float32", cost, APART_DB, lambda on: _precision(scene, on.split()[1]), natives),
+        case("killed and resumed", "the same losses", 0.0, lambda _: _resumed(scene), natives[-1:]),
+        case(
+            "trains", f"losses below {FALLS_TO:g} of the first", FALLS_TO, lambda m: _baseline(scene, m), model_names()
+        ),
+    )
+
+
+def curves(scene: StiffScene) -> dict[str, tuple[float, ...]]:
+    """The loss curves in float32 and float64, of the trainings that were done."""
+    seed, best = scene.extent.seeds[0], code_paths()[-1]
+    keys = {"float32": (seed, "auto", False, best), "float64": (seed, "auto", True, best)}
+    return {name: scene.done[key].losses for name, key in keys.items() if key in scene.done}

@@ -1,0 +1,100 @@
+"""The paper's protocol as data: nothing of the paper is forgotten, and every cell can be run."""
+
+from typing import get_args
+
+import pytest
+
+from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS, SCENES
+from reconstruction.bench.paper.method import Cell, Effort, Method, seed_of
+from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS
+from reconstruction.bench.paper.protocol import PROTOCOL, QUICK
+from reconstruction.bench.paper.published import PUBLISHED
+from reconstruction.bench.paper.tables import HOW
+from reconstruction.errors import BadRunError
+from reconstruction.training.config import Model
+from rigs.toml import catalog_rig
+
+TO_COME = {"stg", "d3dgs", "spikegs", "dy-spikegs", "spikenerf", "dy-spikenerf"}
+TABLES = {table.name: table for table in PROTOCOL.tables}
+
+
+def test_every_line_of_the_paper_has_a_row_of_ours_or_a_reason_why_not():
+    beside = {"images": {r.paper for r in IMAGE_ROWS}, "poses": {r.paper for r in POSE_ROWS}}
+    for table in PROTOCOL.tables:
+        beside.setdefault(table.name, set()).update(row.paper for row in table.rows)
+    beside["novel-view"] |= {row.paper for row in TABLES["references"].rows}
+    for name, lines in PUBLISHED.items():
+        assert set(lines) - beside[name] == set(), name
+    for rows in (IMAGE_ROWS, POSE_ROWS):
+        assert all(bool(row.keys) != bool(row.omitted) for row in rows)
+    for table in (*PROTOCOL.tables, *QUICK.tables):
+        assert all((row.method is None) == bool(row.omitted) for row in table.rows)
+
+
+def test_what_stands_beside_a_row_is_published():
+    for table in (*PROTOCOL.tables, *QUICK.tables):
+        known = PUBLISHED.get(table.name, {}) | PUBLISHED["novel-view"]
+        assert all(row.paper in known for row in table.rows if row.paper)
+    assert all(set(figures) <= set(HOW) for lines in PUBLISHED.values() for figures in lines.values())
+    assert PUBLISHED["novel-view"]["Spike4DGS"] == {"psnr_db": 27.74, "ssim": 0.912, "seconds": 1500}
+    assert PUBLISHED["views"]["TFI + STG, 5 views"] == {"brisque": 57.0, "niqe": 16.7}
+
+
+@pytest.mark.parametrize("protocol", [PROTOCOL, QUICK])
+def test_every_cell_is_a_configuration_and_no_two_share_a_name(protocol):
+    cells, ids = protocol.cells(), catalog_rig("lab3x3").ids
+    by_name: dict[str, Method] = {}
+    for cell in cells:
+        assert by_name.setdefault(cell.method.name, cell.method) == cell.method
+        model = cell.method.choices.get("model", "auto")
+        if model in TO_COME - set(get_args(Model)):
+            with pytest.raises(BadRunError, match=f"found model '{model}'"):
+                cell.method.config(cell.effort, cell.seed)
+            continue
+        config = cell.method.config(cell.effort, cell.seed)
+        assert (config.holdout, config.seed) == ("cam11", cell.seed)
+        assert (config.budget_s, config.steps) == (cell.effort.budget_s, cell.effort.steps)
+        assert set(config.views) <= set(ids)
+    assert len({cell.name for cell in cells}) == len(cells)
+
+
+@pytest.mark.parametrize("protocol", [PROTOCOL, QUICK])
+def test_every_row_is_run_and_every_batch_is_of_rows_and_scenes_that_exist(protocol):
+    for batch in protocol.batches:
+        table = next(t for t in protocol.tables if t.name == batch.table)
+        assert set(batch.methods) <= {row.method.name for row in table.rows if row.method}
+        assert set(batch.scenes) <= set(SCENES)
+    for table in protocol.tables:
+        for row in table.rows:
+            assert bool(protocol.wanted(table, row)) == (row.method is not None), row.label
+
+
+def test_what_matters_most_comes_first_on_every_evaluation_scene():
+    first = PROTOCOL.cells()[: len(EVALUATION)]
+    assert [(c.method.name, c.scene, c.effort.label) for c in first] == [("auto", s, "60") for s in EVALUATION]
+    tables = list(dict.fromkeys(batch.table for batch in PROTOCOL.batches))
+    assert tables[:3] == ["novel-view", "losses", "depth"]
+    seeds = {c.seed for c in PROTOCOL.cells() if c.method.name == "auto" and c.effort == Effort(30.0)}
+    assert seeds == set(EVALUATION_SEEDS)
+
+
+def test_a_part_of_the_protocol_by_table_and_scene():
+    part = PROTOCOL.of(("depth", "rates")).on(("static",))
+    assert [table.name for table in part.tables] == ["depth", "rates"]
+    assert {cell.scene for cell in part.cells()} == {"static"}
+    with pytest.raises(BadRunError, match=r"found the tables deep, expected some of novel-view, losses"):
+        PROTOCOL.of(("deep",))
+    with pytest.raises(BadRunError, match=r"found the scenes nowhere, expected some of fan_and_ball"):
+        PROTOCOL.on(("nowhere",))
+
+
+def test_the_first_seed_is_the_one_of_every_other_bench():
+    assert [seed_of("traffic", n) for n in range(3)] == list(EVALUATION_SEEDS)
+    assert seed_of("fan_and_ball", 0) == DEVELOPMENT_SEEDS[1]
+    assert {seed_of("fan_and_ball", n) for n in range(3)} == set(DEVELOPMENT_SEEDS)
+
+
+def test_names_say_how_long():
+    assert str(Effort(30.0)) == "30 s"
+    assert str(Effort(steps=40)) == "40 steps"
+    assert Cell(Method("auto"), "fan", 101, Effort(7.5)).name == "fan-101-auto-7.5"

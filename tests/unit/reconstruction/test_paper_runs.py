@@ -1,0 +1,137 @@
+"""Cells of the paper's bench: run once, found again, refused with a reason, left out when time is up."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from acquisition.progress import silent
+from reconstruction.bench.paper import digest
+from reconstruction.bench.paper import run as runs
+from reconstruction.bench.paper.bench import Clock, bench_paper
+from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
+from reconstruction.bench.paper.run import SCORES, Laboratory
+from reconstruction.errors import StereoError
+
+EFFORT = Effort(10.0)
+GOOD, BAD, UNKNOWN = Method("good"), Method("bad", {"images": "tfi"}), Method("unknown", {"model": "nerf"})
+TABLE = Table("t", "T", "", (*(Row(m.name, m) for m in (GOOD, BAD, UNKNOWN)), Row("none", omitted="no licence")))
+PROTOCOL = Protocol((TABLE,), (Batch("t", ("fan_and_ball",), (EFFORT,)),))
+SCORED = {"psnr_db": 30.0, "ssim": 0.9, "abs_rel": 0.1, "curve": [{"seconds": 9.5, "psnr_db": 30.0}]}
+
+
+@pytest.fixture
+def laboratory(tmp_path, monkeypatch):
+    recording = tmp_path / "fan_and_ball-2"
+    recording.mkdir()
+    (recording / "recording.json").write_text("{}")
+    made = []
+
+    def reconstruct(path, out, config, progress_of, *, last):
+        assert (path, last) == (recording, "train")
+        made.append(out.parent.name)
+        if config.images == "tfi":
+            raise StereoError("found no depth")
+        for name in ("points/still.npy", "snapshots/0000001.pt", "snapshots/0000002.pt", "run.json", "checkpoint.pt"):
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            (out / name).touch()
+
+    monkeypatch.setattr(runs, "reconstruct", reconstruct)
+    monkeypatch.setattr(runs, "score_run", lambda run, recording: SCORED)
+    monkeypatch.setattr(runs.Recording, "open", lambda path: path)
+    found = Laboratory(tmp_path / "work", lambda scene, seed: tmp_path / f"{scene}-{seed}", lambda name: silent)
+    found.warm = True
+    return SimpleNamespace(own=found, made=made, recording=recording)
+
+
+def test_what_was_run_is_found_again_and_what_was_refused_has_its_reason(laboratory):
+    document = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert laboratory.made == ["fan_and_ball-2-good-10", "fan_and_ball-2-bad-10"]
+    (row,) = document.rows
+    assert (row["method"], row["scene"], row["seed"], row["effort"], row["seconds"]) == (
+        *("good", "fan_and_ball", 2, "10", 9.5),
+    )
+    assert document.summary["t.good.psnr_db@10"] == 30.0
+    assert document.summary["t.good.seconds@10"] == 9.5
+    assert "t, bad: found no depth (fan_and_ball-2 @10)" in document.omissions
+    assert "t, none: no licence" in document.omissions
+    assert any(line.startswith("t, unknown: found model 'nerf', expected one of") for line in document.omissions)
+    again = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert (again.rows, again.omissions, again.summary) == (document.rows, document.omissions, document.summary)
+    assert len(laboratory.made) == 2
+
+
+def test_a_run_that_came_to_training_too_late_is_named(laboratory, monkeypatch):
+    late = SCORED | {"curve": [{"seconds": 12.0, "psnr_db": 30.0}]}
+    monkeypatch.setattr(runs, "score_run", lambda run, recording: late)
+    document = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert any(line.startswith("fan_and_ball-2-good-10: took 12 s: the stages") for line in document.omissions)
+
+
+def test_of_a_run_its_scores_and_its_last_state_are_left(laboratory):
+    bench_paper(PROTOCOL, laboratory.own, silent)
+    (folder,) = (laboratory.own.work / "cells" / "fan_and_ball-2-good-10").iterdir()
+    left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    assert left == {SCORES, "run.json", "snapshots/0000002.pt"}
+
+
+def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, monkeypatch):
+    before = bench_paper(PROTOCOL, laboratory.own, silent)
+    monkeypatch.setattr(digest, "code_digest", lambda: "other")
+    laboratory.own.keep = True
+    kept = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert len(laboratory.made) == 2
+    assert kept.rows == [row | {"kept": True} for row in before.rows]
+    assert any(before.rows[0]["revision"] in line for line in kept.omissions if line.startswith("kept from"))
+    laboratory.own.keep = False
+    bench_paper(PROTOCOL, laboratory.own, silent)
+    assert len(laboratory.made) == 4
+
+
+def test_when_time_is_up_no_run_begins_and_what_is_missing_is_named(laboratory):
+    seconds = iter([0.0, 0.0, 99.0, 99.0, 99.0])
+    document = bench_paper(PROTOCOL, laboratory.own, silent, Clock(50.0, lambda: next(seconds)))
+    assert laboratory.made == ["fan_and_ball-2-good-10"]
+    assert "t, bad: no time was left (fan_and_ball-2 @10)" in document.omissions
+
+
+def test_no_recording_is_made_of_what_will_not_be_run(laboratory):
+    laboratory.own.recording_of = lambda scene, seed: pytest.fail("simulated for nothing")
+    document = bench_paper(PROTOCOL, laboratory.own, silent, Clock(0.0))
+    assert document.rows == []
+
+
+def test_what_a_stopped_run_of_other_code_left_is_removed(laboratory):
+    cell = Cell(GOOD, "fan_and_ball", 2, EFFORT)
+    left_over = laboratory.own.work / "cells" / cell.name / "0123456789ab" / "points"
+    left_over.mkdir(parents=True)
+    laboratory.own.result(cell)
+    assert not left_over.exists()
+
+
+def test_the_digest_follows_choices_spikes_and_code(laboratory, monkeypatch):
+    of = digest.cell_digest
+    cell, recording = Cell(GOOD, "fan_and_ball", 2, EFFORT), laboratory.recording
+    known = of(cell, recording)
+    assert known == of(Cell(Method("good"), "fan_and_ball", 2, Effort(10.0)), recording)
+    assert known != of(Cell(GOOD.changed("good", gaussians=5), "fan_and_ball", 2, EFFORT), recording)
+    assert known != of(Cell(GOOD, "fan_and_ball", 2, Effort(11.0)), recording)
+    (recording / "recording.json").write_text(json.dumps({"sha256": "1"}))
+    assert known != of(cell, recording)
+
+
+def test_code_is_what_makes_results_not_what_shows_them(tmp_path, monkeypatch):
+    names = {name for name, _ in digest._sources()}
+    wanted = {"rigs/rig.py", "acquisition/spikes/sensor.cpp", "acquisition/scenes/catalog.py"}
+    assert wanted | {"reconstruction/training/trainer.py", "reconstruction/rendering/frame.h"} <= names
+    assert not [n for n in names if n.split("/")[1] in ("bench", "stability", "report", "export", "recording")]
+    for folder in ("training", "bench"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.py").write_text("a = 1")
+    monkeypatch.setattr(digest, "reconstruction", SimpleNamespace(__name__="reconstruction", __path__=[str(tmp_path)]))
+    code = digest.code_digest.__wrapped__
+    before = code()
+    (tmp_path / "bench" / "a.py").write_text("a = 2")
+    assert code() == before
+    (tmp_path / "training" / "a.py").write_text("a = 2")
+    assert code() != before

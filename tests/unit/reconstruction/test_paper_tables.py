@@ -1,0 +1,164 @@
+"""The paper bench's document as numbers, tables and diagrams."""
+
+import numpy as np
+import pytest
+
+from acquisition.bench_document import BenchDocument
+from reconstruction.bench.paper import axes
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.axes import relative_error
+from reconstruction.bench.paper.diagrams import curves, write_diagrams
+from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
+from reconstruction.bench.paper.summary import leads, summarise, times_to
+from reconstruction.bench.paper.tables import measured_table, write_tables
+
+STAGES = {f"seconds.{stage}": 1.0 for stage in ("plan", "poses", "images", "points", "train")}
+SHORT, LONG = Effort(30.0), Effort(60.0)
+TABLE = Table(
+    "novel-view",
+    "The held-out centre view",
+    "True poses.",
+    (
+        Row("Ours", m.AUTO, "Spike4DGS"),
+        Row("TFI + 4DGS", m.TFI["4dgs"], "TFI + 4DGS"),
+        Row("DUSt3R", None, "MSDI image + DUSt3R + 4DGS", "no checkpoint"),
+    ),
+)
+PROTOCOL = Protocol(
+    (TABLE,),
+    (
+        Batch("novel-view", ("fan", "traffic"), (SHORT, LONG)),
+        Batch("novel-view", ("fan",), (SHORT,), ("auto",), seeds=(1, 2)),
+    ),
+)
+
+
+def row(method, level, scene="fan", seed=101, effort="30"):
+    end = float(effort)
+    points = [(end / 4, level - 6), (end / 2, level - 2), (end, level)]
+    machine = {"processor": "A chip", "threads": 2, "revision": "abc"}
+    scores = {
+        "psnr_db": level,
+        "dynamic_psnr_db": 28.0,
+        "ssim": 0.9,
+        "abs_rel": 0.05,
+        "delta_1_25": 0.97,
+        "steps_per_s": 20.0,
+        "seconds": end,
+    }
+    curve = [{"seconds": s, "psnr_db": y, "abs_rel": 1 / y} for s, y in points]
+    about = {"method": method, "scene": scene, "seed": seed, "effort": effort, "budget_s": end}
+    return {**about, **machine, **scores, **STAGES, "curve": curve}
+
+
+ROWS = [
+    *(row("auto", 30.0 + seed - 102, seed=seed) for seed in (101, 102, 103)),
+    row("auto", 33.0, "traffic"),
+    row("auto", 35.0, effort="60"),
+    row("tfi+4dgs", 25.0),
+    row("tfi+4dgs", 27.0, "traffic"),
+    row("tfi+4dgs", 28.0, effort="60"),
+]
+
+
+def document(rows=ROWS):
+    found = BenchDocument("paper", rows=list(rows), omissions=["something: for a reason"])
+    summarise(found, PROTOCOL)
+    return found
+
+
+def test_the_summary_is_of_means_over_recordings_and_of_pairs():
+    found = document().summary
+    assert found["novel-view.auto.psnr_db@30"] == pytest.approx((29 + 30 + 31 + 33) / 4)
+    assert found["novel-view.auto.seconds@60"] == 60
+    assert found["novel-view.tfi+4dgs.abs_rel@30"] == pytest.approx(0.05)
+    assert found["margin.tfi+4dgs@30"] == pytest.approx(((29 - 25) + (33 - 27)) / 2)
+    assert found["margin.tfi+4dgs@60"] == pytest.approx(7)
+    assert "margin.clean@60" not in found
+
+
+def test_a_bound_is_as_far_above_as_it_is():
+    found = document([row("auto", 35.0, effort="60"), row("clean", 36.5, effort="60")]).summary
+    assert found["margin.clean@60"] == pytest.approx(1.5)
+
+
+def test_who_leads_when():
+    assert leads([row("auto", 30.0)]) == {}
+    behind = leads([row("auto", 30.0), row("tfi+4dgs", 25.0)])
+    assert behind == {"leads.at_every_time": 0, "leads.before_first": 0, "leads.points": 3}
+    late = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 25.0), row("spikegs", 40.0, "traffic")])
+    assert late == {"leads.at_every_time": 1, "leads.before_first": 1, "leads.points": 3}
+    ahead = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 27.0)])
+    assert ahead == {"leads.at_every_time": 2, "leads.before_first": 1, "leads.points": 3}  # 25 > 24 dB at 15 s
+
+
+def test_the_first_second_at_which_any_run_reached_a_level():
+    rows = [row("auto", 30.0), row("auto", 30.0, effort="60"), row("auto", 20.0, "traffic")]
+    assert times_to(rows, "auto", 28.0) == [15.0, None]
+    assert times_to(rows, "none", 28.0) == []
+
+
+def test_a_table_says_how_far_it_is():
+    text = measured_table(TABLE, PROTOCOL, ROWS)
+    lines = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    ours, longer, theirs, _, omitted = lines[2:]
+    spread = "29.0 to 33.0, ± 1.00"
+    paper = "27.74 dB, SSIM 0.912, 1500 s |"
+    assert ours == ["| Ours", "30 s", "30.75", spread, "28.00", "0.900", "0.0500", "0.970", "30.0", "4 of 4", paper]
+    assert longer[1:4] == ["60 s", "35.00", ""]
+    assert longer[9] == "1 of 2"
+    assert theirs[3] == "25.0 to 27.0"
+    assert omitted[9:] == ["omitted", "25.76 dB, SSIM 0.898 |"]
+    assert "Partial: 2 runs are missing" in text
+    assert "missing" in measured_table(TABLE, PROTOCOL, [])
+
+
+def test_results_of_other_code_are_counted_as_such():
+    text = measured_table(TABLE, PROTOCOL, [*ROWS[:3], ROWS[3] | {"kept": True}])
+    assert "4 of 4, 1 of other code" in text
+
+
+def other(summary):
+    return {"summary": summary, "device": {"processor": "B chip", "threads": 4}, "revision": "def", "rows": []}
+
+
+def test_all_tables_stand_in_one_file(tmp_path):
+    poses = other({"natural.rotation_deg": 0.0097, "natural.translation_percent": 0.0108, "natural.seconds": 4.92})
+    write_tables(tmp_path / "paper.md", document().to_json(), PROTOCOL, {"images": None, "poses": poses})
+    text = (tmp_path / "paper.md").read_text()
+    assert "**Missing: run `spike4dgs bench images` with the same `--out`.**" in text
+    assert "| natural calibration (ours) | 0.010 deg, 0.011 %, 4.92 s | - |" in text
+    assert "| TFI + DUSt3R | omitted: no DUSt3R checkpoint" in text
+    assert "| MSDI alone | omitted: not in the document | 0.94 deg, 2.1 %, 9 s |" in text
+    assert "A chip, 2 threads" in text
+    assert "| auto | 15.0 (2 of 4) | " not in text  # all four recordings come to 25 dB
+    assert "| tfi+4dgs | 30.0 | 30.0 (1 of 2)" not in text
+    assert "## Omissions\n\n- something: for a reason" in text
+
+
+def test_the_error_behind_a_psnr():
+    assert relative_error([20.0, 40.0]) == pytest.approx([0.1, 0.01])
+
+
+def test_a_curve_is_that_of_the_longest_runs():
+    seconds, errors = curves(ROWS, "tfi+4dgs", "psnr_db")
+    assert seconds.tolist() == [15, 30, 60]
+    np.testing.assert_allclose(errors, relative_error([[22.0, 26.0, 28.0]]))
+    assert curves(ROWS, "none", "psnr_db") is None
+    assert curves([row("auto", 30.0) | {"curve": [{"seconds": 1.0, "psnr_db": 30.0}]}], "auto", "abs_rel") is None
+
+
+def test_a_picture_for_each_question_that_has_an_answer(tmp_path, monkeypatch):
+    monkeypatch.setattr(axes, "DPI", 40)
+    swept = [row(name, 28.0) for name in ("auto.views3", "auto.drop1000", "auto.reintegrate1000", "auto.gaussians6000")]
+    image = {"part": "scenes", "light": 1.0, "rate_by": "full", "psnr_db": 30.0, "seconds": 0.01}
+    pose = {"views": 9, "rotation_deg": 0.1, "abs_rel": 0.1, "points_abs_rel": 0.1, "seconds": 3.0, "nominal": 2.0}
+    about = {"method": "tfi", "scene": "fan", "seed": 101}
+    others = {"images": other({}) | {"rows": [about | image]}, "poses": other({}) | {"rows": [about | pose]}}
+    found = write_diagrams(tmp_path, document([*ROWS, *swept]).to_json(), others)
+    names = {path.stem.removeprefix("paper-") for path in found}
+    assert names == {
+        *("novel-view", "depth", "time-to", "stages", "gaussians", "views", "rates", "images", "poses", "points"),
+    }
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in found)
+    assert write_diagrams(tmp_path / "none", document([]).to_json(), {}) == []
