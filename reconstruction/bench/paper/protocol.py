@@ -128,28 +128,32 @@ GAUSSIANS = Table(
     "The cap; the paper has no such table.",
     (Row("Ours, 24000", m.AUTO), *(Row(f"Ours, {cap}", m.capped(m.AUTO, cap)) for cap in m.CAPS)),
 )
+LEADERS = (*(m.TFI[model].name for model in ("stg", "4dgs", "d3dgs")), m.SPIKES["dy-spikegs"].name)
+FIRST, THIRD = EVALUATION[:1], EVALUATION[2:3]
 PROTOCOL = Protocol(
     (NOVEL_VIEW, LOSSES, REFERENCES, DEPTH, MODULES, OUTDOORS, RATES, VIEWS, GAUSSIANS),
     (
-        Batch("novel-view", EVALUATION, (LONG,), (m.AUTO.name, m.TFI["4dgs"].name)),
-        Batch("novel-view", EVALUATION, (SHORTEST, SHORT), (m.AUTO.name, m.TFI["4dgs"].name)),
-        Batch("references", EVALUATION, (LONG,), (m.CLEAN.name, m.GIVEN["clean"].name)),
-        Batch("novel-view", EVALUATION, (LONG,), tuple(row.method.name for row in NOVEL_VIEW.rows[1:6] if row.method)),
-        Batch("losses", EVALUATION[:2], (SHORT,)),
-        Batch("novel-view", EVALUATION, (LONG,), (m.FOUND.name,)),
-        Batch("depth", EVALUATION[:2], (LONG,)),
-        Batch("views", EVALUATION[2:3], (SHORT,)),
-        Batch("rates", EVALUATION[:1], (SHORT,)),
-        Batch("gaussians", EVALUATION[:1], (SHORT,)),
-        Batch("references", EVALUATION[:2], (LONG,), (m.BLURRED.name, m.GIVEN["blurred"].name)),
+        Batch("novel-view", EVALUATION, (LONG,), (m.AUTO.name, *LEADERS)),
+        Batch("novel-view", EVALUATION, (SHORTEST, SHORT), (m.AUTO.name,)),
+        Batch("references", EVALUATION, (LONG,), (m.CLEAN.name,)),
+        Batch("losses", FIRST, (SHORT,)),
+        Batch("depth", FIRST, (LONG,)),
+        Batch("novel-view", FIRST, (LONG,), (m.FOUND.name, m.SPIKES["spikegs"].name, *m.FIELDS)),
+        Batch("references", FIRST, (LONG,)),
+        Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs"].name)),
+        Batch("views", THIRD, (SHORT,), tuple(row.method.name for row in VIEWS.rows[:12:2] if row.method)),
+        Batch("rates", FIRST, (SHORT,)),
+        Batch("gaussians", FIRST, (SHORT,)),
         Batch("outdoors", ("outdoor",), (SHORT,)),
-        Batch("novel-view", EVALUATION[:2], (LONG,), m.FIELDS),
-        Batch(
-            "novel-view", EVALUATION[:1], (LONG,), tuple(row.method.name for row in NOVEL_VIEW.rows[7:-2] if row.method)
-        ),
-        Batch("modules", EVALUATION[:1], (LONG,)),
-        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name, m.TFI["4dgs"].name), seeds=(1, 2)),
-        Batch("novel-view", EVALUATION, (LONGEST,), (m.AUTO.name, m.TFI["4dgs"].name)),
+        Batch("novel-view", FIRST, (LONG,)),
+        Batch("modules", FIRST, (LONG,)),
+        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name, *LEADERS), seeds=(1, 2)),
+        Batch("novel-view", EVALUATION, (SHORTEST, SHORT, LONG, LONGEST)),
+        Batch("losses", EVALUATION, (SHORT,)),
+        Batch("depth", EVALUATION, (LONG,)),
+        Batch("references", EVALUATION, (LONG,)),
+        Batch("views", THIRD, (SHORT,)),
+        Batch("modules", EVALUATION, (LONG,)),
     ),
 )
 
