@@ -1,7 +1,7 @@
 """EVIDENCE.md and its figures, made again from the committed documents: `make evidence`.
 
 A section that links `tests/benchmarks/NAME.json` has lines of figures, each a name of that document's summary, and
-blocks between `<!-- begin NAME TABLE -->` and `<!-- end -->`. Both are filled in place; the sentences around them are
+blocks between `<!-- begin NAME BLOCK -->` and `<!-- end -->`. Both are filled in place; the sentences around them are
 written by people. Pictures of runs (sheets, videos) need the runs and are made by the benches themselves.
 """
 
@@ -15,6 +15,11 @@ from pathlib import Path
 import click
 
 from acquisition.durable import write_durably
+from reconstruction.bench.evidence_tables import table
+from reconstruction.bench.paper.diagrams import write_diagrams
+from reconstruction.bench.paper.others import open_others
+from reconstruction.bench.paper.protocol import PROTOCOL
+from reconstruction.bench.paper.tables import write_tables
 from reconstruction.bench.plot import plot_training
 from reconstruction.bench.plot_images import plot_images
 from reconstruction.bench.plot_leave_out import plot_leave_out
@@ -45,6 +50,7 @@ def figures_filled(text: str, documents: Mapping[str, dict]) -> str:
 
 
 def _section_filled(section: str, documents: Mapping[str, dict]) -> str:
+    """Figures from the first document the section links, blocks from the one each names."""
     linked = next((name for name in LINK.findall(section) if name in documents), None)
     summary = documents[linked]["summary"] if linked else {}
 
@@ -54,7 +60,10 @@ def _section_filled(section: str, documents: Mapping[str, dict]) -> str:
             raise BadRunError(f"EVIDENCE.md: found the figure {name}, expected a name of the summary of {linked}.json")
         return f"| `{name}` | {summary[name]:.{digits}f} |"
 
-    return FIGURE.sub(figure, section)
+    def block(found: re.Match[str]) -> str:
+        return f"{found[1]}{table(documents, found[2], found[3])}\n{found[4]}"
+
+    return BLOCK.sub(block, FIGURE.sub(figure, section))
 
 
 def read_documents(folder: Path) -> dict[str, dict]:
@@ -76,6 +85,10 @@ def main(folder: Path, text: Path) -> None:
     for name, plot in PLOTS.items():
         if name in documents:
             plot(folder / f"{name}.png", documents[name])
+    if "paper" in documents:
+        others = open_others(folder)
+        write_tables(folder / "paper.md", documents["paper"], PROTOCOL, others)
+        write_diagrams(folder, documents["paper"], others)
     weights = Path("reconstruction") / "images" / "learned" / "weights"
     plot_learned([weights / name for name in IMAGE_NETWORKS], folder / "learned.png")
     plot_msdi([Path("reconstruction") / "initialization" / "msdi" / "weights" / "small.json"], folder / "msdi.png")

@@ -52,10 +52,10 @@ HOW = {  # of every figure: its form, with the unit
 def write_tables(path: Path, document: dict, protocol: Protocol, others: Mapping[str, dict | None]) -> None:
     """Write `paper.md`: the measured tables, those of the image and pose benches (`others`), time, and omissions."""
     parts = [_head(document)]
-    parts += [_other("images", "Spikes to images", others.get("images"), IMAGE_ROWS)]
-    parts += [_other("poses", "Poses", others.get("poses"), POSE_ROWS)]
+    parts += [other_table("images", "Spikes to images", others.get("images"), IMAGE_ROWS)]
+    parts += [other_table("poses", "Poses", others.get("poses"), POSE_ROWS)]
     parts += [measured_table(table, protocol, document["rows"]) for table in protocol.tables]
-    parts += [_time(document["rows"])]
+    parts += [time_table(document["rows"])]
     parts += ["## Omissions\n\n" + "\n".join(f"- {line}" for line in document["omissions"])]
     write_durably(path, ("\n\n".join(parts) + "\n").encode())
 
@@ -132,7 +132,7 @@ def _head(document: dict) -> str:
     )
 
 
-def _other(name: str, title: str, document: dict | None, rows: Sequence[OtherRow]) -> str:
+def other_table(name: str, title: str, document: dict | None, rows: Sequence[OtherRow]) -> str:
     """A table out of the document of another bench."""
     about = f"As `bench {name}` measured it into `{name}.json` of the same folder; not measured again."
     if document is None:
@@ -153,7 +153,7 @@ def _fine(ours: Mapping[str, float]) -> str:
     return ", ".join((HOW | digits)[metric].format(value) for metric, value in ours.items())
 
 
-def _time(rows: Sequence[dict]) -> str:
+def time_table(rows: Sequence[dict]) -> str:
     """Seconds to levels, and of each stage, of the methods with true poses."""
     lines = []
     for method in (m.AUTO, *m.TFI.values(), *m.SPIKES.values()):

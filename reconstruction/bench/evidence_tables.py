@@ -1,0 +1,131 @@
+"""The tables that EVIDENCE.md takes from whole documents, as Markdown: by document, then by the name of a block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS
+from reconstruction.bench.paper.protocol import PROTOCOL
+from reconstruction.bench.paper.tables import markdown, measured_table, other_table, time_table
+from reconstruction.errors import BadRunError
+
+Documents = Mapping[str, dict]
+
+
+def table(documents: Documents, name: str, block: str) -> str:
+    """The block of the document `name`; raises BadRunError where there is no such block."""
+    makers = TABLES.get(name, {})
+    if block not in makers:
+        raise BadRunError(f"EVIDENCE.md: found the block {name} {block}, expected one of {', '.join(makers) or 'none'}")
+    return makers[block](documents)
+
+
+def _measured(block: str) -> Callable[[Documents], str]:
+    found = next(t for t in PROTOCOL.tables if t.name == block)
+    return lambda documents: _body(measured_table(found, PROTOCOL, documents["paper"]["rows"]))
+
+
+def _body(section: str) -> str:
+    """A section without its heading: the document has its own."""
+    return section.partition("\n\n")[2]
+
+
+def _omissions(documents: Documents) -> str:
+    return "\n".join(f"- {line}" for line in documents["paper"]["omissions"])
+
+
+def _viewpoints(documents: Documents) -> str:
+    """Means over the scenes at each place, and the worst of them."""
+    rows = documents["viewpoints"]["rows"]
+    lines = []
+    for line, along_m in dict.fromkeys((r["line"], r["along_m"]) for r in rows):
+        own = [r for r in rows if (r["line"], r["along_m"]) == (line, along_m)]
+        level, *figures = [_mean(own, score, form) for score, form in VIEWPOINT_SCORES]
+        worst = f"{min(r['psnr_db'] for r in own):.1f}"
+        lines.append([line, f"{along_m:+.2f}", f"{own[0]['distance_m']:.2f}", level, worst, *figures])
+    columns = ("line", "along / m", "nearest camera / m", "PSNR / dB", "worst / dB", "movers / dB", "Abs Rel", "empty")
+    return markdown(columns, lines)
+
+
+VIEWPOINT_SCORES]
+        lines.append([line, f"{along_m:+.2f}", f"{own[0]['distance_m']:.2f}", *figures])
+    columns = (
+        "line",
+        "along / m",
+        "nearest camera / m",
+        "PSNR / dB",
+        "worst scene / dB",
+        "movers / dB",
+        "Abs Rel",
+        "empty",
+    )
+    for row in lines:
+        own = [r["psnr_db"] for r in rows if r["line"] == row[0] and f"{r['along_m']:+.2f}" == row[1]]
+        row.insert(4, f"{min(own):.1f}")
+    return markdown(columns, lines)
+
+
+VIEWPOINT_SCORES = (("psnr_db", ".1f"), ("dynamic_psnr_db", ".1f"), ("abs_rel", ".4f"), ("empty", ".3f"))
+
+
+def _mean(rows: Sequence[dict], score: str, form: str) -> str:
+    found = [row[score] for row in rows if score in row]
+    return format(float(np.mean(found)), form) if found else ""
+
+
+def _cases(documents: Documents) -> str:
+    """Each case on how many backends, its worst errors, and whether any failed."""
+    rows = documents["stability"]["rows"]
+    lines = []
+    for case in dict.fromkeys(row["case"] for row in rows):
+        own = [row for row in rows if row["case"] == case]
+        worst = [max((r[k] for r in own if r.get(k) is not None), default=None) for k in ("error", "gradient")]
+        errors = ["-" if w is None else f"{w:.1e}" for w in worst]
+        failed = [r["backend"] for r in own if r["verdict"] == "fail"]
+        lines.append(
+            [case, own[0]["expected"], str(len(own)), *errors, f"fail: {', '.join(failed)}" if failed else "pass"]
+        )
+    return markdown(("case", "expected", "rows", "worst error", "worst gradient", "verdict"), lines)
+
+
+def _left_out(documents: Documents) -> str:
+    """Each case, and each decision of it, at equal steps: what the plan saves and what it costs."""
+    summary = documents["leave-out"]["summary"]
+    keys = [key.removesuffix(".saved_s") for key in summary if key.endswith(".saved_s")]
+    lines = []
+    for key in keys:
+        values = [summary.get(f"{key}.{name}") for name in ("saved_s", "claimed_s", "saved_mb", "claimed_mb")]
+        costs = [summary.get(f"{key}.{name}") for name in ("cost_db", "dynamic_cost_db")]
+        case, _, decision = key.partition(".")
+        figures = [
+            *("" if v is None else f"{v:.1f}" for v in values),
+            *("" if c is None else f"{c:+.2f}" for c in costs),
+        ]
+        lines.append([case, decision or "everything on", *figures])
+    columns = (
+        "case",
+        "against",
+        "saves / s",
+        "claims / s",
+        "saves / MB",
+        "claims / MB",
+        "costs / dB",
+        "on movers / dB",
+    )
+    return markdown(columns, lines)
+
+
+TABLES: Mapping[str, Mapping[str, Callable[[Documents], str]]] = {
+    "paper": {
+        **{t.name: _measured(t.name) for t in PROTOCOL.tables},
+        "time": lambda documents: _body(time_table(documents["paper"]["rows"])),
+        "omissions": _omissions,
+    },
+    "images": {"paper": lambda documents: _body(other_table("images", "", documents["images"], IMAGE_ROWS))},
+    "poses": {"paper": lambda documents: _body(other_table("poses", "", documents["poses"], POSE_ROWS))},
+    "viewpoints": {"places": _viewpoints},
+    "stability": {"cases": _cases},
+    "leave-out": {"plans": _left_out},
+}
