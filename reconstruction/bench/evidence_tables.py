@@ -12,6 +12,15 @@ from reconstruction.bench.paper.tables import markdown, measured_table, other_ta
 from reconstruction.errors import BadRunError
 
 Documents = Mapping[str, dict]
+VIEWPOINT_SCORES = (("psnr_db", ".1f"), ("dynamic_psnr_db", ".1f"), ("abs_rel", ".4f"), ("empty", ".3f"))
+LEFT_OUT_SCORES = (
+    ("saved_s", ".1f"),
+    ("claimed_s", ".1f"),
+    ("saved_mb", ".0f"),
+    ("claimed_mb", ".1f"),
+    ("cost_db", "+.2f"),
+    ("dynamic_cost_db", "+.2f"),
+)
 
 
 def table(documents: Documents, name: str, block: str) -> str:
@@ -49,27 +58,6 @@ def _viewpoints(documents: Documents) -> str:
     return markdown(columns, lines)
 
 
-VIEWPOINT_SCORES]
-        lines.append([line, f"{along_m:+.2f}", f"{own[0]['distance_m']:.2f}", *figures])
-    columns = (
-        "line",
-        "along / m",
-        "nearest camera / m",
-        "PSNR / dB",
-        "worst scene / dB",
-        "movers / dB",
-        "Abs Rel",
-        "empty",
-    )
-    for row in lines:
-        own = [r["psnr_db"] for r in rows if r["line"] == row[0] and f"{r['along_m']:+.2f}" == row[1]]
-        row.insert(4, f"{min(own):.1f}")
-    return markdown(columns, lines)
-
-
-VIEWPOINT_SCORES = (("psnr_db", ".1f"), ("dynamic_psnr_db", ".1f"), ("abs_rel", ".4f"), ("empty", ".3f"))
-
-
 def _mean(rows: Sequence[dict], score: str, form: str) -> str:
     found = [row[score] for row in rows if score in row]
     return format(float(np.mean(found)), form) if found else ""
@@ -83,37 +71,21 @@ def _cases(documents: Documents) -> str:
         own = [row for row in rows if row["case"] == case]
         worst = [max((r[k] for r in own if r.get(k) is not None), default=None) for k in ("error", "gradient")]
         errors = ["-" if w is None else f"{w:.1e}" for w in worst]
-        failed = [r["backend"] for r in own if r["verdict"] == "fail"]
-        lines.append(
-            [case, own[0]["expected"], str(len(own)), *errors, f"fail: {', '.join(failed)}" if failed else "pass"]
-        )
+        failed = ", ".join(r["backend"] for r in own if r["verdict"] == "fail")
+        lines.append([case, own[0]["expected"], str(len(own)), *errors, f"fail: {failed}" if failed else "pass"])
     return markdown(("case", "expected", "rows", "worst error", "worst gradient", "verdict"), lines)
 
 
 def _left_out(documents: Documents) -> str:
     """Each case, and each decision of it, at equal steps: what the plan saves and what it costs."""
     summary = documents["leave-out"]["summary"]
-    keys = [key.removesuffix(".saved_s") for key in summary if key.endswith(".saved_s")]
     lines = []
-    for key in keys:
-        values = [summary.get(f"{key}.{name}") for name in ("saved_s", "claimed_s", "saved_mb", "claimed_mb")]
-        costs = [summary.get(f"{key}.{name}") for name in ("cost_db", "dynamic_cost_db")]
+    for key in (key.removesuffix(".saved_s") for key in summary if key.endswith(".saved_s")):
         case, _, decision = key.partition(".")
-        figures = [
-            *("" if v is None else f"{v:.1f}" for v in values),
-            *("" if c is None else f"{c:+.2f}" for c in costs),
-        ]
+        values = [(summary.get(f"{key}.{name}"), form) for name, form in LEFT_OUT_SCORES]
+        figures = ["" if value is None else format(value, form) for value, form in values]
         lines.append([case, decision or "everything on", *figures])
-    columns = (
-        "case",
-        "against",
-        "saves / s",
-        "claims / s",
-        "saves / MB",
-        "claims / MB",
-        "costs / dB",
-        "on movers / dB",
-    )
+    columns = ("case", "against", "saves / s", "claims / s", "saves / MB", "claims / MB", "costs / dB", "movers / dB")
     return markdown(columns, lines)
 
 
