@@ -132,7 +132,7 @@ def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
     view, still = seen(cloud(0.0)), cloud(0.0)
     still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), Motion.at_rest(torch.zeros(0), 1.0), CLIP)
     term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), norm, shortest=32, size_px=None), []
-    monkeypatch.setattr(supervision, "render", lambda *a: renders.append(a) or render(*a))
+    monkeypatch.setattr(supervision, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
     term(still, view, np.random.default_rng(0), 1)
     assert len(renders) == (1 if norm == "counts" else 4)
 
