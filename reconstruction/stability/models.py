@@ -12,10 +12,13 @@ import torch
 from torch import Tensor
 
 from acquisition.native import code_path, code_paths
+from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.field import DeformationField
+from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid
+from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
 from reconstruction.stability.probe import Apart, apart
 
 CLIP = Clip(0.0, 0.02)
@@ -31,7 +34,10 @@ def models() -> Mapping[str, Callable[..., DynamicCloud]]:
         "linear": partial(_free, cubic=False),
         "cubic": partial(_free, cubic=True),
         "bases": _rigid,
-        "4dgs": _field,
+        "4dgs": partial(_field, model=HexPlaneMotion),
+        "dy-spikegs": partial(_field, model=DeformationMotion),
+        "stg": _spacetime,
+        "d3dgs": _timesteps,
     }
 
 
@@ -61,12 +67,30 @@ def _rigid(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
     return _shaken(seed_rigid(Points.none(), _points(scale, count), CLIP, INSTANTS, bodies), scale)
 
 
-def _field(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
-    cloud = seed_field(Points.none(), _points(scale, count), CLIP, 0)
+def _field(scale: float = 1.0, count: int = POINTS, *, model: type[DeformationField]) -> DynamicCloud:
+    """Its last layer, which starts at zero, deforms."""
+    cloud = seed_field(Points.none(), _points(scale, count), CLIP, 0, model)
     generator = torch.Generator().manual_seed(1)
     for name, tensor in cloud.motion.tensors():
-        if name == "heads":
+        if name in ("heads", "exit"):
             tensor[:] = 0.1 * torch.randn(tensor.shape, generator=generator)
+    return cloud
+
+
+def _spacetime(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
+    cloud = _shaken(seed_spacetime(Points.none(), _points(scale, count), CLIP, INSTANTS), scale)
+    for name, tensor in cloud.motion.tensors():
+        if name == "turns":
+            tensor[:] = 1
+    return cloud
+
+
+def _timesteps(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
+    """As after a whole training, which moved it a little."""
+    cloud = seed_timesteps(Points.none(), _points(scale, count), CLIP)
+    for done in (0.5, 0.8, 1.0):
+        cloud.advance(done)
+        cloud.moving.means += 0.01 * scale
     return cloud
 
 

@@ -24,6 +24,7 @@ WITHIN_S = (0.0, 0.007, 0.02)
 BEYOND_S = (-1e30, -1e6, -0.1, 0.5, 1e6, 1e15)
 GONE = 1e-6  # opacity of what is not seen
 LIMITED = ("opacity_logits", "log_durations")  # infinity means always, or never
+UNSEEN = ("motion.weights", "motion.distances")  # of neighbours: the loss alone reads them
 BOUND = 20.0  # of the unit that lengths are made in
 
 
@@ -168,7 +169,7 @@ def _refused(name: str) -> Observation:
     """Of every tensor full of it; not of infinity where that has a meaning."""
     taken, tried = [], 0
     for key, tensor in models()[name]().tensors():
-        if not tensor.is_floating_point() or not tensor.numel():
+        if not tensor.is_floating_point() or not tensor.numel() or key.endswith(UNSEEN):
             continue
         for value in (math.nan,) if key.endswith(LIMITED) else (math.nan, math.inf):
             cloud = models()[name]()
@@ -180,9 +181,11 @@ def _refused(name: str) -> Observation:
 
 
 def _rendered(cloud: DynamicCloud, path: str) -> bool:
+    """At every instant: a timestep may be the only one that has what is wrong."""
     with code_path(path):
         try:
-            render(cloud.at(0.007), CAMERA)
+            for instant_s in WITHIN_S:
+                render(cloud.at(instant_s), CAMERA)
         except ReconstructionError:
             return False
     return True
