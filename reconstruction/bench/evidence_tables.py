@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS
-from reconstruction.bench.paper.protocol import PROTOCOL
+from reconstruction.bench.paper.protocol import PROTOCOL, STRESSES
+from reconstruction.bench.paper.summary import name_of
 from reconstruction.bench.paper.tables import markdown, measured_table, other_table, time_table
 from reconstruction.errors import BadRunError
 
@@ -39,6 +40,17 @@ def _measured(block: str) -> Callable[[Documents], str]:
 def _body(section: str) -> str:
     """A section without its heading: the document has its own."""
     return section.partition("\n\n")[2]
+
+
+def _scenes(documents: Documents) -> str:
+    """Every scene of the table `stress` by itself."""
+    (row,) = STRESSES.rows
+    names = {cell.name for cell in PROTOCOL.wanted(STRESSES, row)}
+    scores = (("psnr_db", ".2f"), ("dynamic_psnr_db", ".2f"), ("ssim", ".3f"), ("abs_rel", ".4f"), ("seconds", ".1f"))
+    own = [found for found in documents["paper"]["rows"] if name_of(found) in names]
+    lines = [[found["scene"], found["model"], *(_mean([found], *score) for score in scores)] for found in own]
+    columns = ("scene", "model chosen", "PSNR / dB", "movers / dB", "SSIM", "Abs Rel", "seconds")
+    return markdown(columns, lines)
 
 
 def _omissions(documents: Documents) -> str:
@@ -93,6 +105,7 @@ TABLES: Mapping[str, Mapping[str, Callable[[Documents], str]]] = {
     "paper": {
         **{t.name: _measured(t.name) for t in PROTOCOL.tables},
         "time": lambda documents: _body(time_table(documents["paper"]["rows"])),
+        "scenes": _scenes,
         "omissions": _omissions,
     },
     "images": {"paper": lambda documents: _body(other_table("images", "", documents["images"], IMAGE_ROWS))},

@@ -64,7 +64,7 @@ def test_what_matters_most_comes_first_on_every_evaluation_scene():
     first = PROTOCOL.cells()[: len(EVALUATION)]
     assert [(c.method.name, c.scene, c.effort.label) for c in first] == [("auto", s, "60") for s in EVALUATION]
     tables = list(dict.fromkeys(batch.table for batch in PROTOCOL.batches))
-    assert tables[:3] == ["novel-view", "losses", "depth"]
+    assert tables[:4] == ["novel-view", "references", "losses", "depth"]
     seeds = {c.seed for c in PROTOCOL.cells() if c.method.name == "auto" and c.effort == Effort(30.0)}
     assert seeds == set(EVALUATION_SEEDS)
 
