@@ -66,10 +66,14 @@ def measured_table(table: Table, protocol: Protocol, rows: Sequence[dict]) -> st
     for row in table.rows:
         cells = protocol.wanted(table, row)
         efforts = sorted({cell.effort for cell in cells}, key=lambda e: (e.budget_s or 0, e.steps or 0))
+        some = bool(_of(cells, rows))
         for effort in efforts:
             wanted = [cell for cell in cells if cell.effort == effort]
-            lines.append(_line(table, row, wanted, rows))
-            missing += len(wanted) - len(_of(wanted, rows))
+            found = _of(wanted, rows)
+            missing += len(wanted) - len(found)
+            if found or not some:
+                lines.append(_line(table, row, wanted, rows))
+                some = True
         if not efforts:
             lines.append([row.label, *[""] * 8, "omitted", _paper(table, row)])
     said = f"{table.about} Spread: lowest to highest of the recordings; ± the deviation over seeds of one scene."
