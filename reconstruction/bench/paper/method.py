@@ -154,6 +154,11 @@ class Protocol:
             raise BadRunError(f"found the scenes {', '.join(scenes)}, expected some of {', '.join(SCENES)}")
         return Protocol(self.tables, tuple(replace(b, scenes=scenes) for b in self.batches))
 
+    @property
+    def hours(self) -> float:
+        """What all cells with a budget take, scoring and simulation left out."""
+        return sum(cell.effort.budget_s or 0.0 for cell in self.cells()) / 3600
+
     def wanted(self, table: Table, row: Row) -> list[Cell]:
         """The cells that a row of a table is the mean of, at every effort."""
         batches = [b for b in self.batches if b.table == table.name]
