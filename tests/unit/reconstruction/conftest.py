@@ -11,6 +11,7 @@ from reconstruction.gaussians import hexplane
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.field import DeformationField
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import RigidMotion
@@ -113,3 +114,30 @@ def one_scene():
     return Scene(
         DynamicCloud(one, none, motion_of("linear", none), CLIP), row_of_cameras(), WHITE, "static", None, dict
     )
+
+
+@pytest.fixture
+def cloud_of():
+    """N Gaussians with numbers everywhere."""
+
+    def make(n: int) -> GaussianCloud:
+        generator = torch.Generator().manual_seed(n)
+        draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
+        return GaussianCloud(draw(n, 3), draw(n, 4), draw(n, 3), draw(n), draw(n, 1))
+
+    return make
+
+
+@pytest.fixture
+def field_of():
+    """A field over a cloud that deforms nothing yet, or, `trained`, one with numbers everywhere."""
+
+    def make(model: type[DeformationField], cloud: GaussianCloud, *, trained: bool = True) -> DeformationField:
+        generator = torch.Generator().manual_seed(7)
+        motion = model.around(cloud.means, 0.1, generator)
+        for name, tensor in motion.tensors():
+            if trained and name != "box":
+                tensor.copy_(tensor + 0.3 * torch.randn(tensor.shape, generator=generator))
+        return motion
+
+    return make

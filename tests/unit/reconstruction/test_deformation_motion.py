@@ -8,6 +8,7 @@ import torch
 from reconstruction.gaussians import deformation
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion, encoded
+from reconstruction.gaussians.hexplane import HexPlaneMotion
 
 
 @pytest.fixture(autouse=True)
@@ -15,26 +16,10 @@ def _small(monkeypatch):
     monkeypatch.setattr(deformation, "WIDTH", 6)
 
 
-def cloud_of(n: int) -> GaussianCloud:
-    generator = torch.Generator().manual_seed(n)
-    draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
-    return GaussianCloud(draw(n, 3), draw(n, 4), draw(n, 3), draw(n), draw(n, 1))
-
-
-def field(cloud: GaussianCloud, trained: bool = True) -> DeformationMotion:
-    """A small network; `trained` has numbers everywhere."""
-    generator = torch.Generator().manual_seed(7)
-    motion = DeformationMotion.around(cloud.means, 0.1, generator)
-    if trained:
-        for name, tensor in motion.tensors():
-            if name != "box":
-                tensor.copy_(tensor + 0.3 * torch.randn(tensor.shape, generator=generator))
-    return motion
-
-
-def test_it_starts_as_no_deformation():
+@pytest.mark.parametrize("model", [DeformationMotion, HexPlaneMotion])
+def test_it_starts_as_no_deformation(model, cloud_of, field_of):
     cloud = cloud_of(9)
-    motion = field(cloud, trained=False)
+    motion = field_of(model, cloud, trained=False)
     for u in (0.0, 0.4, 1.0):
         now = motion.at(cloud, u)
         assert torch.equal(now.means, cloud.means)
@@ -48,10 +33,10 @@ def test_the_encoding_is_the_value_and_its_waves():
     torch.testing.assert_close(row, torch.tensor([0.3, *waves]))
 
 
-def test_it_is_a_network_with_the_input_given_again_half_way():
+def test_it_is_a_network_with_the_input_given_again_half_way(cloud_of, field_of):
     """In plain loops over points and layers, in float64."""
     cloud = cloud_of(4)
-    motion = DeformationMotion(**{name: t.double() for name, t in field(cloud).tensors()})
+    motion = DeformationMotion(**{name: t.double() for name, t in field_of(DeformationMotion, cloud).tensors()})
     places, u = torch.rand(4, 3, dtype=torch.float64) * 2 - 1, 0.37
     offsets = torch.cat(motion.offsets(places, u), dim=1)
     for point in range(4):
@@ -67,9 +52,9 @@ def test_it_is_a_network_with_the_input_given_again_half_way():
         torch.testing.assert_close(offsets[point], motion.exit @ torch.cat([values, x.new_ones(1)]))
 
 
-def test_gradients_agree_with_numerical_ones():
+def test_gradients_agree_with_numerical_ones(cloud_of, field_of):
     cloud = cloud_of(3).to(torch.float64)
-    motion = DeformationMotion(**{name: t.double() for name, t in field(cloud_of(3)).tensors()})
+    motion = DeformationMotion(**{name: t.double() for name, t in field_of(DeformationMotion, cloud_of(3)).tensors()})
     leaves = [t.requires_grad_() for name, t in (*list(vars(cloud).items())[1:], *motion.tensors()) if name != "box"]
 
     def outputs(*tensors):
@@ -79,9 +64,9 @@ def test_gradients_agree_with_numerical_ones():
     assert torch.autograd.gradcheck(outputs, leaves, fast_mode=True)
 
 
-def test_means_are_moved_but_not_taught_through_the_encoding():
+def test_means_are_moved_but_not_taught_through_the_encoding(cloud_of, field_of):
     cloud = cloud_of(5)
-    motion = field(cloud)
+    motion = field_of(DeformationMotion, cloud)
     cloud.means.requires_grad_()
     motion.at(cloud, 0.4).means.sum().backward()
     assert torch.equal(cloud.means.grad, torch.ones(5, 3))

@@ -16,46 +16,19 @@ def _small(monkeypatch):
     monkeypatch.setattr(hexplane, "WIDTH", 6)
 
 
-def cloud_of(n: int) -> GaussianCloud:
-    generator = torch.Generator().manual_seed(n)
-    draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
-    return GaussianCloud(draw(n, 3), draw(n, 4), draw(n, 3), draw(n), draw(n, 1))
-
-
-def field(cloud: GaussianCloud, trained: bool = True) -> HexPlaneMotion:
-    """A small field; `trained` has numbers everywhere."""
-    generator = torch.Generator().manual_seed(7)
-    motion = HexPlaneMotion.around(cloud.means, 0.1, generator)
-    if trained:
-        for name, tensor in motion.tensors():
-            if name != "box":
-                tensor.copy_(tensor + 0.3 * torch.randn(tensor.shape, generator=generator))
-    return motion
-
-
-def test_it_starts_as_no_deformation():
+def test_a_trained_one_deforms_with_time_and_leaves_opacity_and_light(cloud_of, field_of):
     cloud = cloud_of(9)
-    motion = field(cloud, trained=False)
-    for u in (0.0, 0.4, 1.0):
-        now = motion.at(cloud, u)
-        assert torch.equal(now.means, cloud.means)
-        assert torch.equal(now.quats_wxyz, cloud.quats_wxyz)
-        assert torch.equal(now.log_scales, cloud.log_scales)
-
-
-def test_a_trained_one_deforms_with_time_and_leaves_opacity_and_light():
-    cloud = cloud_of(9)
-    motion = field(cloud)
+    motion = field_of(HexPlaneMotion, cloud)
     first, last = motion.at(cloud, 0.1), motion.at(cloud, 0.9)
     assert float((first.means - last.means).abs().amin()) > 1e-4
     assert torch.equal(first.opacities, cloud.opacity_logits.sigmoid())
     assert torch.equal(last.intensities, cloud.intensities)
 
 
-def test_samples_are_the_product_of_six_bilinear_ones():
+def test_samples_are_the_product_of_six_bilinear_ones(cloud_of, field_of):
     """Against a loop that follows equation 5 of the paper: f = product over planes of interp(R_ij)."""
     cloud = cloud_of(5)
-    motion = field(cloud)
+    motion = field_of(HexPlaneMotion, cloud)
     places, u = torch.rand(5, 3) * 2 - 1, 0.37
 
     def interp(plane, column, row):  # [F, rows, columns], both in -1 to 1
@@ -79,9 +52,9 @@ def test_samples_are_the_product_of_six_bilinear_ones():
         torch.testing.assert_close(motion.offsets(places, u)[0][point], shift, atol=1e-5, rtol=1e-5)
 
 
-def test_gradients_agree_with_numerical_ones():
+def test_gradients_agree_with_numerical_ones(cloud_of, field_of):
     cloud = cloud_of(3).to(torch.float64)
-    motion = HexPlaneMotion(**{name: t.double() for name, t in field(cloud_of(3)).tensors()})
+    motion = HexPlaneMotion(**{name: t.double() for name, t in field_of(HexPlaneMotion, cloud_of(3)).tensors()})
     learnt = [t.requires_grad_() for name, t in (*vars(cloud).items(), *motion.tensors()) if name != "box"]
 
     def outputs(*tensors):
@@ -91,8 +64,8 @@ def test_gradients_agree_with_numerical_ones():
     assert torch.autograd.gradcheck(outputs, learnt, fast_mode=True)
 
 
-def test_the_penalty_is_that_of_steps_between_cells_and_nought_for_even_planes():
-    motion = field(cloud_of(4), trained=False)
+def test_the_penalty_is_that_of_steps_between_cells_and_nought_for_even_planes(cloud_of, field_of):
+    motion = field_of(HexPlaneMotion, cloud_of(4), trained=False)
     motion.coarse_space.fill_(0.3)
     motion.fine_space.fill_(0.2)
     assert float(motion.penalty(cloud_of(4))) == 0
@@ -103,10 +76,10 @@ def test_the_penalty_is_that_of_steps_between_cells_and_nought_for_even_planes()
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_one_point_or_two_in_one_place_have_a_field(n):
+def test_one_point_or_two_in_one_place_have_a_field(n, cloud_of, field_of):
     cloud = cloud_of(1)
     cloud = GaussianCloud(*(t.repeat(n, *[1] * (t.ndim - 1)) for t in vars(cloud).values()))
-    motion = field(cloud)
+    motion = field_of(HexPlaneMotion, cloud)
     low, high = motion.box
     assert float((high - low).amin()) >= 0.2
     assert all(torch.isfinite(t).all() for t in motion.at(cloud, 0.5))
