@@ -14,7 +14,7 @@ from rigs.rig import Rig
 from rigs.similarity import align
 
 if TYPE_CHECKING:
-    from reconstruction.bench.poses import PoseClip
+    from reconstruction.bench.pose_clip import PoseClip
 
 CLOSE = 0.01  # of the true depth
 MOST_POINTS = 20000  # of a method's own that are scored

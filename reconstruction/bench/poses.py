@@ -11,24 +11,20 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
 from acquisition.progress import Progress
-from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from acquisition.scenes.misplaced import misplaced
+from reconstruction.bench.pose_clip import PoseClip
 from reconstruction.bench.pose_methods import BOARD, DATE, METHODS, PoseMethod
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
-from reconstruction.calibration.features import long_image
 from reconstruction.calibration.natural import NaturalOptions, gather, solve
 from reconstruction.errors import ReconstructionError
-from reconstruction.evaluation.truth import Truth
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
@@ -42,38 +38,6 @@ TRIALS, TRIAL_TURNS_DEG = 20, (2.0, 4.0)
 SWEPT = ("natural", "msdi", "msdi+ba")  # over nominal errors and views
 SWEPT_CLIPS = 2  # the first so many
 SCORES = ("rotation_deg", "translation_percent", "focal_percent", "seconds", "abs_rel", "complete", "points_abs_rel")
-
-
-@dataclass(frozen=True)
-class PoseClip:
-    """A simulated recording and its truth."""
-
-    scene: str
-    seed: int
-    path: Path
-
-    @cached_property
-    def recording(self) -> Recording:
-        """The recording."""
-        return Recording.open(self.path)
-
-    @cached_property
-    def truth(self) -> Truth:
-        """Its truth."""
-        assert self.recording.truth is not None
-        return Truth.open(self.recording.truth)
-
-    @cached_property
-    def rig(self) -> Rig:
-        """The cameras as they truly stand."""
-        found = self.truth.cameras(self.recording.tick_rate_hz)
-        assert found is not None
-        return found.only(self.recording.camera_ids)
-
-    @cached_property
-    def long_images(self) -> dict[str, NDArray[np.float32]]:
-        """The long-window image of every camera, for scoring."""
-        return {c: long_image(self.recording.stream(c)) for c in self.recording.camera_ids}
 
 
 def bench_poses(

@@ -91,8 +91,9 @@ class Poses(Bench):
     """Where the cameras stand."""
 
     def run(self) -> BenchDocument:
+        from reconstruction.bench.pose_clip import PoseClip
         from reconstruction.bench.pose_methods import BOARD_SCENE, BOARD_TICKS
-        from reconstruction.bench.poses import PoseClip, bench_poses
+        from reconstruction.bench.poses import bench_poses
 
         work, quick = self.asked.work, self.asked.quick
         clips = [PoseClip(*found) for found in recorded(self.asked.named(EVALUATION), work)]

@@ -12,8 +12,9 @@ from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
+from reconstruction.bench.pose_clip import PoseClip
 from reconstruction.bench.pose_methods import METHODS
-from reconstruction.bench.poses import PoseClip, bench_poses, measured
+from reconstruction.bench.poses import bench_poses, measured
 from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.evaluation.evaluate import held_out_camera
 from reconstruction.evaluation.truth import Truth
