@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.bench.pose_clip import PoseClip
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.sweep import SweepOptions, depth_range_m
 from reconstruction.pipeline.stages import swept_maps
 from rigs.rig import Rig
 from rigs.similarity import align
-
-if TYPE_CHECKING:
-    from reconstruction.bench.pose_clip import PoseClip
 
 CLOSE = 0.01  # of the true depth
 MOST_POINTS = 20000  # of a method's own that are scored
