@@ -1,8 +1,8 @@
-"""The named numbers of the bench: means over recordings, margins over the rivals, and whether any is ever ahead."""
+"""The named numbers of the bench: means over recordings, margins over the rivals, and whether any is ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from reconstruction.bench.paper.method import Protocol
 AVERAGED = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25", "seconds", "steps_per_s")
 MARGINS = {"tfi+4dgs": 1, "dy-spikegs": 1, "clean": -1}  # ours less theirs; for the bound, theirs less ours
 RIVALS = (*(method.name for method in (*m.TFI.values(), *m.SPIKES.values())),)  # with the same poses, from spikes
+LEAD_S = 15.0  # from when on ours is to lead
 TARGETS_DB = (25, 27, 28, 30)
 
 
@@ -55,29 +56,33 @@ def margins(rows: Sequence[dict], rival: str, effort: str) -> list[float]:
 
 
 def leads(rows: Sequence[dict]) -> dict[str, float]:
-    """`leads.points` of all rivals' curves, and at how many of them ours is behind: 0 where it leads at every time.
+    """How many points the rivals' curves have from LEAD_S on, and at how many of them ours is behind, by metric.
 
-    `leads.before_first` are those of them before ours has anything to show; the others are above all it has shown.
+    Zero where ours leads at every time. Ours is the best it has shown by then, in any of its runs of that recording.
     """
-    ahead = points = early = 0
+    found: dict[str, float] = {}
+    for metric, better in (("psnr_db", max), ("abs_rel", min)):
+        pairs = [(level, better(shown)) for level, shown in _held(rows, metric)]
+        if pairs:
+            found[f"leads.{metric}.points"] = len(pairs)
+            found[f"leads.{metric}.behind"] = sum(better(level, ours) != ours for level, ours in pairs)
+    return found
+
+
+def _held(rows: Sequence[dict], metric: str) -> Iterator[tuple[float, list[float]]]:
+    """Every point of a rival from LEAD_S on, and all that ours has shown of the same recording by then."""
     for recording in dict.fromkeys((r["scene"], r["seed"]) for r in rows):
         here = [r for r in rows if (r["scene"], r["seed"]) == recording]
-        ours = curve(r for r in here if r["method"] == m.AUTO.name)
-        if not ours:
-            continue
-        for t, level in (p for r in here if r["method"] in RIVALS for p in curve([r])):
-            points += 1
-            shown = [y for x, y in ours if x <= t]
-            early += not shown
-            ahead += not shown or level > max(shown)
-    if not points:
-        return {}
-    return {"leads.at_every_time": ahead, "leads.before_first": early, "leads.points": points}
+        ours = curve((r for r in here if r["method"] == m.AUTO.name), metric)
+        for seconds, level in curve((r for r in here if r["method"] in RIVALS), metric):
+            shown = [y for x, y in ours if x <= seconds]
+            if seconds >= LEAD_S and shown:
+                yield level, shown
 
 
-def curve(rows: Iterable[dict]) -> list[tuple[float, float]]:
-    """Seconds and dB of all snapshots of some runs, in order of time."""
-    return sorted((p["seconds"], p["psnr_db"]) for r in rows for p in r["curve"])
+def curve(rows: Iterable[dict], metric: str = "psnr_db") -> list[tuple[float, float]]:
+    """Seconds and levels of all snapshots of some runs, in order of time."""
+    return sorted((p["seconds"], p[metric]) for r in rows for p in r["curve"] if metric in p)
 
 
 def times_to(rows: Sequence[dict], method: str, target_db: float) -> list[float | None]:

@@ -82,14 +82,13 @@ def test_a_bound_is_as_far_above_as_it_is():
     assert found["margin.clean@60"] == pytest.approx(1.5)
 
 
-def test_who_leads_when():
+def test_who_leads_from_a_quarter_of_a_minute_on():
     assert leads([row("auto", 30.0)]) == {}
-    behind = leads([row("auto", 30.0), row("tfi+4dgs", 25.0)])
-    assert behind == {"leads.at_every_time": 0, "leads.before_first": 0, "leads.points": 3}
-    late = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 25.0), row("spikegs", 40.0, "traffic")])
-    assert late == {"leads.at_every_time": 1, "leads.before_first": 1, "leads.points": 3}
-    ahead = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 27.0)])
-    assert ahead == {"leads.at_every_time": 2, "leads.before_first": 1, "leads.points": 3}  # 25 > 24 dB at 15 s
+    behind = leads([row("auto", 30.0), row("tfi+4dgs", 25.0), row("spikegs", 40.0, "traffic")])
+    counts = {f"leads.{metric}.points": 2 for metric in ("psnr_db", "abs_rel")}
+    assert behind == counts | dict.fromkeys(("leads.psnr_db.behind", "leads.abs_rel.behind"), 0)
+    ahead = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 27.0)])  # 25 > 24 dB at 15 s
+    assert ahead == counts | dict.fromkeys(("leads.psnr_db.behind", "leads.abs_rel.behind"), 1)
 
 
 def test_the_first_second_at_which_any_run_reached_a_level():
