@@ -8,7 +8,7 @@ import numpy as np
 
 from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS
 from reconstruction.bench.paper.protocol import PROTOCOL, STRESSES
-from reconstruction.bench.paper.summary import name_of
+from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import markdown, measured_table, other_table, time_table
 from reconstruction.errors import BadRunError
 
@@ -104,7 +104,7 @@ def _left_out(documents: Documents) -> str:
 TABLES: Mapping[str, Mapping[str, Callable[[Documents], str]]] = {
     "paper": {
         **{t.name: _measured(t.name) for t in PROTOCOL.tables},
-        "time": lambda documents: _body(time_table(documents["paper"]["rows"])),
+        "time": lambda documents: _body(time_table(ordinary(documents["paper"]["rows"]))),
         "scenes": _scenes,
         "omissions": _omissions,
     },

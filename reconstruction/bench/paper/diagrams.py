@@ -23,7 +23,7 @@ from reconstruction.bench.paper.axes import (
     write_figure,
 )
 from reconstruction.bench.paper.other_diagrams import image_methods, pose_methods
-from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, times_to
+from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, ordinary, times_to
 from reconstruction.bench.score_run import STAGES
 from reconstruction.training.config import ReconstructionConfig
 
@@ -46,6 +46,7 @@ HOW = {"drop": "planes dropped", "reintegrate": "planes re-integrated"}
 
 def write_diagrams(out: Path, document: dict, others: Mapping[str, dict | None]) -> list[Path]:
     """Write each diagram that has something to show as `paper-QUESTION.png`; returns what was written."""
+    document = document | {"rows": ordinary(document["rows"])}
     drawn: dict[str, Callable[[Path], bool]] = {
         "novel-view": lambda path: against_time(path, document, SHOWN, "psnr_db", ("Novel view", ERROR)),
         "depth": lambda path: against_time(path, document, DEEP, "abs_rel", DEPTH),

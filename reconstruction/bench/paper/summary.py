@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from acquisition.bench_document import BenchDocument
+from acquisition.scenes.catalog import STRESS
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Protocol
 
@@ -31,16 +32,21 @@ def summarise(document: BenchDocument, protocol: Protocol) -> None:
                         document.summary[key] = float(np.mean([r[metric] for r in rows]))
     for effort in dict.fromkeys(r["effort"] for r in document.rows):
         for rival, sign in MARGINS.items():
-            gaps = margins(document.rows, rival, effort)
+            gaps = margins(ordinary(document.rows), rival, effort)
             if gaps:
                 document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(gaps))
-    document.summary |= leads(document.rows)
+    document.summary |= leads(ordinary(document.rows))
     for target in TARGETS_DB:
-        reached = times_to(document.rows, m.AUTO.name, target)
+        reached = times_to(ordinary(document.rows), m.AUTO.name, target)
         if reached and None not in reached:
             document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = float(
                 np.mean([t for t in reached if t is not None])
             )
+
+
+def ordinary(rows: Iterable[dict]) -> list[dict]:
+    """Those of scenes that are not there for one difficulty."""
+    return [row for row in rows if row["scene"] not in STRESS]
 
 
 def name_of(row: dict) -> str:

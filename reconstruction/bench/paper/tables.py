@@ -12,7 +12,7 @@ from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Cell, Protocol, Row, Table
 from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS, OtherRow
 from reconstruction.bench.paper.published import PUBLISHED, Figures
-from reconstruction.bench.paper.summary import TARGETS_DB, name_of, times_to
+from reconstruction.bench.paper.summary import TARGETS_DB, name_of, ordinary, times_to
 
 PAPER = "paper (other scenes)"
 COLUMNS = (
@@ -55,7 +55,7 @@ def write_tables(path: Path, document: dict, protocol: Protocol, others: Mapping
     parts += [other_table("images", "Spikes to images", others.get("images"), IMAGE_ROWS)]
     parts += [other_table("poses", "Poses", others.get("poses"), POSE_ROWS)]
     parts += [measured_table(table, protocol, document["rows"]) for table in protocol.tables]
-    parts += [time_table(document["rows"])]
+    parts += [time_table(ordinary(document["rows"]))]
     parts += ["## Omissions\n\n" + "\n".join(f"- {line}" for line in document["omissions"])]
     write_durably(path, ("\n\n".join(parts) + "\n").encode())
 
