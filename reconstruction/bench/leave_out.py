@@ -70,22 +70,30 @@ class Bench:
 
 
 def bench_leave_out(
-    work: Path, progress: Progress, *, quick: bool = False, cases: Sequence[Case] = CASES
+    work: Path,
+    progress: Progress,
+    *,
+    quick: bool = False,
+    cases: Sequence[Case] = CASES,
+    time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
     """Every case by its plan, by everything on and with each decision of its own switched; runs lie in `work`.
 
-    `quick`: the first case alone, in few steps. A run found in `work` is not repeated, so that a stopped bench resumes.
+    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run found in `work` is not repeated, so that a stopped bench resumes.
     """
     document = BenchDocument("leave-out")
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(work, QUICK_STEPS, None) if quick else Bench(work)
     todo = list(cases[:1] if quick else cases)
-    for number, case in enumerate(todo):
-        progress(number / (len(todo) + 1), f"{case.name}: {case.scene}, seed {case.seed}")
-        _compare(document, bench, case)
     if not quick:
-        progress(len(todo) / (len(todo) + 1), f"{MISSED.name}: {MISSED.scene}, seed {MISSED.seed}")
+        progress(0.0, f"{MISSED.name}: {MISSED.scene}, seed {MISSED.seed}")
         _mistaken(document, bench)
+    for number, case in enumerate(todo):
+        if not time_left():
+            document.omissions.append(f"{case.name}: no time was left")
+            continue
+        progress((number + 1) / (len(todo) + 1), f"{case.name}: {case.scene}, seed {case.seed}")
+        _compare(document, bench, case)
     document.omissions += OMISSIONS
     progress(1.0, f"{len(document.rows)} runs")
     return document

@@ -14,7 +14,7 @@ from reconstruction.training.config import ReconstructionConfig
 
 SIZE, TICKS = (200, 125), 200
 GAUSSIANS = 6_000
-STEPS, QUICK_STEPS, BUDGET_S = 700, 40, 10.0
+STEPS, QUICK_STEPS, BUDGET_S = 400, 40, 10.0
 DEAD = "cam00"
 TRAINING = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam22")
 

@@ -25,6 +25,7 @@ from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
 LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
+FULL_WHITE = 0.3  # spikes per tick; the rate of light is for scenes as bright as this or brighter
 DEAD = 0.005  # opacity below which a Gaussian is not rendered to any effect
 LIVING_EVERY = 100  # steps between looks at whether any is left
 RATE_OF = {  # tensors of fields that share a rate
@@ -61,6 +62,10 @@ class Rates:
     densities: float = 0.1
     offsets: float = 0.05
     final: float = 0.05
+
+    def lit(self, white: float) -> Rates:
+        """Those of a scene with this data range: where it is dim, a step of light is a smaller one."""
+        return replace(self, intensities=self.intensities * min(1.0, white / FULL_WHITE))
 
 
 @dataclass(frozen=True)
@@ -110,7 +115,8 @@ class Trainer:
         self.closeness = Closeness(settings.white)
         self.image, self.spikes = _terms(settings, clock, self.closeness)
         self.extent_m = _extent_m(cloud, views)
-        self.optimizer = _optimizer(cloud, self.extent_m, settings.rates)
+        self.rates = settings.rates.lit(settings.white)
+        self.optimizer = _optimizer(cloud, self.extent_m, self.rates)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
         self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
         self.views = self._corrected(views)
@@ -177,7 +183,7 @@ class Trainer:
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
         self.cloud = model_from_state(state["cloud"])
-        self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
+        self.optimizer = _optimizer(self.cloud, self.extent_m, self.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
         self.steps = state["steps"]
@@ -204,7 +210,7 @@ class Trainer:
         }
         begun = torch.tensor(float(self.steps))
         self.views, self.cloud = self._corrected(views), freed(self.cloud, which)
-        self.optimizer = _optimizer(self.cloud, self.extent_m, self.settings.rates)
+        self.optimizer = _optimizer(self.cloud, self.extent_m, self.rates)
         for name, tensor in self.cloud.tensors():
             if tensor.requires_grad:
                 state = {key: moments[key][name].clone() for key in moments}

@@ -23,7 +23,7 @@ from server.cli.bench_runs import BENCHES, Asked
     "brisque_range_live.yml (BRISQUE), niqe_pris_params.npz (NIQE).",
 )
 @click.option("--table", "tables", help="paper: NAME,... of its tables [default: all, by priority].")
-@click.option("--limit-s", type=click.FloatRange(min=0), help="paper: start no more runs after so many seconds.")
+@click.option("--limit-s", type=click.FloatRange(min=0), help="leave-out, paper: begin nothing after so many seconds.")
 @click.option("--keep", is_flag=True, help="paper: take results of other code as they are; their rows say so.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for NAME.json and NAME.png; resumes there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the document as JSON.")

@@ -162,8 +162,11 @@ class LeaveOut(Bench):
 
     def run(self) -> BenchDocument:
         from reconstruction.bench.leave_out import bench_leave_out
+        from reconstruction.bench.paper.bench import Clock
 
-        return bench_leave_out(self.asked.work / "leave-out", progress_of("leave-out"), quick=self.asked.quick)
+        asked = self.asked
+        left = Clock(asked.limit_s).until()
+        return bench_leave_out(asked.work / "leave-out", progress_of("leave-out"), quick=asked.quick, time_left=left)
 
     def draw(self, out: Path, found: dict) -> None:
         from reconstruction.bench.plot_leave_out import plot_leave_out

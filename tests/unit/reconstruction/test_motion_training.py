@@ -26,7 +26,7 @@ from reconstruction.images.tfp import tfp
 from reconstruction.rendering.render import render
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.supervision import TrainingView
-from reconstruction.training.trainer import LIVING_EVERY, Trainer, TrainerSettings
+from reconstruction.training.trainer import FULL_WHITE, LIVING_EVERY, Rates, Trainer, TrainerSettings
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform
@@ -150,3 +150,10 @@ def test_a_training_with_nothing_left_to_see_stops_with_the_reason(alive, view):
         return
     with pytest.raises(ReconstructionError, match=r"found no Gaussians of opacity 0\.005 or more after 100 steps"):
         trainer.step(0.3)
+
+
+def test_a_step_of_light_is_smaller_in_a_dim_scene(view):
+    bright, dim = (Trainer(cloud("linear"), [view], TrainerSettings("pixels", white=w), CLOCK, 0) for w in (0.5, 0.01))
+    rates = [{group["start"] for group in t.optimizer.param_groups} for t in (bright, dim)]
+    assert rates[0] - rates[1] == {Rates().intensities}
+    assert rates[1] - rates[0] == {Rates().intensities * 0.01 / FULL_WHITE}
