@@ -79,7 +79,8 @@ def bench_leave_out(
 ) -> BenchDocument:
     """Every case by its plan, by everything on and with each decision of its own switched; runs lie in `work`.
 
-    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run found in `work` is not repeated, so that a stopped bench resumes.
+    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run found in `work` is
+    not repeated, so that a stopped bench resumes.
     """
     document = BenchDocument("leave-out")
     work.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,10 @@ NAMES = {
 }
 
 
-@pytest.mark.parametrize("name", NAMES)
+LONG = ("pixels", "images")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in LONG else ()) for n in NAMES])
 def test_a_bench_prints_one_document(name, tmp_path):
     command = [sys.executable, "-m", "server.cli", "bench", name, "--quick", "--json", "--out", str(tmp_path)]
     result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)

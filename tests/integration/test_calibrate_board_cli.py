@@ -32,6 +32,7 @@ def still(spike4dgs, tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_board_gives_a_rig_file_and_a_picture(spike4dgs, still, tmp_path, capsys):
     pytest.importorskip("cv2", reason="boards are found with OpenCV", exc_type=ImportError)
     out = tmp_path / "rigs/lab.toml"
@@ -50,6 +51,7 @@ def test_a_board_gives_a_rig_file_and_a_picture(spike4dgs, still, tmp_path, caps
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_be_used_is_refused_in_a_line(spike4dgs, still, tmp_path, capsys):
     def refusal(*args, code=2):
         assert spike4dgs("calibrate", still, *args, "--out", tmp_path / "a.toml") == code

@@ -39,6 +39,7 @@ def test_clips_a_network_and_its_curve(tmp_path, quick_scores):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ones_own_recording_trains_the_blind_spot_network_that_then_makes_its_images(tmp_path, spike4dgs):
     recording, out = tmp_path / "rec", tmp_path / "own"
     simulate = ("simulate", "--scene", "fan_and_ball", "--ticks", 40, "--size", "40x26", "--out", recording)

@@ -39,6 +39,7 @@ def test_an_answer_in_two_pieces_does_not_wait_for_the_first_to_be_acknowledged(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_twenty_clients_are_answered(tmp_path: Path) -> None:
     document = run_load(tmp_path / "data", clients=20, seconds=5.0, jobs=30, step_s=0.02)
     answers = {name: number for name, number in document.summary.items() if name.startswith("answers.")}

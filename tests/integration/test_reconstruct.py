@@ -101,7 +101,7 @@ def test_a_training_killed_and_resumed_ends_in_the_same_state(run, recording, tm
         assert torch.equal(a, b), name
 
 
-@pytest.mark.parametrize(("model", "kind"), [("spikenerf", 0), ("dy-spikenerf", 1)])
+@pytest.mark.parametrize(("model", "kind"), [("spikenerf", 0), pytest.param("dy-spikenerf", 1, marks=pytest.mark.long)])
 def test_a_radiance_field_trains_resumes_is_scored_and_exports_what_it_can(model, kind, recording, tmp_path):
     config = replace(CONFIG, model=model, steps=6)
     whole = reconstruct(recording, tmp_path / "whole", config, quiet)
@@ -128,7 +128,7 @@ def test_a_radiance_field_refuses_what_it_cannot_do(choice, recording, tmp_path)
         reconstruct(recording, tmp_path / "run", replace(CONFIG, model="spikenerf", **choice), quiet, stage="plan")
 
 
-@pytest.mark.parametrize("model", ["bases", "4dgs", "stg", "d3dgs", "dy-spikegs"])
+@pytest.mark.parametrize("model", ["bases", "4dgs", pytest.param("stg", marks=pytest.mark.long), "d3dgs", "dy-spikegs"])
 def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tmp_path):
     config = replace(CONFIG, model=model, steps=12)
     calls = iter(range(10**6))

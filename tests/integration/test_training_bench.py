@@ -13,7 +13,7 @@ from reconstruction.bench.training import Clip, bench_training
 from reconstruction.bench.variants import AUTO, CLEAN, VARIANTS, Variant
 from rigs.toml import catalog_rig
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 SCENE = "fan_and_ball"
 
 

@@ -144,6 +144,7 @@ def test_the_plan_misses_the_card_of_faint_and_the_watch_sees_it(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_dead_camera_is_skipped_by_the_plan_and_kept_where_it_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(leave_out, "SIZE", (100, 62))
     (dead,) = (case for case in CASES if case.dead)
