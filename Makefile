@@ -63,7 +63,7 @@ bench: install
 	$(MAKE) --no-print-directory stability evidence
 
 stability: install
-	$(VENV)/bin/spike4dgs stability --full --out tests/benchmarks
+	$(VENV)/bin/spike4dgs stability --full --out tests/benchmarks || test $$? = 1  # a case that fails is in the table
 
 # From the committed documents alone: minutes, where the runs behind them took hours.
 evidence: install
