@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from acquisition.bench_document import device
 from acquisition.progress import Progress
+from acquisition.revision import code_revision
 from reconstruction.stability import cameras, images, losses, motion, recordings, rendering
 from reconstruction.stability.case import Case, Row, row_of
 from reconstruction.stability.drift import drift_cases
@@ -29,6 +31,8 @@ class LongRuns:
 def run_catalogue(progress: Progress, long_runs: LongRuns | None = None) -> dict:
     """`rows`, a `summary` of how many there are and how many failed, and the `omissions` with their reasons.
 
+    `device` and `revision` say where and of what.
+
     With `long_runs` more rows, and the `curves`: losses of every step in float32 and float64, by scene.
     """
     rows, shown = _rows(CASES, _part(progress, 0.0, 0.1 if long_runs else 1.0)), {}
@@ -37,6 +41,8 @@ def run_catalogue(progress: Progress, long_runs: LongRuns | None = None) -> dict
         stiff, shown = _stiff(long_runs.trainings, _part(progress, 0.2, 1.0))
         rows += stiff
     return {
+        "device": device(),
+        "revision": code_revision(),
         "rows": [asdict(row) for row in rows],
         "omissions": omissions(),
         "summary": {"cases": len(rows), "failed": sum(row.verdict == "fail" for row in rows)},
