@@ -168,7 +168,7 @@ def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., 
     expect(job.locator("pre[id^=log]")).to_contain_text("--stage train --model cubic")
     job.get_by_role("link", name="Report", exact=True).click()
     expect(page.frame_locator("#report").locator("html")).to_contain_text("")
-    assert page.frames[1].title() == "report"
+    wait_for(lambda: page.frames[1].title() == "report")
     assert seen.faults == []
     assert seen.hosts <= {service.address, "about:/srcdoc", "about:srcdoc", "data:,"}
 

@@ -95,7 +95,7 @@ def test_the_commands_calibrate_and_check(whole, tmp_path, monkeypatch, capsys):
     assert "still fits" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["sfm", "msdi"])
+@pytest.mark.parametrize("name", ["sfm", pytest.param("msdi", marks=pytest.mark.long)])
 def test_other_initialisers_find_it_too(whole, name):
     recording, true = Recording.open(whole), true_rig(whole)
     found = initialise(name, recording, recording.camera_ids, InitOptions())
