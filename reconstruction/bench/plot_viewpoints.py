@@ -29,6 +29,7 @@ PANELS = (
     ("abs_rel", "Abs Rel of the depth"),
     ("empty", "share of pixels left empty"),
 )
+SHRUNK = 0.25  # of the sheet: noise-like textures make large files
 LINES = ("between", "beyond", "forward", "backward")
 SHOWN = (("between", 0.1), ("beyond", 0.4), ("forward", 0.6))  # what the sheet has of each scene
 
@@ -87,7 +88,7 @@ def write_viewpoint_sheet(path: Path, clips: Sequence[Clip], runs: Sequence[RunF
             truth, render = (cv2.cvtColor(grey(a.intensity, scene.white), cv2.COLOR_GRAY2BGR) for a in (frame, view))
             tiles += [truth, render, depth]
         strip = np.concatenate(tiles, axis=1)
-        rows.append(cv2.resize(strip, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA))
+        rows.append(cv2.resize(strip, None, fx=SHRUNK, fy=SHRUNK, interpolation=cv2.INTER_AREA))
     write_png(path, np.concatenate(rows))
 
 

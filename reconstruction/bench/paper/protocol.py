@@ -10,6 +10,8 @@ SHORTEST, SHORT, LONG, LONGEST = (Effort(seconds) for seconds in (15.0, 30.0, 60
 NO_DUST3R = "no DUSt3R checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own"
 NO_PRETRAINING = "the MSDI that ships was never pretrained: without a DUSt3R checkpoint there is nothing to leave out"
 OURS = Row("Ours, true poses", m.AUTO, "Spike4DGS")
+NAMED = (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))
+TFI_ROWS = tuple(Row(f"TFI + {name}", m.TFI[model], f"TFI + {name}") for name, model in NAMED)
 
 NOVEL_VIEW = Table(
     "novel-view",
@@ -17,13 +19,11 @@ NOVEL_VIEW = Table(
     "True poses, then (found poses) the rig as drawn: 2 degrees, 2 cm and 2 % of focal length off on average.",
     (
         OURS,
-        *(Row(f"TFI + {name}", m.TFI[model], f"TFI + {name}") for name, model in
-          (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))),
+        *TFI_ROWS,
         Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
         Row("SpikeGS (static)", m.SPIKES["spikegs"], "SpikeGS"),
         Row("Ours, found poses", m.FOUND, "Spike4DGS"),
-        *(Row(f"TFI + {name}, our poses", m.TFI_FOUND[model], f"TFI + {name}") for name, model in
-          (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))),
+        *(Row(f"TFI + {name}, our poses", m.TFI_FOUND[model], f"TFI + {name}") for name, model in NAMED),
         Row("TFI + COLMAP + 4DGS", m.TFI_COLMAP, "TFI + COLMAP + 4DGS"),
         Row("MSDI image + COLMAP + 4DGS", m.MSDI_COLMAP["pixels"], "MSDI image + COLMAP + 4DGS"),
         Row("MSDI images, poses + 4DGS", m.MSDI["pixels"], "MSDI image, points, poses + 4DGS"),
@@ -91,8 +91,7 @@ OUTDOORS = Table(
     "A sun, its shadows and uneven light; the paper's figures are of its real moving car.",
     (
         OURS,
-        *(Row(f"TFI + {name}", m.TFI[model], f"TFI + {name}") for name, model in
-          (("D3DGS", "d3dgs"), ("STG", "stg"), ("4DGS", "4dgs"))),
+        *TFI_ROWS,
     ),
 )  # fmt: skip
 STRESSES = Table(
