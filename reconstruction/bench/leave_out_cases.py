@@ -23,14 +23,12 @@ TRAINING = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam2
 class Arm:
     """One way to run a case.
 
-    `choices`: fields of the configuration. `plan`: fields of the plan that no option reaches. `everywhere`: every pixel
-    is taken to move. `channels`: of the Gaussians; where given, the training alone is measured, from the first snapshot
-    of a run by the plan.
+    `choices`: fields of the configuration. `everywhere`: every pixel is taken to move. `channels`: of the Gaussians;
+    where given, the training alone is measured, from the first snapshot of a run by the plan.
     """
 
     name: str
     choices: dict[str, Any] = field(default_factory=dict)
-    plan: dict[str, Any] = field(default_factory=dict)
     everywhere: bool = False
     channels: int | None = None
 
@@ -58,7 +56,7 @@ class Case:
     @property
     def all(self) -> Arm:
         """The run that leaves out nothing."""
-        return Arm("all", EVERYTHING | self.everything, FULL_SIZE, everywhere=True)
+        return Arm("all", EVERYTHING | self.everything, everywhere=True)
 
 
 EVERYTHING: dict[str, Any] = {
@@ -69,7 +67,6 @@ EVERYTHING: dict[str, Any] = {
     "refine": "on",
     "tick_stride": 1,
 }
-FULL_SIZE = {"half_until": 0.0}
 AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses what is dark
 PLAN = Arm("plan")
 MOTION = Arm("motion", {"model": "linear"})
@@ -78,7 +75,6 @@ IMAGES = Arm("images", {"images": "adaptive"})
 INSTANTS = Arm("instants", {"tick_stride": 1})
 SUPERVISION = Arm("supervision", {"supervision": "variation"})
 GAUSSIANS_TWICE = Arm("Gaussians", {"gaussians": 2 * GAUSSIANS})
-RESOLUTION = Arm("resolution", plan=FULL_SIZE)
 VIEWS = Arm("views", {"views": TRAINING})
 GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
 UNWATCHED = Arm("unwatched", {"model": "static"})  # what is asked for by name is not undone
@@ -89,7 +85,7 @@ def _switched(*arms: Arm) -> dict[str, Arm]:
 
 
 CASES = (
-    Case("static", "static", 101, _switched(MOTION, SUPERVISION, RESOLUTION)),
+    Case("static", "static", 101, _switched(MOTION, SUPERVISION)),
     Case("mono", "fan_and_ball", 1, _switched(COLOUR)),
     Case("calibrated", "fan_and_ball", 2, _switched(POSES)),
     Case("few-movers", "stiff", 101, _switched(IMAGES, INSTANTS)),

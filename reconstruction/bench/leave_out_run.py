@@ -91,14 +91,12 @@ def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
 
 
 def _run(job: Job) -> RunFolder:
-    """A run up to its training; what the arm decides without an option is put in after the plan."""
+    """A run up to its training; what has no option is put in after the plan."""
     config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
     run = reconstruct(job.recording, job.out, config, _quiet, last="plan")
-    if job.arm.plan or job.arm.everywhere:
-        run.document["plan"] |= job.arm.plan
-        for view in run.plan.views if job.arm.everywhere else ():
+    if job.arm.everywhere:
+        for view in run.plan.views:
             run.write_array(f"plan/moving_{view}", np.ones_like(run.read_array(f"plan/moving_{view}")))
-        run.save()
     return reconstruct(job.recording, job.out, config, _quiet, last="train")
 
 

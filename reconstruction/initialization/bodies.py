@@ -1,10 +1,11 @@
 """Points of movers at a few instants to rigid bodies: which points belong together, and how they went.
 
-Letters: I instants, n points. A body begins as a connected cluster and is followed from instant to instant by soft
-registration, in which points match that are near and alike in brightness; it claims the points it explains, so clusters
-that touch later stay apart. What no body explains, or only badly (what bends, or moves too far between two instants),
-stays free. Cost: a second of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set
-registration: coherent point drift", PAMI 2010, with an intensity term.
+Letters: I instants, n points. A body begins as a connected cluster, first where most are apart, and is followed from
+instant to instant both ways by soft registration, in which points match that are near and alike in brightness; it
+claims the points it explains, so clusters that touch elsewhere stay apart. What goes badly in one piece is tried in
+parts, by a shorter link. What no body explains, or only badly (what bends, or moves too far between two instants), stays free.
+Cost: a second of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set registration: coherent
+point drift", PAMI 2010, with an intensity term.
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ from rigs.transform import Transform
 
 LEAST_POINTS = 40  # of a cluster that may become a body
 LINK = 3.0  # spacings within which points are one cluster
+LINK_APART = 2.0  # the same within a body that is doubtful as one piece
 REACH = 2.5  # spacings within which a body explains a point
 LEAST_SHARE = 0.4  # of its points that a body must find again, else it is lost
 SURE = 0.6  # of its points explained: no second guess is tried
 LEAST_INSTANTS = 3  # a body must be seen at
 LEAST_LIKENESS = 0.4  # correlation of brightness between a point and its body, where the body has texture
-BETTER = 0.05  # by how much that correlation must exceed that of standing still
+BETTER = 0.05  # by how much that correlation must exceed that of standing still, and its parts' its own
+DOUBTFUL = 0.6  # correlation below which a body may be several
 TEXTURE = 0.02  # spikes per tick: less spread of brightness than this is no texture
 LONE = f"in no cluster of {LEAST_POINTS} points"
 SHORT = f"followed over fewer than {LEAST_INSTANTS} instants"
@@ -50,6 +53,11 @@ class Body:
     members: dict[int, NDArray[np.int64]] = field(default_factory=dict)  # indices into the points, by instant
     likeness: float = 1.0  # in brightness, of the points of one instant and those of the others, carried along
     at_rest: float = 0.0  # the same if the others stay where they were
+
+    @property
+    def size(self) -> int:
+        """How many points it has, of all instants."""
+        return sum(map(len, self.members.values()))
 
     def model(self, points: Placed, but: int | None = None) -> Placed:
         """All its points in its own frame, without those of one instant."""
@@ -121,22 +129,54 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
 
 
 def track_bodies(points: Points, instants_s: Sequence[float]) -> list[Body]:
-    """All that could be followed, largest first, good or not."""
+    """All that could be followed, largest first, good or not.
+
+    What moved in no one piece may be several that touch, and is looked at once more by a shorter link.
+    """
     placed = Placed.of(points)
+    bodies = _tracked(placed, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
+    return _by_size([part for body in bodies for part in _torn(body, placed, len(instants_s))])
+
+
+def _torn(body: Body, points: Placed, instants: int) -> list[Body]:
+    """The parts of a body that is doubtful as one piece, where most of it goes better in parts; else the body alone."""
+    if len(body.members) < 2 or (body.likeness >= DOUBTFUL and not _fault(body, instants)):
+        return [body]
+    nowhere = np.zeros(0, dtype=np.int64)
+    parts = _tracked(points, [np.sort(body.members.get(i, nowhere)) for i in range(instants)], LINK_APART)
+    sure = [part for part in parts if not _fault(part, instants)]
+    sizes = np.array([part.size for part in sure], dtype=np.float64)
+    if sizes.sum() < body.size / 2:
+        return [body]
+    likeness = float(np.average([part.likeness for part in sure], weights=sizes))
+    return parts if likeness > body.likeness + BETTER else [body]
+
+
+def _tracked(points: Placed, swept: Sequence[NDArray[np.int64]], link: float) -> list[Body]:
+    """The bodies among the points at indices `swept`, by instant; followed both ways from where most are apart."""
+    gaps = [_spacing(points.select(which).positions) * link if len(which) >= LEAST_POINTS else 0.0 for which in swept]
+    apart = [len(clusters(points, which, gap)) for which, gap in zip(swept, gaps, strict=True)]
+    first = int(np.argmax(apart)) if apart else 0
     bodies: list[Body] = []
-    for i, instant_s in enumerate(instants_s):
-        unclaimed = np.flatnonzero(points.instants_s == instant_s)
-        if len(unclaimed) < LEAST_POINTS:
-            continue
-        gap = _spacing(placed.select(unclaimed).positions)
+    for i, before in _outwards(first, len(swept)):
+        unclaimed = swept[i]
         for body in bodies:
-            unclaimed = _follow(body, placed, i, unclaimed)
-        bodies.extend(_begin(placed, i, cluster) for cluster in clusters(placed, unclaimed, gap))
-        bodies.sort(key=lambda b: -sum(map(len, b.members.values())))
+            unclaimed = _follow(body, points, (i, before), unclaimed)
+        bodies = _by_size([*bodies, *(_begin(points, i, cluster) for cluster in clusters(points, unclaimed, gaps[i]))])
     for body in bodies:
         if len(body.members) > 1:
-            _settle(body, placed)
+            _settle(body, points)
     return bodies
+
+
+def _by_size(bodies: list[Body]) -> list[Body]:
+    return sorted(bodies, key=lambda b: -b.size)
+
+
+def _outwards(first: int, instants: int) -> list[tuple[int, int]]:
+    """Every instant and the one it is followed from: from the first to the end, then back to the beginning."""
+    later = [(i, i - 1) for i in range(first, instants)]
+    return later + [(i, i + 1) for i in range(first - 1, -1, -1)]
 
 
 def _fault(body: Body, instants: int) -> str:
@@ -153,7 +193,7 @@ def clusters(points: Placed, which: NDArray[np.int64], gap_m: float) -> list[NDA
     if len(which) < LEAST_POINTS:
         return []
     at = points.select(which).positions.double().numpy()
-    linked = np.square(at[:, None] - at).sum(axis=-1) <= (LINK * gap_m) ** 2
+    linked = np.square(at[:, None] - at).sum(axis=-1) <= gap_m**2
     left = np.ones(len(at), dtype=bool)
     found = []
     while left.any():
@@ -174,12 +214,13 @@ def _begin(points: Placed, instant: int, cluster: NDArray[np.int64]) -> Body:
     return Body(_spacing(own.positions), radius, {instant: pose}, {instant: cluster})
 
 
-def _follow(body: Body, points: Placed, instant: int, unclaimed: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Claim what the body explains at this instant; returns what is left. A lost body claims nothing."""
-    if len(unclaimed) < LEAST_POINTS or instant - 1 not in body.members:
+def _follow(body: Body, points: Placed, step: tuple[int, int], unclaimed: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Claim what the body explains at an instant, from the one before it; what is left. A lost body claims nothing."""
+    instant, before = step
+    if len(unclaimed) < LEAST_POINTS or before not in body.members:
         return unclaimed
     model, target = sampled(body.model(points)), points.select(unclaimed)
-    pose = _found(body, model, target, instant)
+    pose = _found(body, model, target, step)
     if pose is None:
         return unclaimed
     moved = model.moved(pose)
@@ -191,9 +232,10 @@ def _follow(body: Body, points: Placed, instant: int, unclaimed: NDArray[np.int6
     return unclaimed[~mine]
 
 
-def _found(body: Body, model: Placed, target: Placed, instant: int) -> Transform | None:
+def _found(body: Body, model: Placed, target: Placed, step: tuple[int, int]) -> Transform | None:
     """The better of two registrations: from where the body would be had it gone on, and from where it last was."""
-    last, width = body.poses[instant - 1], max(START * body.radius, body.spacing)
+    instant, before = step
+    last, width = body.poses[before], max(START * body.radius, body.spacing)
     guesses = [last] if len(body.members) < 2 else [body.predicted(instant), last]
     best, most = None, -1.0
     for guess in guesses:

@@ -19,7 +19,7 @@ from reconstruction.methods.method import Method, Seeds
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
 
-SPIKES_ALONE: dict[str, Any] = {"spike_every": 1, "spike_px": None, "half_until": 0.0}
+SPIKES_ALONE: dict[str, Any] = {"spike_every": 1, "spike_px": None}
 
 
 def _still(seeds: Seeds) -> DynamicCloud:

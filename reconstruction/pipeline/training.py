@@ -135,14 +135,13 @@ def trainer_of(
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
-    length = {"ends_early": run.config.steps is None, "half_until": plan.half_until}
     settings = TrainerSettings(
         plan.supervision,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
         refines=plan.refine,
         backend=backend,
-        **(length | dict(METHODS[plan.model].trainer)),
+        **({"ends_early": run.config.steps is None} | dict(METHODS[plan.model].trainer)),
     )
     if dtype != torch.float32:
         assert isinstance(cloud, DynamicCloud)

@@ -31,7 +31,6 @@ from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.config import Model, ReconstructionConfig
-from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.run import RunFolder
 from reconstruction.training.trainer import Trainer
 from rigs.toml import catalog_rig
@@ -41,7 +40,7 @@ TRUTH_INSTANTS = 4
 SPREAD_DB = 2.0  # between seeds, of so few Gaussians and steps; worst measured 1.2, on `dim`
 APART_DB = 0.1  # what float32 may cost
 FALLS_TO = 0.95  # of the first losses, the last ones at most; worst measured 0.88, on `flicker`
-ENDS = 10  # losses that are the first at full size and the last: pictures of half size are less noisy
+ENDS = 10  # losses that are the first, and the last
 
 
 @dataclass(frozen=True)
@@ -154,8 +153,7 @@ def _resumed(scene: StiffScene) -> Observation:
 def _baseline(scene: StiffScene, model: str) -> Observation:
     """Whether it learns, and stays finite."""
     found = scene.trained(scene.extent.seeds[0], model)  # type: ignore[arg-type]
-    begun = math.ceil(HALF_UNTIL * len(found.losses))
-    ends = np.mean(found.losses[begun : begun + ENDS]), np.mean(found.losses[-ENDS:])
+    ends = np.mean(found.losses[:ENDS]), np.mean(found.losses[-ENDS:])
     said = f"loss {ends[0]:.3f} to {ends[1]:.3f}, {found.psnr_db:.2f} dB"
     return Observation(said, float(ends[1] / ends[0]) if np.isfinite(found.losses).all() else math.inf)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,8 @@ LEAST_VIEWS = 2
 TWIN_PLANES = 32  # at the start of two streams that tell whether they are one
 LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 INSTANTS = 8  # at which movers are swept
-HALF_UNTIL = 0.1  # share of the training at half resolution
 GAUSSIAN_FLOATS = 12  # of a still one
 UNADJUSTED = ("sfm", "dust3r")  # poses that no covariance vouches for are refined in training
-POSES_S = 5.0  # nine views of 400x250, on two cores
 BEST_METHOD = "adaptive"  # of those without a network, on single images
 
 
@@ -56,10 +54,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians.
-
-    `half_until`: share of the training at half resolution.
-    """
+    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians."""
 
     views: tuple[str, ...]
     model: str
@@ -70,7 +65,6 @@ class Plan:
     decisions: tuple[Decision, ...]
     init: str = "sweep"
     refine: bool = False
-    half_until: float = HALF_UNTIL
 
     def amended(self, decision: Decision, **changes: object) -> Plan:
         """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
@@ -83,9 +77,10 @@ class Plan:
 
     @classmethod
     def from_json(cls, document: dict) -> Plan:
-        """The inverse of `to_json`."""
+        """The inverse of `to_json`; what an earlier revision said beyond that is passed over."""
         decisions = tuple(Decision(**d) for d in document["decisions"])
-        return cls(**(document | {"views": tuple(document["views"]), "decisions": decisions}))
+        known = {f.name: document[f.name] for f in fields(cls) if f.name in document}
+        return cls(**(known | {"views": tuple(document["views"]), "decisions": decisions}))
 
 
 def make_plan(
@@ -104,10 +99,9 @@ def make_plan(
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
     still, moving = _split(config.gaussians, method, masks)
-    half_until = method.trainer.get("half_until", HALF_UNTIL)
-    decisions += _economies(config, work, _share(masks), (still, moving), half_until)
+    decisions += _economies(config, work, _share(masks), (still, moving))
     decisions += _left_out(rig, views, work)
-    init = _choose_init(config, rig, decisions)
+    init = _choose_init(config, rig, work, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
     return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine), masks, light
 
@@ -143,8 +137,7 @@ def _choose_targets(
         images, count = "interpolated", work.images(config.tick_stride)
         gap_s = work.image_s(BEST_METHOD) - work.image_s(images)
         reason = f"long mean where nothing moves, 9-plane interpolated count where something does, not {BEST_METHOD}"
-        kept = round(count * work.pixels * (1 - share)) * FLOAT_BYTES
-        decisions.append(Decision("images", images, reason, "--images", count * gap_s if share else None, kept))
+        decisions.append(Decision("images", images, reason, "--images", count * gap_s if share else None))
     if supervision == "auto" and method.supervision != "pixels":
         supervision = method.supervision
         decisions.append(Decision("supervision", supervision, f"as {method.name} is published", "--supervision"))
@@ -155,10 +148,8 @@ def _choose_targets(
     return images, supervision
 
 
-def _economies(
-    config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int], half_until: float
-) -> list[Decision]:
-    """Instants, Gaussians and resolution: what is kept small from the start."""
+def _economies(config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int]) -> list[Decision]:
+    """Instants and Gaussians: what is kept small from the start."""
     stride, (still, moving) = config.tick_stride, counts
     fewer = work.images(1) - work.images(stride)
     kept = round(fewer * work.pixels * share) * FLOAT_BYTES
@@ -168,13 +159,9 @@ def _economies(
     every = f"an image every {stride} planes"
     splats = f"{still:,} still and {moving:,} moving"
     cost = (work.splats_s(config.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * config.gaussians)
-    sizes = f"half size for the first {half_until:.0%}" if half_until else "full size throughout"
-    coarse = "positions and brightness settle on coarse images first, at less than full size"
-    why = coarse if half_until else "spikes are counted pixel by pixel"
     return [
         Decision("instants", every, reason, "--tick-stride", *spared),
         Decision("Gaussians", splats, "the cap as given, against twice as many", "none", *cost),
-        Decision("resolution", sizes, why, "none", work.half_size_s(half_until) if half_until else None),
     ]
 
 
@@ -192,13 +179,13 @@ def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
     ]
 
 
-def _choose_init(config: ReconstructionConfig, rig: Rig, decisions: list[Decision]) -> str:
+def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
     """How the cameras are found; the stage that does it says what came of it."""
     if config.init != "auto":
         return config.init
     init = "natural" if rig.poses == "nominal" else "sweep"
     choice = "found by natural" if init == "natural" else "not estimated"
-    spared_s = None if init == "natural" else POSES_S
+    spared_s = None if init == "natural" else work.poses_s()
     decisions.append(Decision("poses", choice, f"the rig's poses are {rig.poses}", "--init", spared_s))
     return init
 

@@ -7,7 +7,7 @@ moving), kernels of level v3. They say which work is dear, not how long another 
 - BACKGROUND_S: `background` of one view with moving pixels.
 - IMAGE_S: the image method at one plane of one view; `interpolated` looks at the moving pixels alone.
 - STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians.
-- HALF_STEP_S: the same step as STEP_S against images of half the width and height.
+- POSES_S: `natural` on nine views, a fourfold of the pixels taking twice as long (1.8 to 3.0 s at 200x125).
 - VARIATION_STEP_S: a step with `variation`, which renders three instants.
 - SPLATS_S: what each Gaussian adds to a step, from 12,000 to 24,000 of them.
 Images and sweeps grow with the pixels of a view, steps in part with the pixels and in part with the Gaussians.
@@ -36,8 +36,8 @@ IMAGE_S = {
     "clean": 0.0,  # read once
     "blurred": 0.0,
 }
+POSES_S = 5.0
 STEP_S = 0.0225
-HALF_STEP_S = 0.0129
 VARIATION_STEP_S = 0.0424
 SPLATS_S = 6.7e-7
 FLOAT_BYTES = 4
@@ -87,6 +87,10 @@ class Work:
         """Seconds of preparing one more view: its background, its sweep, and those of movers at `instants`."""
         return self.scale * (BACKGROUND_S + SWEEP_S + instants * SWEEP_MOVERS_S)
 
+    def poses_s(self) -> float:
+        """Seconds of finding the poses of nine views: matching grows little with the size of the pictures."""
+        return POSES_S * self.scale**0.5
+
     def images(self, stride: int) -> int:
         """Target images of a run with one for every `stride` planes: all there are, or one a step if that is less."""
         return min(self.views * max(1, self.planes // stride), self.likely_steps())
@@ -94,10 +98,6 @@ class Work:
     def instants_s(self) -> float:
         """Seconds of the extra instants that `variation` renders in every step."""
         return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
-
-    def half_size_s(self, share: float) -> float:
-        """Seconds saved by the first `share` of the steps at half the width and height."""
-        return self._steps_s(share * (1 - HALF_STEP_S / STEP_S))
 
     def splats_s(self, count: int) -> float:
         """Seconds of `count` more Gaussians through all steps."""

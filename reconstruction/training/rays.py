@@ -49,8 +49,8 @@ class RayTerm:
     smooth: float = 0.1
     sampled: int = 16384
 
-    def __call__(self, field: RadianceField, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
-        """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
+    def __call__(self, field: RadianceField, view: TrainingView, rng: np.random.Generator) -> Tensor:
+        """The loss of one window."""
         planes = len(view.source.stream)
         low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))

@@ -18,7 +18,6 @@ from torch import Tensor
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.motion import Instantaneous
 from reconstruction.images.composite import CompositeSource
-from reconstruction.images.estimate import shrunk
 from reconstruction.losses.counts import cumulative_loss, robust_loss
 from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
@@ -44,12 +43,12 @@ class TrainingView:
         return self.correction.seen(cloud, instant_s) if self.correction else cloud.at(instant_s)
 
 
-Term = Callable[[Any, TrainingView, np.random.Generator, int], Tensor]
+Term = Callable[[Any, TrainingView, np.random.Generator], Tensor]
 
 
 @dataclass(frozen=True)
 class ImageTerm:
-    """L1 and SSIM against the target image of one instant, at a `shrink`-th of the size.
+    """L1 and SSIM against the target image of one instant.
 
     `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
     kept; `solid` works against light that passes through everything: dark texture is not a hole. `closeness` is told
@@ -64,20 +63,16 @@ class ImageTerm:
     closeness: Closeness | None = None
     backend: Backend = "native"
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
         """The loss at a random plane."""
         instants = _instants(cloud, view, self.stride)
         plane = int(instants[rng.integers(len(instants))])
-        return self.against(*self.pair(cloud, view, plane, shrink))
+        return self.against(*self.pair(cloud, view, plane))
 
-    def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int, shrink: int) -> tuple[Rendering, Tensor]:
+    def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
         """What is rendered and what should be, at `plane`."""
-        camera, image = view.camera, view.source.at(plane)
-        if shrink > 1:
-            camera = camera.scaled(max(1, camera.width // shrink), max(1, camera.height // shrink))
-            image = shrunk(image, camera)
-        rendered = render(view.seen(cloud, self.clock.instant_s(plane)), camera, backend=self.backend)
-        return rendered, torch.from_numpy(image).to(rendered.intensity.dtype)
+        rendered = render(view.seen(cloud, self.clock.instant_s(plane)), view.camera, backend=self.backend)
+        return rendered, torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W]."""
@@ -98,13 +93,13 @@ class VariationTerm:
     instants: int = 3
     gap: int = 24
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
         """The loss of instants that begin at a random plane."""
         instants = _instants(cloud, view, self.image.stride)
         gap = max(1, min(self.gap // self.image.stride, (len(instants) - 1) // (self.instants - 1)))
         first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
         at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
-        pairs = [self.image.pair(cloud, view, plane, shrink) for plane in at]
+        pairs = [self.image.pair(cloud, view, plane) for plane in at]
         pixels = torch.stack([self.image.against(r, t) for r, t in pairs]).mean()
         rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])
         target = torch.stack([t for _, t in pairs])
@@ -117,9 +112,9 @@ class SumTerm:
 
     terms: tuple[Term, ...]
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
         """The sum of their losses."""
-        return torch.stack([term(cloud, view, rng, shrink) for term in self.terms]).sum()
+        return torch.stack([term(cloud, view, rng) for term in self.terms]).sum()
 
 
 @dataclass(frozen=True)
@@ -139,8 +134,8 @@ class SpikeTerm:
     most_nodes: int = 4
     size_px: tuple[int, int] | None = (160, 128)
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator, shrink: int) -> Tensor:
-        """The loss of one window; spikes are counted at full size, so `shrink` is of no account."""
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
+        """The loss of one window."""
         part = _part(view, self.size_px, rng)
         begin, end = _planes(cloud, view)
         low, high = (math.log(min(x, end - begin)) for x in (self.shortest, self.longest))

@@ -17,7 +17,6 @@ from reconstruction.rendering.render import Backend
 from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
-from reconstruction.training.plan import HALF_UNTIL
 from reconstruction.training.rays import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, SumTerm, Term, TrainingView, VariationTerm
@@ -70,7 +69,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """`white`: data range in spikes per tick. `half_until`: share of the training at half resolution.
+    """`white`: data range in spikes per tick.
 
     `tick_stride`: planes between the instants that images are compared at.
     `spike_every`: steps between those of the spike term that `supervision` names; `pixels` has none.
@@ -86,7 +85,6 @@ class TrainerSettings:
     white: float = 0.6
     rates: Rates = field(default_factory=Rates)
     tick_stride: int = 1
-    half_until: float = HALF_UNTIL
     spike_every: int = 2
     spike_px: tuple[int, int] | None = (160, 128)
     spike_planes: tuple[int, int] = (8, 33)
@@ -128,13 +126,13 @@ class Trainer:
         return [replace(view, correction=Correction(self.refinement, i)) for i, view in enumerate(views)]
 
     def step(self, done: float) -> float:
-        """One update; `done` in [0, 1] is how much of the training lies behind and sets rates and resolution."""
+        """One update; `done` in [0, 1] is how much of the training lies behind, which sets the rates."""
         self._anneal(done, self.cloud.advance(done))
-        every, coarse = self.settings.spike_every, done < self.settings.half_until
-        due = self.spikes if not coarse and self.steps % every == every - 1 else None
+        every = self.settings.spike_every
+        due = self.spikes if self.steps % every == every - 1 else None
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
-        loss = (due or self.image)(self.cloud, self.views[view], self.rng, 2 if coarse else 1)
+        loss = (due or self.image)(self.cloud, self.views[view], self.rng)
         penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty
@@ -146,7 +144,7 @@ class Trainer:
         if self.steps % LIVING_EVERY == 0:
             self._refuse_dead()
         found = float(loss.detach())
-        if self.ending and due is None and done >= max(self.settings.half_until, self.settings.canonical_until):
+        if self.ending and due is None and done >= self.settings.canonical_until:
             self.ending.see(view, found, self.steps, done)
         return found
 

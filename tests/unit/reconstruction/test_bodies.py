@@ -129,6 +129,24 @@ def test_two_bodies_with_motions_of_their_own_are_told_apart():
     assert errors(bodies)[0] < 1.5
 
 
+@pytest.mark.parametrize("gap_m", [0.052, 0.15])
+def test_two_bodies_that_touch_at_first_are_told_apart_by_where_they_are_not(gap_m):
+    """One cluster until the fourth instant; a gap of 2.5 spacings or of more at the last two."""
+    rng, parts, sizes = np.random.default_rng(6), [], (250, 250)
+    for i in range(INSTANTS):
+        gap = gap_m if i > 2 else 0.03
+        for side, n in zip((-1, 1), sizes, strict=True):
+            positions, light = board(rng, n)
+            way = np.array([side * (0.2 + gap / 2), side * 0.015 * i, 1.5])
+            parts.append(seen([(positions + way, light)], i))
+    bodies = find_bodies(Points.joined(parts), TIMES_S)
+    assert len(bodies) == 2
+    owners = bodies.owners.reshape(INSTANTS, 2, 250)
+    same = [(owners[:, k] == owners[0, k, 0]).mean() for k in (0, 1)]
+    assert min(same) > 0.85
+    assert owners[0, 0, 0] != owners[0, 1, 0]
+
+
 @pytest.mark.parametrize("strays", [0, 12])
 def test_a_body_that_leaves_keeps_the_poses_it_had_and_goes_on(strays):
     """Seen at three of five instants; then nothing is, or only strays are."""

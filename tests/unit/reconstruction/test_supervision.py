@@ -116,7 +116,7 @@ def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
     view, model = seen(cloud(0.0)), cloud(0.0)
     model.moving.means[:] += torch.tensor([0.05, 0.0, 0.0])
     rates = replace(TrainerSettings("pixels").rates, means=4e-3)
-    settings = TrainerSettings("counts", rates=rates, spike_every=1, spike_px=None, spike_planes=(8, 64), half_until=0)
+    settings = TrainerSettings("counts", rates=rates, spike_every=1, spike_px=None, spike_planes=(8, 64))
     trainer, sizes = Trainer(model, [view], settings, CLOCK, seed=0), []
     part_of = supervision._part
     monkeypatch.setattr(supervision, "_part", lambda *a: sizes.append(part_of(*a).camera.width) or part_of(*a))
