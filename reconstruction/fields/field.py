@@ -50,7 +50,8 @@ class RadianceField:
         parts = [_grid(self.still, 0, self.frustum.shape, (0, 0, 0))]
         if len(self.moving):
             parts.append(_grid(self.moving, len(self.still), self.frustum.shape, REACH))
-        self.grids = tuple(parts)
+        self.grids, self.nodes = tuple(parts), torch.cat([self.still, self.moving])
+        self.last = parts[0].lookup.numel() - 1
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
@@ -91,17 +92,15 @@ class RadianceField:
 
     def variation(self, cells: Tensor) -> Tensor:
         """How much `cells` [K] differ from their neighbours, a mean of L1; raw densities count a tenth."""
-        nodes, total = torch.cat([self.still, self.moving])[cells].long(), torch.zeros(())
         _, columns, layers = self.frustum.shape
-        for part, grid in enumerate(self.grids):
-            own = (cells >= len(self.still)) == bool(part)
-            for stride in (columns * layers, layers, 1):
-                beside = nodes[own] + stride
-                other = grid.lookup.view(-1)[beside.clamp_max(grid.lookup.numel() - 1)].long()
-                pairs = torch.stack([cells[own], other])[:, other >= 0]
-                for values, weight in ((self.densities, 0.1), (self.intensities, 1.0)):
-                    gaps = values.index_select(0, pairs[0]) - values.index_select(0, pairs[1])
-                    total = total + weight * gaps.abs().sum() / len(cells)
+        beside = (self.nodes[cells].long() + torch.tensor([[columns * layers], [layers], [1]])).clamp_max(self.last)
+        others = [grid.lookup.view(-1)[beside] for grid in self.grids]
+        other = others[0] if len(others) == 1 else torch.where(cells < len(self.still), *others)
+        pairs = torch.cat([cells.expand(3, -1).reshape(-1), other.long().clamp_min(0).view(-1)])
+        there, total = (other >= 0).view(-1).to(self.densities), torch.zeros(())
+        for values, weight in ((self.densities, 0.1), (self.intensities, 1.0)):
+            own, next_to = values.index_select(0, pairs).view(2, -1)  # one read: each costs a gradient of all cells
+            total = total + weight * (there * (own - next_to).abs()).sum() / len(cells)
         return total
 
     def opacity(self) -> Tensor:

@@ -21,6 +21,7 @@ from rigs.camera import Camera
 
 AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells
 SOLID = (2, 2, 0)  # within which they start opaque: one layer, lest a surface start in front of its points
+LIGHT = ((0, 0, 0), (1, 1, 0), SOLID, AROUND)  # a cell starts as bright as the points within the first that has any
 OPAQUE, CLEAR = 8.0, -4.5  # raw densities: all, and 0.01 of the light a layer
 INSTANTS = 9  # knots of time
 
@@ -47,10 +48,12 @@ def _cells(frustum: Frustum, positions: np.ndarray, intensities: np.ndarray) -> 
     flat, length = np.ravel_multi_index(tuple(nodes[inside].T), frustum.shape), int(np.prod(frustum.shape))
     sums = (np.bincount(flat, weights, length).astype(np.float32) for weights in (None, intensities[inside]))
     count, total = (grid.reshape(frustum.shape) for grid in sums)
-    counts, totals = ([_gathered(grid, reach) for reach in (SOLID, AROUND)] for grid in (count, total))
-    cells = np.flatnonzero(counts[1] > 0.5)
-    solid = counts[0][cells] > 0.5
-    values = np.where(solid, totals[0][cells], totals[1][cells]) / np.where(solid, counts[0][cells], counts[1][cells])
+    cells = np.flatnonzero(_gathered(count, AROUND) > 0.5)
+    solid = _gathered(count, SOLID)[cells] > 0.5
+    values = np.full(len(cells), np.nan, np.float32)
+    for reach in LIGHT:
+        counts, totals = (_gathered(grid, reach)[cells] for grid in (count, total))
+        values = np.where(np.isnan(values) & (counts > 0.5), totals / np.maximum(counts, 0.5), values)
     raws = np.where(solid, np.float32(OPAQUE), np.float32(CLEAR))
     return torch.from_numpy(cells.astype(np.int32)), torch.from_numpy(raws), torch.from_numpy(values.astype(np.float32))
 

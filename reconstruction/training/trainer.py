@@ -58,7 +58,7 @@ class Rates:
     planes: float = 5e-2
     layers: float = 4e-3
     network: float = 1.5e-3
-    densities: float = 0.1
+    densities: float = 0.3
     offsets: float = 0.05
     final: float = 0.05
 
