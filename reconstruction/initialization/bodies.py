@@ -3,9 +3,9 @@
 Letters: I instants, n points. A body begins as a connected cluster, first where most are apart, and is followed from
 instant to instant both ways by soft registration, in which points match that are near and alike in brightness; it
 claims the points it explains, so clusters that touch elsewhere stay apart. What goes badly in one piece is tried in
-parts, by a shorter link. What no body explains, or only badly (what bends, or moves too far between two instants), stays free.
-Cost: a second of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set registration: coherent
-point drift", PAMI 2010, with an intensity term.
+parts, by a shorter link. What no body explains, or only badly (what bends, or moves too far between two instants),
+stays free. Cost: a second of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set
+registration: coherent point drift", PAMI 2010, with an intensity term.
 """
 
 from __future__ import annotations

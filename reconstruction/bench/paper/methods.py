@@ -12,6 +12,7 @@ from reconstruction.bench.paper.method import Change, Method
 MODELS = ("d3dgs", "stg", "4dgs")
 FIELDS = ("spikenerf", "dy-spikenerf")
 SPLATS = ("spikegs", "dy-spikegs")
+SPIKES_ALONE = (("Dy-SpikeGS", "dy-spikegs"), ("SpikeGS", "spikegs"), ("SpikeNeRF", "spikenerf"))  # that stand or may
 NOMINAL = Change(nominal=True)
 RATE_HZ = 20000
 SLOWER = (2, 4, 10, 20, 40, 100, 200)  # 20 kHz down to 100 Hz

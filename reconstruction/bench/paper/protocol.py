@@ -94,6 +94,16 @@ OUTDOORS = Table(
         *TFI_ROWS,
     ),
 )  # fmt: skip
+STATIC = Table(
+    "static",
+    "A scene that stands still",
+    "What each method that can represent it comes to, given a minute; ours learns from a mean of the whole clip.",
+    (
+        OURS,
+        *TFI_ROWS,
+        *(Row(label, m.SPIKES[name]) for label, name in m.SPIKES_ALONE),
+    ),
+)  # fmt: skip
 STRESSES = Table(
     "stress",
     "One difficulty each",
@@ -136,7 +146,7 @@ GAUSSIANS = Table(
 LEADERS = (*(m.TFI[model].name for model in ("stg", "4dgs", "d3dgs")), m.SPIKES["dy-spikegs"].name)
 FIRST, THIRD = EVALUATION[:1], EVALUATION[2:3]
 PROTOCOL = Protocol(
-    (NOVEL_VIEW, LOSSES, REFERENCES, DEPTH, MODULES, OUTDOORS, STRESSES, RATES, VIEWS, GAUSSIANS),
+    (NOVEL_VIEW, LOSSES, REFERENCES, DEPTH, MODULES, OUTDOORS, STATIC, STRESSES, RATES, VIEWS, GAUSSIANS),
     (
         Batch("novel-view", EVALUATION, (LONG,), (m.AUTO.name, *LEADERS)),
         Batch("novel-view", EVALUATION, (SHORTEST, SHORT), (m.AUTO.name,)),
@@ -144,8 +154,10 @@ PROTOCOL = Protocol(
         Batch("losses", FIRST, (SHORT,)),
         Batch("depth", FIRST, (LONG,)),
         Batch("novel-view", FIRST, (LONG,), (m.FOUND.name, m.SPIKES["spikegs"].name, *m.FIELDS)),
-        Batch("references", FIRST, (LONG,)),
+        Batch("static", ("static",), (LONG,)),
         Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs"].name)),
+        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name,), seeds=(1, 2)),
+        Batch("references", FIRST, (LONG,)),
         Batch("views", THIRD, (SHORT,), tuple(row.method.name for row in VIEWS.rows[:12:2] if row.method)),
         Batch("rates", FIRST, (SHORT,)),
         Batch("gaussians", FIRST, (SHORT,)),

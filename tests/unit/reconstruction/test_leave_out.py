@@ -1,7 +1,5 @@
 """The leave-out bench: its cases, what it makes of its rows, that it resumes, and the mover that a plan misses."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -33,7 +31,7 @@ from reconstruction.bench.plot_leave_out import plot_leave_out
 from reconstruction.images.light import Light
 from reconstruction.images.motion import moving_pixels
 from reconstruction.rendering.render import Rendering
-from reconstruction.training.plan import STILL_SHARE, Plan
+from reconstruction.training.plan import STILL_SHARE
 from reconstruction.training.supervision import ImageTerm
 from reconstruction.training.watch import changed_pixels
 from rigs.clock import RigClock
@@ -45,13 +43,11 @@ SAID = {"motion": {"choice": "static", "reason": "", "saves_s": 3.0, "saves_byte
 
 def test_every_case_is_a_configuration_of_a_known_scene():
     assert len({case.name for case in CASES}) == len(CASES)
-    fields = {f.name for f in dataclasses.fields(Plan)}
     for case in (*CASES, MISSED):
         assert case.scene in SCENES
         for arm in (PLAN, case.all, UNWATCHED, *case.switches.values()):
             assert arm.config(steps=3).steps == 3
             assert arm.config(budget_s=2.0).budget_s == 2.0
-            assert set(arm.plan) <= fields
         assert case.dead is None or case.dead in case.all.config(steps=1).views
 
 

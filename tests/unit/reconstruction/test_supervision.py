@@ -82,7 +82,7 @@ def test_the_moving_truth_explains_its_spikes_better_than_one_that_stands(norm):
     with torch.no_grad():
         for name, model in (("true", truth), ("wrong", wrong)):
             rng = np.random.default_rng(0)
-            losses[name] = float(torch.stack([term(model, view, rng, 1) for _ in range(12)]).mean())
+            losses[name] = float(torch.stack([term(model, view, rng) for _ in range(12)]).mean())
     assert losses["true"] < 0.8 * losses["wrong"]
 
 
@@ -133,7 +133,7 @@ def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
     still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), Motion.at_rest(torch.zeros(0), 1.0), CLIP)
     term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), norm, shortest=32, size_px=None), []
     monkeypatch.setattr(supervision, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
-    term(still, view, np.random.default_rng(0), 1)
+    term(still, view, np.random.default_rng(0))
     assert len(renders) == (1 if norm == "counts" else 4)
 
 
@@ -142,7 +142,7 @@ def test_a_clip_shorter_than_any_window_is_used_whole():
     short = SpikeStream(view.source.stream.packed[:5], view.source.stream.layout, RATE_HZ)
     view = TrainingView(CAMERA, replace(view.source, stream=short))
     for term in (SpikeTerm(ImageTerm(CLOCK, 0.6), "counts"), VariationTerm(ImageTerm(CLOCK, 0.6))):
-        assert torch.isfinite(term(cloud(0.0), view, np.random.default_rng(0), 1))
+        assert torch.isfinite(term(cloud(0.0), view, np.random.default_rng(0)))
 
 
 def test_a_view_that_sees_no_mover_is_supervised_anywhere():
