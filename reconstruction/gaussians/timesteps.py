@@ -20,9 +20,9 @@ from reconstruction.gaussians.motion import Instantaneous, MotionModel
 from reconstruction.gaussians.rigid import unit
 from reconstruction.gaussians.rigidity import Neighbourhood, neighbourhood, rigidity
 
-TIMESTEPS = 26
+TIMESTEPS = 13
 FIRST = 0.4  # share of the training that the first timestep takes
-WEIGHT = 0.002  # of the rigidity losses
+WEIGHT = 5e-4  # of the rigidity losses
 
 
 @dataclass

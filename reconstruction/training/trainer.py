@@ -55,9 +55,9 @@ class Rates:
     turns: float = 3e-2
     knot_quats: float = 5e-4
     knot_centers: float = 1e-4
-    planes: float = 5e-2
+    planes: float = 2e-2
     layers: float = 4e-3
-    network: float = 1.5e-3
+    network: float = 3e-3
     densities: float = 0.3
     offsets: float = 0.05
     final: float = 0.05
