@@ -1,12 +1,12 @@
 """SpikeGS and Dy-SpikeGS: Gaussians that learn from spikes alone, of a still scene and with a field that deforms them.
 
-Source: Yu et al., "SpikeGS: Learning 3D Gaussian fields from continuous spike stream", ACCV 2024 (two other papers have
-that name); Spike4DGS, which names both as baselines. As published: no image is made of the spikes; what is rendered goes
-through a model of the integrate-and-fire pixel and is compared with what fired; SpikeGS takes the scene for still;
-Dy-SpikeGS deforms it. Unknown: the weights and rates of either, how Dy-SpikeGS deforms, how noise is embedded. Ours: the
-expected count of a pixel whose phase is random over a window (`losses.counts`) in place of single spikes through a
-surrogate gradient; whole views every step; long windows where the scene is thought still, short ones integrated over
-instants where it moves; sensor noise as the variance of a count; Yang et al.'s deformation network
+Source: Yu et al., "SpikeGS: Learning 3D Gaussian fields from continuous spike stream", ACCV 2024 (two other papers
+have that name); Spike4DGS, which names both as baselines. As published: no image is made of the spikes; what is
+rendered goes through a model of the integrate-and-fire pixel and is compared with what fired; SpikeGS takes the scene
+for still; Dy-SpikeGS deforms it. Unknown: the weights and rates of either, how Dy-SpikeGS deforms, how noise is
+embedded. Ours: the expected count of a pixel whose phase is random over a window (`losses.counts`) in place of single
+spikes through a surrogate gradient; whole views every step; long windows where the scene is thought still, short ones
+integrated over instants where it moves; sensor noise as the variance of a count; Yang et al.'s deformation network
 (`gaussians.deformation`); our points, a cap in place of densification, our rates and kernels.
 """
 
