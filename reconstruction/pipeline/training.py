@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -135,13 +136,14 @@ def trainer_of(
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
     white = float(np.mean([np.percentile(source.background.image, 99.9) for source in sources.values()]))
+    own: dict[str, Any] = {"ends_early": run.config.steps is None} | dict(METHODS[plan.model].trainer)
     settings = TrainerSettings(
         plan.supervision,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
         refines=plan.refine,
         backend=backend,
-        **({"ends_early": run.config.steps is None} | dict(METHODS[plan.model].trainer)),
+        **own,
     )
     if dtype != torch.float32:
         assert isinstance(cloud, DynamicCloud)

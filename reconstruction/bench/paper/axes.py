@@ -24,8 +24,11 @@ SIZE = (8.6, 5.2)
 DPI = 130
 CAPTION_CHARACTERS = 150
 GREY = "#666"
-COLOURS = ("#0b5fa5", "#d1495b", "#2e8b57", "#e08e0b", "#7b4ea3", "#00838f", "#8d5a2b", "#c2579e", "#5f6b73", "#9aa500")
-MARKS = "os^Dvp<>hX"
+COLOURS = (
+    *("#0b5fa5", "#d1495b", "#2e8b57", "#e08e0b", "#7b4ea3", "#00838f"),
+    *("#8d5a2b", "#c2579e", "#5f6b73", "#9aa500", "#111111", "#e39b8b"),
+)
+MARKS = "os^Dvp<>hXP*"
 FEW_TICKS, MANY_TICKS = (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 WIDE = 30  # an axis that has few ticks a decade
 DB_STEPS = (0.25, 0.5, 1, 2, 5, 10)
