@@ -47,9 +47,9 @@ class RadianceField:
     fixed: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
-        parts = [_grid(self.still, 0, self.frustum.shape, (0, 0, 0))]
+        parts = [grid_of(self.still, 0, self.frustum.shape, (0, 0, 0))]
         if len(self.moving):
-            parts.append(_grid(self.moving, len(self.still), self.frustum.shape, REACH))
+            parts.append(grid_of(self.moving, len(self.still), self.frustum.shape, REACH))
         self.grids, self.nodes = tuple(parts), torch.cat([self.still, self.moving])
         self.last = parts[0].lookup.numel() - 1
 
@@ -131,7 +131,7 @@ class RadianceField:
             ) from error
 
 
-def _grid(nodes: Tensor, first: int, shape: tuple[int, int, int], reach: tuple[int, int, int]) -> Grid:
+def grid_of(nodes: Tensor, first: int, shape: tuple[int, int, int], reach: tuple[int, int, int]) -> Grid:
     """Cells numbered from `first` on at flat `nodes`, met by samples up to `reach` blocks away."""
     lookup = torch.full(shape, -1, dtype=torch.int32)
     lookup.view(-1)[nodes.long()] = torch.arange(first, first + len(nodes), dtype=torch.int32)

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int BLOCK[3] = {8, 8, 4};   // nodes of a block of `near`
 constexpr int KNOT[3] = {16, 16, 8};  // nodes between knots of the offsets
-constexpr float EMPTY = -6.0f, SPENT = 1e-6f;
+constexpr float EMPTY = -6.0f, SPENT = 1e-6f, MOST = 1e18f;  // MOST: two such densities have a sum
 
 struct Grid {  // what Python fills; `near` of each block whether a sample in it can meet a cell
     const int32_t *lookup;
@@ -97,7 +97,7 @@ void read(const Field &field, int part, const float place[3], Sample &sample) {
     sample.raw = raw;
     sample.held = held;
     sample.intensity = intensity / held;
-    sample.sigma = raw > 15 ? raw : std::log1p(std::exp(raw));
+    sample.sigma = raw > 15 ? std::min(raw, MOST) : std::log1p(std::exp(raw));
 }
 
 // Calls take(layer, samples, depth, intensity) for every sample that holds anything; take returns whether to go on.

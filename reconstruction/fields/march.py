@@ -24,6 +24,7 @@ from reconstruction.native import library
 BLOCK = (8, 8, 4)  # nodes of a block of `near`
 KNOT = (16, 16, 8)  # nodes between knots of the offsets
 EMPTY = -6.0  # raw density
+MOST = 1e18  # optical depth of a layer
 STEP = 1.0  # layers between samples
 
 
@@ -188,6 +189,8 @@ def _shifts(offsets: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
 
 def _read(grid: Grid, places: Tensor, reached: Tensor, raws: Tensor, intensities: Tensor) -> tuple[Tensor, Tensor]:
     """Optical depth of a layer and intensity [R, S] at `places` [R, S, 3], nothing where not `reached` [R, S]."""
+    if not len(raws):
+        return (nothing := torch.zeros_like(places[..., 0]) + raws.sum()), nothing
     reached = reached & _within(places, grid.lookup.shape)
     nodes, weights = _corners(torch.where(reached[..., None], places, torch.zeros_like(places)))
     cells = grid.lookup[tuple(nodes.unbind(-1))].long()
@@ -196,4 +199,5 @@ def _read(grid: Grid, places: Tensor, reached: Tensor, raws: Tensor, intensities
     raw = (weights * torch.where(cells >= 0, raws[cells.clamp_min(0)], EMPTY)).sum(-1)
     value = (weights * there * intensities[cells.clamp_min(0)]).sum(-1) / held.clamp_min(1e-30)
     hit = reached & (held > 0)
-    return torch.where(hit, softplus(raw), torch.zeros_like(raw)), torch.where(hit, value, torch.zeros_like(value))
+    sigma = softplus(raw).clamp_max(MOST)
+    return torch.where(hit, sigma, torch.zeros_like(raw)), torch.where(hit, value, torch.zeros_like(value))

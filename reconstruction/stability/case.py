@@ -28,7 +28,7 @@ class Case:
     """`observe` looks at what one of `on()` makes of it: a renderer, an image method, a motion model, or `none`.
 
     It passes where the error is at most `tolerance`, and that of gradients at most STEEPER times as much. `number` is
-    the stress catalogue's; runs on the stiff scenes have none.
+    the stress catalogue's; fields and runs on the stiff scenes have none.
     """
 
     number: int | None

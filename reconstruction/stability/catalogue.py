@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -10,14 +11,15 @@ from pathlib import Path
 from acquisition.bench_document import device
 from acquisition.progress import Progress
 from acquisition.revision import code_revision
-from reconstruction.stability import cameras, images, losses, motion, recordings, rendering
+from reconstruction.stability import cameras, images, losses, marching, motion, recordings, rendering
 from reconstruction.stability.case import Case, Row, row_of
 from reconstruction.stability.drift import drift_cases
 from reconstruction.stability.probe import omissions
 from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, stiff_cases
 
-_SUBJECTS = (rendering, motion, losses, images, recordings, cameras)
-CASES: tuple[Case, ...] = tuple(sorted((c for m in _SUBJECTS for c in m.CASES), key=lambda case: case.number or 0))
+_SUBJECTS = (rendering, motion, losses, images, recordings, cameras, marching)
+_ALL = (case for subject in _SUBJECTS for case in subject.CASES)
+CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))
 
 
 @dataclass(frozen=True)

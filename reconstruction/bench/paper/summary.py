@@ -32,9 +32,9 @@ def summarise(document: BenchDocument, protocol: Protocol) -> None:
                         document.summary[key] = float(np.mean([r[metric] for r in rows]))
     for effort in dict.fromkeys(r["effort"] for r in document.rows):
         for rival, sign in MARGINS.items():
-            gaps = margins(ordinary(document.rows), rival, effort)
-            if gaps:
-                document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(gaps))
+            found = gaps(ordinary(document.rows), m.AUTO.name, rival, effort)
+            if found:
+                document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(found))
     document.summary |= leads(ordinary(document.rows))
     for target in TARGETS_DB:
         reached = times_to(ordinary(document.rows), m.AUTO.name, target)
@@ -54,11 +54,11 @@ def name_of(row: dict) -> str:
     return f"{row['scene']}-{row['seed']}-{row['method']}-{row['effort']}"
 
 
-def margins(rows: Sequence[dict], rival: str, effort: str) -> list[float]:
-    """How many dB ours lies above a rival on each recording that both have at an effort."""
+def gaps(rows: Sequence[dict], one: str, other: str, effort: str) -> list[float]:
+    """How many dB a method lies above another on each recording that both have at an effort."""
     levels = {(r["method"], r["scene"], r["seed"]): r["psnr_db"] for r in rows if r["effort"] == effort}
-    ours = {key[1:]: level for key, level in levels.items() if key[0] == m.AUTO.name}
-    return [level - levels[rival, *key] for key, level in ours.items() if (rival, *key) in levels]
+    ones = {key[1:]: level for key, level in levels.items() if key[0] == one}
+    return [level - levels[other, *key] for key, level in ones.items() if (other, *key) in levels]
 
 
 def leads(rows: Sequence[dict]) -> dict[str, float]:

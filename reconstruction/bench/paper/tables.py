@@ -12,13 +12,14 @@ from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Cell, Protocol, Row, Table
 from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS, OtherRow
 from reconstruction.bench.paper.published import PUBLISHED, Figures
-from reconstruction.bench.paper.summary import TARGETS_DB, name_of, ordinary, times_to
+from reconstruction.bench.paper.summary import TARGETS_DB, gaps, name_of, ordinary, times_to
 
 PAPER = "paper (other scenes)"
 COLUMNS = (
     "row",
     "at",
     "PSNR / dB",
+    "to the first row",
     "spread",
     "movers / dB",
     "SSIM",
@@ -27,6 +28,10 @@ COLUMNS = (
     "seconds",
     "runs",
     PAPER,
+)
+ABOUT = (
+    "To the first row: dB, on the recordings that both have. Spread: lowest to highest of the recordings; ± the "
+    "deviation over seeds of one scene."
 )
 FORMS = (
     ("psnr_db", ".2f"),
@@ -75,8 +80,8 @@ def measured_table(table: Table, protocol: Protocol, rows: Sequence[dict]) -> st
                 lines.append(_line(table, row, wanted, rows))
                 some = True
         if not efforts:
-            lines.append([row.label, *[""] * 8, "omitted", _paper(table, row)])
-    said = f"{table.about} Spread: lowest to highest of the recordings; ± the deviation over seeds of one scene."
+            lines.append([row.label, *[""] * 9, "omitted", _paper(table, row)])
+    said = f"{table.about} {ABOUT}"
     partial = f" **Partial: {missing} runs are missing; the omissions say which.**" if missing else ""
     return f"## {table.title} (`{table.name}`)\n\n{said}{partial}\n\n{markdown(COLUMNS, lines)}"
 
@@ -95,10 +100,21 @@ def _line(table: Table, row: Row, wanted: Sequence[Cell], rows: Sequence[dict]) 
     found = _of(wanted, rows)
     count = f"{len(found)} of {len(wanted)}"
     if not found:
-        return [row.label, str(wanted[0].effort), *[""] * 7, f"{count}: missing", _paper(table, row)]
+        return [row.label, str(wanted[0].effort), *[""] * 8, f"{count}: missing", _paper(table, row)]
     kept = f", {sum('kept' in r for r in found)} of other code" if any("kept" in r for r in found) else ""
     level, *figures = [_mean(found, metric, form) for metric, form in FORMS]
-    return [row.label, str(wanted[0].effort), level, _spread(found), *figures, count + kept, _paper(table, row)]
+    about = level, _to_first(table, row, found, rows), _spread(found)
+    return [row.label, str(wanted[0].effort), *about, *figures, count + kept, _paper(table, row)]
+
+
+def _to_first(table: Table, row: Row, found: Sequence[dict], rows: Sequence[dict]) -> str:
+    first = table.rows[0].method
+    if row.method is None or first is None or row.method == first:
+        return ""
+    apart = gaps(
+        [*found, *(r for r in rows if r["method"] == first.name)], row.method.name, first.name, found[0]["effort"]
+    )
+    return f"{np.mean(apart):+.2f}" if apart else ""
 
 
 def _mean(rows: Sequence[dict], metric: str, form: str) -> str:

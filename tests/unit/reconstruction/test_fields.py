@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.fields.field import REACH, RadianceField, _grid
+from reconstruction.fields.field import REACH, RadianceField, grid_of
 from reconstruction.fields.frustum import Frustum
 from reconstruction.fields.march import march, march_reference
 from reconstruction.fields.model import model_from_state
@@ -43,7 +43,7 @@ NOTHING = (np.zeros((0, 3)), np.zeros(0, np.float32))
 
 def full_grid(raw: float, intensity: float):
     count = math.prod(SHAPE)
-    grids = (_grid(torch.arange(count), 0, SHAPE, (0, 0, 0)),)
+    grids = (grid_of(torch.arange(count), 0, SHAPE, (0, 0, 0)),)
     return grids, (torch.full((count,), raw), torch.full((count,), intensity), NO_SHIFT)
 
 
@@ -55,7 +55,7 @@ def random_case(seed: int):
     generator = torch.Generator().manual_seed(seed)
     order = torch.randperm(math.prod(SHAPE), generator=generator)
     still, moving = order[:2500].sort().values, order[3000:4500].sort().values
-    grids = (_grid(still, 0, SHAPE, (0, 0, 0)), _grid(moving, 2500, SHAPE, REACH))
+    grids = (grid_of(still, 0, SHAPE, (0, 0, 0)), grid_of(moving, 2500, SHAPE, REACH))
     rest = [torch.rand(200, generator=generator) for _ in range(6)]
     lines = torch.stack(
         [rest[0] * 23, rest[1] * 19, rest[2] - 0.5, rest[3] - 0.5, 1 + 0.2 * rest[4], 2 * rest[5]], dim=1

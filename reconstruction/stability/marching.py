@@ -1,0 +1,139 @@
+"""Rays through radiance fields: densities, light, offsets and rays no march likes, on each build of the kernel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from acquisition.native import code_path, code_paths
+from reconstruction.fields.field import REACH, grid_of
+from reconstruction.fields.march import Grid, march, march_reference
+from reconstruction.stability.case import Case, Observation
+from reconstruction.stability.probe import apart
+
+SHAPE = (20, 24, 12)  # rows, columns, layers
+STILL, MOVING, RAYS = 2500, 1500, 61
+OUTSIDE = (1e9, -1e9, 3e38, math.nan, math.inf)
+EDGE = 100.0  # raw density, of either sign in neighbours: float32 keeps 1e-7 of it
+
+
+@dataclass(frozen=True, eq=False)
+class March:
+    """The arguments of one march: some cells that stand still, some that move, rays that cross them at random."""
+
+    grids: tuple[Grid, ...]
+    lines: Tensor
+    jitter: Tensor
+    tensors: tuple[Tensor, Tensor, Tensor]
+
+    def with_tensors(self, **changes: Tensor) -> March:
+        """The same with other `raws`, `intensities` or `offsets`."""
+        named = dict(zip(("raws", "intensities", "offsets"), self.tensors, strict=True)) | changes
+        return replace(self, tensors=tuple(named.values()))
+
+
+def _march(still: int = STILL, moving: int = MOVING, rays: int = RAYS) -> March:
+    generator = torch.Generator().manual_seed(5)
+    order = torch.randperm(math.prod(SHAPE), generator=generator)
+    nodes = order[:still].sort().values, order[still : still + moving].sort().values
+    grids = (grid_of(nodes[0], 0, SHAPE, (0, 0, 0)), grid_of(nodes[1], still, SHAPE, REACH))
+    x, y, dx, dy, stretch, first, jitter = torch.rand(7, rays, generator=generator)
+    lines = torch.stack([23 * x, 19 * y, dx - 0.5, dy - 0.5, 1 + 0.2 * stretch, 2 * first], dim=1)
+    raws = torch.randn(still + moving, generator=generator) - 2
+    offsets = 0.7 * torch.randn(3, 3, 3, 3, generator=generator)
+    return March(grids, lines, jitter, (raws, torch.rand(still + moving, generator=generator), offsets))
+
+
+def marchers() -> tuple[str, ...]:
+    """The readable twin in float32, and the kernel by each code path of this processor."""
+    return ("reference", *(f"native {name}" for name in code_paths()))
+
+
+def _marched(asked: March, marcher: str, dtype: torch.dtype) -> tuple[Tensor, ...]:
+    """Light, alpha, and the gradients of their uneven sum by the three tensors, in float64."""
+    leaves = tuple(t.detach().to(dtype).clone().requires_grad_() for t in asked.tensors)
+    path = marcher.partition(" ")[2]
+    if path:
+        with code_path(path):
+            seen = march(asked.grids, asked.lines, asked.jitter, 1.0, leaves)
+            _uneven(seen.light, seen.alpha).backward()
+    else:
+        seen = march_reference(asked.grids, asked.lines, asked.jitter, 1.0, leaves)
+        _uneven(seen.light, seen.alpha).backward()
+    slopes = (torch.zeros_like(t) if t.grad is None else t.grad for t in leaves)
+    return tuple(t.detach().double() for t in (seen.light, seen.alpha, *slopes))
+
+
+def _uneven(light: Tensor, alpha: Tensor) -> Tensor:
+    weights = torch.linspace(-1, 1, len(light), dtype=light.dtype)
+    return (light * weights + alpha * weights.flip(0)).sum()
+
+
+def _against_float64(cases: list[March], marcher: str) -> Observation:
+    """How far light and alpha, and the gradients, are from the twin's in float64; infinite where not finite."""
+    error, slope = 0.0, 0.0
+    for asked in cases:
+        found = _marched(asked, marcher, torch.float32)
+        expected = _marched(asked, "reference", torch.float64)
+        errors = [apart(own, twin) for own, twin in zip(found, expected, strict=True)]
+        error, slope = max(error, *errors[:2]), max(slope, *errors[2:])
+    return Observation(f"{len(cases)} marches, worst {error:.1e} from float64", error, slope)
+
+
+def _all(value: float) -> Tensor:
+    return torch.full((STILL + MOVING,), value)
+
+
+def _densities(marcher: str) -> Observation:
+    usual = _march()
+    cases = [usual.with_tensors(raws=_all(value)) for value in (-3e38, -100.0, 0.0, 15.0, 100.0, 3e38)]
+    mixed = torch.where(torch.arange(STILL + MOVING) % 2 == 0, _all(EDGE), _all(-EDGE))
+    return _against_float64([*cases, usual.with_tensors(raws=mixed)], marcher)
+
+
+def _light(marcher: str) -> Observation:
+    usual = _march()
+    return _against_float64([usual.with_tensors(intensities=_all(v)) for v in (0.0, 1e-30, 1e15, -1.0)], marcher)
+
+
+def _offsets(marcher: str) -> Observation:
+    usual = _march()
+    shape = usual.tensors[2].shape
+    return _against_float64([usual.with_tensors(offsets=torch.full(shape, v)) for v in (0.0, 1e4, -1e30)], marcher)
+
+
+def _strays(marcher: str) -> Observation:
+    """Every ray of a march but the first is led astray, in one number each; the first stays as it is alone."""
+    usual = _march(rays=1)
+    stray = usual.lines.repeat(1 + 4 * len(OUTSIDE), 1)
+    for row, (column, value) in enumerate(((c, v) for c in (0, 1, 2, 3) for v in OUTSIDE), start=1):
+        stray[row, column] = value
+    asked = replace(usual, lines=stray, jitter=usual.jitter.repeat(len(stray)))
+    light, alpha, *slopes = _marched(asked, marcher, torch.float32)
+    own = _marched(usual, marcher, torch.float32)
+    seen = torch.cat([light[1:], alpha[1:]]).abs().max()
+    error = max(float(seen), apart(light[:1], own[0]), apart(alpha[:1], own[1]))
+    finite = all(bool(slope.isfinite().all()) for slope in slopes)
+    return Observation(f"{len(stray) - 1} rays, light {float(seen):.0e}", error if finite else math.inf)
+
+
+def _sizes(marcher: str) -> Observation:
+    sizes = ((0, 0, 5), (1, 0, 5), (0, 1, 5), (STILL, MOVING, 0), (STILL, MOVING, 1), (STILL, MOVING, 7))
+    return _against_float64([_march(*size) for size in sizes], marcher)
+
+
+def _case(name: str, expected: str, tolerance: float, observe: Callable[[str], Observation]) -> Case:
+    return Case(None, f"field: {name}", expected, tolerance, observe, marchers)
+
+
+CASES = (
+    _case("raw densities to +-3e38, edges of +-100", "nothing or a wall, as in float64", 1e-4, _densities),
+    _case("light of 0, 1e-30, 1e15 and below 0", "as in float64", 1e-4, _light),
+    _case("offsets that lead out of the grid", "nothing there, as in float64", 1e-4, _offsets),
+    _case("rays that miss, or are no numbers", "no light; others as before", 0.0, _strays),
+    _case("no cell, one cell, no ray, one, seven", "as in float64", 1e-4, _sizes),
+)
