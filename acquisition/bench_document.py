@@ -43,6 +43,26 @@ def device() -> dict[str, str | int]:
     return {"processor": _processor(), "threads": len(os.sched_getaffinity(0))}
 
 
+class Stolen:
+    """How much of the processors' time the machine's other guests have taken since this was made."""
+
+    def __init__(self, source: Path = Path("/proc/stat")) -> None:
+        self._source = source
+        self._before = self._times()
+
+    def share(self) -> float:
+        """Of the time of all processors, in 0..1; 0 where the system does not tell."""
+        spent = [after - before for after, before in zip(self._times(), self._before, strict=True)]
+        return spent[-1] / sum(spent) if any(spent) else 0.0
+
+    def _times(self) -> list[int]:
+        """Ticks of user, nice, system, idle, waiting, two kinds of interrupts, stolen."""
+        try:
+            return [int(word) for word in self._source.read_text().split("\n", 1)[0].split()[1:9]]
+        except OSError:
+            return []
+
+
 def fastest_s(work: Callable[[], object], repeats: int = 7) -> float:
     """Seconds of the fastest of `repeats` calls after one that warms up: the least disturbed on a shared machine."""
     work()

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquisition.bench_document import device
+from acquisition.bench_document import Stolen, device
 from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
@@ -24,6 +24,7 @@ from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.run import RunFolder
 
 SCORES = "scores.json"
+QUIET, TRIES = 0.1, 2  # a run from which others took more time than this share is run again; the quietest counts
 WARM_UP = Effort(steps=2)  # that loads what a process loads once, and is thrown away
 
 
@@ -77,8 +78,11 @@ class Laboratory:
         config = cell.method.config(cell.effort, cell.seed)  # a name that is not known is refused before any work
         recording = self.recording_of(cell.scene, cell.seed)
         out = self._own(cell)
+        for left_over in out.parent.glob("*"):  # of a run that was stopped on the way
+            if not (left_over / SCORES).exists():
+                shutil.rmtree(left_over)
         try:
-            found = self._run(cell, config, recording, out)
+            found = self._quietest(cell, config, recording, out)
         except ReconstructionError as refusal:
             if isinstance(refusal, StoppedError):
                 raise
@@ -90,17 +94,28 @@ class Laboratory:
         _reduce(out)
         return found
 
+    def _quietest(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
+        """What the run in `out` came to: the first that the machine's other guests left in peace, or the best so."""
+        tried: list[tuple[dict, Path]] = []
+        while not tried or (len(tried) < TRIES and tried[-1][0]["stolen"] > QUIET):
+            place = out.with_name(f"{out.name}.{len(tried)}")
+            tried.append((self._run(cell, config, recording, place), place))
+        best, kept = min(tried, key=lambda one: one[0]["stolen"])
+        kept.rename(out)
+        for _, place in tried:
+            shutil.rmtree(place, ignore_errors=True)
+        return best
+
     def _run(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
-        for left_over in out.parent.glob("*"):  # of other code, stopped on the way
-            if left_over != out and not (left_over / SCORES).exists():
-                shutil.rmtree(left_over)
         change = cell.method.change
         own = self.work / "recordings" / f"{recording.name}-{change.label}"
         path = changed(recording, own, change, cell.seed)
         self._warm_up(recording)
+        others = Stolen()
         run = reconstruct(path, out, config, self.progress_of, last="train")
+        share = round(others.share(), 4)
         scores = score_run(run, Recording.open(recording))
-        return {"seconds": scores["curve"][-1]["seconds"], **scores}
+        return {"seconds": scores["curve"][-1]["seconds"], "stolen": share, **scores}
 
     def _warm_up(self, recording: Path) -> None:
         """Run the pipeline once for nothing: libraries are loaded on no run's clock."""

@@ -147,9 +147,19 @@ def _head(document: dict) -> str:
     return (
         f"# The paper's tables, as ours\n\nOurs: simulated scenes, the centre view held out, linear light; {on}; "
         f"revision {document['revision']}. Seconds are of the wall, from recording to last step; the clock stands "
-        "while a result is scored, and a run that warms up comes before. The paper's figures were measured by its "
+        f"while a result is scored, and a run that warms up comes before.{_disturbed(document['rows'])} "
+        "The paper's figures were measured by its "
         "authors on other scenes and one RTX 4090: what may be compared is the order of the rows, not the numbers."
     )
+
+
+def _disturbed(rows: Sequence[dict]) -> str:
+    """What other guests of the machine took from the runs that say so."""
+    shares = [row["stolen"] for row in rows if "stolen" in row]
+    if not shares:
+        return ""
+    took = f"{np.median(shares):.0%} of the processors' time in the median and {max(shares):.0%} in the worst"
+    return f" Of {len(shares)} runs of {len(rows)} it is known what other guests of the machine took: {took}."
 
 
 def other_table(name: str, title: str, document: dict | None, rows: Sequence[OtherRow]) -> str:

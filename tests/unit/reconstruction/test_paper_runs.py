@@ -30,6 +30,7 @@ def laboratory(tmp_path, monkeypatch):
     def reconstruct(path, out, config, progress_of, *, last):
         assert (path, last) == (recording, "train")
         made.append(out.parent.name)
+        assert not out.exists()
         if config.images == "tfi":
             raise StereoError("found no depth")
         for name in ("points/still.npy", "snapshots/0000001.pt", "snapshots/0000002.pt", "run.json", "checkpoint.pt"):
@@ -73,6 +74,18 @@ def test_of_a_run_its_scores_and_its_last_state_are_left(laboratory):
     (folder,) = (laboratory.own.work / "cells" / "fan_and_ball-2-good-10").iterdir()
     left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     assert left == {SCORES, "run.json", "snapshots/0000002.pt"}
+
+
+@pytest.mark.parametrize(("shares", "kept"), [([0.1], 0.1), ([0.5, 0.2], 0.2), ([0.2, 0.5], 0.2)])
+def test_a_run_that_others_disturbed_is_run_again_and_the_quieter_counts(laboratory, monkeypatch, shares, kept):
+    took = iter(shares)
+    monkeypatch.setattr(runs, "Stolen", lambda: SimpleNamespace(share=lambda: next(took)))
+    found = laboratory.own.result(Cell(GOOD, "fan_and_ball", 2, EFFORT))
+    assert found["stolen"] == kept
+    assert len(laboratory.made) == len(shares)
+    (folder,) = (laboratory.own.work / "cells" / "fan_and_ball-2-good-10").iterdir()
+    assert json.loads((folder / SCORES).read_text()) == found
+    assert (folder / "run.json").exists()
 
 
 def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, monkeypatch):
