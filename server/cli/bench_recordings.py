@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from acquisition.errors import AcquisitionError
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION_SEEDS
 
 TICKS = 400
@@ -18,14 +19,15 @@ def recorded(scenes: tuple[str, ...], work: Path, ticks: int = TICKS) -> list[tu
 def recording(scene: str, seed: int, work: Path, ticks: int = TICKS, rig: str | None = None) -> Path:
     """The recording of a scene and seed in `work`.
 
-    Where there is none `simulate` makes it, in a process of its own, whose threads wait as many pools should.
+    Where there is none `simulate` makes it, in a process of its own, whose threads wait as many pools should. Raises
+    AcquisitionError where that fails.
     """
     path = work / f"{scene}-{seed}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path} | ({"rig": rig} if rig else {})
         command = [sys.executable, "-m", "server.cli", "simulate"]
-        subprocess.run(
-            command + [word for k, v in options.items() for word in (f"--{k}", str(v))], check=True, stdout=sys.stderr
-        )
+        command += [word for k, v in options.items() for word in (f"--{k}", str(v))]
+        if subprocess.run(command, stdout=sys.stderr).returncode:
+            raise AcquisitionError(f"{path}: found that simulate failed, expected a recording; its reason is above")
     return path
