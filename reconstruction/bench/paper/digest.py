@@ -26,6 +26,11 @@ def cell_digest(cell: Cell, recording: Path) -> str:
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:KEPT_DIGITS]
 
 
+def this_code() -> str:
+    """The first digits of the code's digest, by which a row says what made it."""
+    return code_digest()[:KEPT_DIGITS]
+
+
 @functools.cache
 def code_digest() -> str:
     """SHA-256 over the names and contents of the sources."""

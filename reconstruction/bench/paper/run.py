@@ -14,7 +14,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.bench.paper.changed import changed
-from reconstruction.bench.paper.digest import cell_digest
+from reconstruction.bench.paper.digest import cell_digest, this_code
 from reconstruction.bench.paper.method import Cell, Effort
 from reconstruction.bench.score_run import score_run
 from reconstruction.errors import ReconstructionError
@@ -42,22 +42,25 @@ class Laboratory:
     warm: bool = False
 
     def kept(self, cell: Cell) -> Path | None:
-        """The folder of a cell's run by this code, or with `keep` of the newest; None where there is none."""
-        folder = self.work / "cells" / cell.name
-        found = [file.parent for file in folder.glob(f"*/{SCORES}")]
-        if not found:  # nor perhaps a recording, which is not made for nothing
+        """The folder of a cell's run by this code, or with `keep` of any; None where there is none.
+
+        With `keep` no recording is made only to know whether it is still the same.
+        """
+        found = [file.parent for file in (self.work / "cells" / cell.name).glob(f"*/{SCORES}")]
+        if not found:
             return None
+        if self.keep:
+            return max(found, key=lambda run: (_is_of_this_code(_row(run)), (run / SCORES).stat().st_mtime))
         own = self._own(cell)
-        if own in found:
-            return own
-        return max(found, key=lambda run: (run / SCORES).stat().st_mtime) if self.keep else None
+        return own if own in found else None
 
     def known(self, cell: Cell) -> dict | None:
         """What was kept of a cell; None where there is nothing."""
         folder = self.kept(cell)
         if folder is None:
             return None
-        return json.loads((folder / SCORES).read_text()) | ({} if folder == self._own(cell) else {"kept": True})
+        row = _row(folder)
+        return row if _is_of_this_code(row) else row | {"kept": True}
 
     def folder(self, cell: Cell) -> Path:
         """Where the run of a cell lies, which is made where there is none; raises ReconstructionError if refused."""
@@ -65,7 +68,7 @@ class Laboratory:
         if found is None:
             self.result(cell)
             found = self._own(cell)
-        refused = json.loads((found / SCORES).read_text()).get("refused")
+        refused = _row(found).get("refused")
         if refused:
             raise ReconstructionError(refused)
         return found
@@ -88,7 +91,8 @@ class Laboratory:
                 raise
             found = {"refused": " ".join(str(refusal).split())}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
-        found = row | {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision()} | found
+        about = {**device(), "revision": code_revision(), "code": this_code()}
+        found = row | {"budget_s": cell.effort.budget_s} | about | found
         out.mkdir(parents=True, exist_ok=True)
         write_json(out / SCORES, found)
         _reduce(out)
@@ -127,6 +131,14 @@ class Laboratory:
         reconstruct(recording, out, config, self.progress_of, last="train")
         shutil.rmtree(out)
         self.warm = True
+
+
+def _row(run: Path) -> dict:
+    return json.loads((run / SCORES).read_text())
+
+
+def _is_of_this_code(row: dict) -> bool:
+    return row.get("code") == this_code()
 
 
 def _reduce(out: Path) -> None:

@@ -92,7 +92,10 @@ def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, mon
     before = bench_paper(PROTOCOL, laboratory.own, silent)
     monkeypatch.setattr(digest, "code_digest", lambda: "other")
     laboratory.own.keep = True
+    recording_of = laboratory.own.recording_of
+    laboratory.own.recording_of = lambda scene, seed: pytest.fail("simulated for nothing")
     kept = bench_paper(PROTOCOL, laboratory.own, silent)
+    laboratory.own.recording_of = recording_of
     assert len(laboratory.made) == 2
     assert kept.rows == [row | {"kept": True} for row in before.rows]
     assert any(before.rows[0]["revision"] in line for line in kept.omissions if line.startswith("kept from"))
