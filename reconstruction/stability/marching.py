@@ -55,7 +55,8 @@ def marchers() -> tuple[str, ...]:
 
 def _marched(asked: March, marcher: str, dtype: torch.dtype) -> tuple[Tensor, ...]:
     """Light, alpha, and the gradients of their uneven sum by the three tensors, in float64."""
-    leaves = tuple(t.detach().to(dtype).clone().requires_grad_() for t in asked.tensors)
+    raws, intensities, offsets = (t.detach().to(dtype).clone().requires_grad_() for t in asked.tensors)
+    leaves = raws, intensities, offsets
     path = marcher.partition(" ")[2]
     if path:
         with code_path(path):
