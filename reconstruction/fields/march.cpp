@@ -127,7 +127,8 @@ struct Gradients {
 };
 
 void spread(const Field &field, const Sample &sample, bool moving, float by_sigma, float by_light, Gradients &out) {
-    const float by_raw = by_sigma / (1 + std::exp(-sample.raw)), by_held = by_light / sample.held;
+    const float by_raw = sample.raw > MOST ? 0 : by_sigma / (1 + std::exp(-sample.raw));
+    const float by_held = by_light / sample.held;
     float shift[3] = {0, 0, 0};
     for (int c = 0; c < 8; ++c) {
         const int64_t cell = sample.tap.index[c];
