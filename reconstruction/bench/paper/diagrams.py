@@ -23,7 +23,7 @@ from reconstruction.bench.paper.axes import (
     write_figure,
 )
 from reconstruction.bench.paper.other_diagrams import image_methods, pose_methods
-from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, ordinary, times_to
+from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, ordinary, times_to, widest
 from reconstruction.bench.score_run import STAGES
 from reconstruction.training.config import ReconstructionConfig
 
@@ -32,7 +32,7 @@ SECONDS = "wall seconds, from recording to result"
 STOPPED = "The clock stands while a result is scored; a run that warms up came before."
 BAND = "Line: median; band: lowest to highest of recordings."
 DEPTH = ("Depth of the held-out view", "Abs Rel")
-SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name)
+SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name, m.MSDI["spss"].name)
 DEEP = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values()))
 BAR = "Mark: median; bar: lowest to highest of recordings."
 SWEEPS = {  # a number in a method's name: its axis, and what it is where the name has none
@@ -67,19 +67,18 @@ def write_diagrams(out: Path, document: dict, others: Mapping[str, dict | None])
 
 
 def curves(rows: Sequence[dict], method: str, metric: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Seconds [P] and errors [R, P] of a method's longest runs, by snapshot; None where none has snapshots of it."""
+    """Seconds [P] and errors [R, P] of a method's `widest` runs, by snapshot; None where none has snapshots of it."""
     own = [r for r in rows if r["method"] == method and all(metric in p for p in r["curve"])]
     if not own:
         return None
-    longest = max(own, key=lambda r: r["seconds"])["effort"]
-    runs = [r["curve"] for r in own if r["effort"] == longest]
+    runs = [r["curve"] for r in widest(own)]
     count = min(len(points) for points in runs)  # an early end has fewer; the last ones are those of the end
     seconds = np.array([[p["seconds"] for p in points[-count:]] for points in runs])
     return np.median(seconds, axis=0), _error(metric, [[p[metric] for p in points[-count:]] for points in runs])
 
 
 def against_time(path: Path, document: dict, known: Sequence[str], metric: str, names: tuple[str, str]) -> bool:
-    """Error against time of training: snapshots of each method's longest runs, and the end of each length of them."""
+    """Error against time of training: snapshots of each method's `widest` runs, and the end of each length of them."""
     rows = [r for r in document["rows"] if r["method"] in known and metric in r]
     if not rows:
         return False
@@ -128,16 +127,17 @@ def time_to(path: Path, document: dict) -> bool:
 
 
 def stages(path: Path, document: dict) -> bool:
-    """Seconds of each stage of each method's longest runs, mean over recordings."""
-    rows = [r for r in document["rows"] if r["method"] in SHOWN]
-    methods = [name for name in SHOWN if any(r["method"] == name for r in rows)]
-    if not methods:
+    """Seconds of each stage, mean over recordings, at the length that most methods were run at."""
+    lengths = _by_effort([r for r in document["rows"] if r["method"] in SHOWN])
+    if not lengths:
         return False
-    figure, axes = new_figure("Where the seconds go")
-    left = np.zeros(len(methods))
-    longest = [max(_by_effort([r for r in rows if r["method"] == name]), key=_seconds) for name in methods]
+    rows = max(lengths, key=lambda own: len({r["method"] for r in own}))
+    runs = {name: [r for r in rows if r["method"] == name] for name in SHOWN}
+    runs = {name: own for name, own in runs.items() if own}
+    figure, axes = new_figure(f"Where the seconds go (@{rows[0]['effort']})")
+    methods, left = list(runs), np.zeros(len(runs))
     for number, stage in enumerate(STAGES):
-        width = np.array([np.mean([r[f"seconds.{stage}"] for r in own]) for own in longest])
+        width = np.array([np.mean([r[f"seconds.{stage}"] for r in own]) for own in runs.values()])
         axes.barh(methods, width, left=left, color=COLOURS[number], label=stage, height=0.65)
         left += width
     axes.invert_yaxis()

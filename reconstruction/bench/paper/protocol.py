@@ -6,7 +6,7 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, STRESS
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
 
-SHORTEST, SHORT, LONG, LONGEST = (Effort(seconds) for seconds in (15.0, 30.0, 60.0, 120.0))
+SHORTEST, SHORT, LONG, LONGEST, UNHURRIED = (Effort(seconds) for seconds in (15.0, 30.0, 60.0, 120.0, 180.0))
 NO_DUST3R = "no DUSt3R checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own"
 NO_PRETRAINING = "the MSDI that ships was never pretrained: without a DUSt3R checkpoint there is nothing to leave out"
 OURS = Row("Ours, true poses", m.AUTO, "Spike4DGS")
@@ -144,6 +144,11 @@ GAUSSIANS = Table(
     (Row("Ours, 24000", m.AUTO), *(Row(f"Ours, {cap}", m.capped(m.AUTO, cap)) for cap in m.CAPS)),
 )
 LEADERS = (*(m.TFI[model].name for model in ("stg", "4dgs", "d3dgs")), m.SPIKES["dy-spikegs"].name)
+SLOW = (  # whose images and poses take most of a minute by themselves; the first two for comparison
+    *(m.FOUND.name, m.TFI_COLMAP.name),
+    *(method.name for method in (*m.MSDI_COLMAP.values(), m.MSDI["pixels"], m.MSDI["spss"])),
+)
+FOUND = (m.FOUND.name, *(method.name for method in m.TFI_FOUND.values()), m.TFI_COLMAP.name)
 FIRST, THIRD = EVALUATION[:1], EVALUATION[2:3]
 PROTOCOL = Protocol(
     (NOVEL_VIEW, LOSSES, REFERENCES, DEPTH, MODULES, OUTDOORS, STATIC, STRESSES, RATES, VIEWS, GAUSSIANS),
@@ -151,26 +156,26 @@ PROTOCOL = Protocol(
         Batch("novel-view", EVALUATION, (LONG,), (m.AUTO.name, *LEADERS)),
         Batch("novel-view", EVALUATION, (SHORTEST, SHORT), (m.AUTO.name,)),
         Batch("references", EVALUATION, (LONG,), (m.CLEAN.name,)),
-        Batch("losses", FIRST, (SHORT,)),
+        Batch("modules", FIRST, (LONG,)),
+        Batch("novel-view", FIRST, (UNHURRIED,), SLOW),
+        Batch("novel-view", FIRST, (LONG,), (*FOUND, m.SPIKES["spikegs"].name, *m.FIELDS)),
         Batch("depth", FIRST, (LONG,)),
-        Batch("novel-view", FIRST, (LONG,), (m.FOUND.name, m.SPIKES["spikegs"].name, *m.FIELDS)),
-        Batch("static", ("static",), (LONG,)),
-        Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs"].name)),
-        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name,), seeds=(1, 2)),
-        Batch("losses", EVALUATION, (SHORT,)),
         Batch("references", FIRST, (LONG,)),
-        Batch("views", THIRD, (SHORT,), tuple(row.method.name for row in VIEWS.rows[:12:2] if row.method)),
-        Batch("rates", FIRST, (SHORT,)),
+        Batch("losses", EVALUATION, (SHORT,)),
         Batch("gaussians", FIRST, (SHORT,)),
+        Batch("rates", FIRST, (SHORT,)),
+        Batch("views", THIRD, (SHORT,), tuple(row.method.name for row in VIEWS.rows[:12:2] if row.method)),
         Batch("outdoors", ("outdoor",), (SHORT,)),
         Batch("stress", STRESS, (SHORT,)),
+        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name,), seeds=(1, 2)),
+        Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs"].name)),
+        Batch("static", ("static",), (LONG,)),
         Batch("novel-view", FIRST, (LONG,)),
-        Batch("modules", FIRST, (LONG,)),
+        Batch("novel-view", FIRST, (LONGEST,), (m.AUTO.name, *LEADERS)),
         Batch("novel-view", EVALUATION, (SHORT,), LEADERS, seeds=(1, 2)),
         Batch("depth", EVALUATION, (LONG,)),
         Batch("novel-view", EVALUATION, (SHORTEST, SHORT), LEADERS),
         Batch("views", THIRD, (SHORT,)),
-        Batch("novel-view", FIRST, (LONGEST,), (m.AUTO.name, *LEADERS)),
         Batch("references", EVALUATION, (LONG,)),
         Batch("modules", EVALUATION, (LONG,)),
         Batch("novel-view", EVALUATION, (LONG,)),

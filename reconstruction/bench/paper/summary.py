@@ -91,6 +91,12 @@ def curve(rows: Iterable[dict], metric: str = "psnr_db") -> list[tuple[float, fl
     return sorted((p["seconds"], p[metric]) for r in rows for p in r["curve"] if metric in p)
 
 
+def widest(rows: Sequence[dict]) -> list[dict]:
+    """The runs of the length that most scenes were run at, of the longest such."""
+    lengths = [[r for r in rows if r["effort"] == effort] for effort in dict.fromkeys(r["effort"] for r in rows)]
+    return max(lengths, key=lambda own: (len({r["scene"] for r in own}), max(r["seconds"] for r in own)))
+
+
 def times_to(rows: Sequence[dict], method: str, target_db: float) -> list[float | None]:
     """For each recording a method was run on, the first second any run of it reached a level; None where none did."""
     curves: dict[tuple[str, int], list[tuple[float, float]]] = {}

@@ -12,7 +12,7 @@ from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Cell, Protocol, Row, Table
 from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS, OtherRow
 from reconstruction.bench.paper.published import PUBLISHED, Figures
-from reconstruction.bench.paper.summary import TARGETS_DB, gaps, name_of, ordinary, times_to
+from reconstruction.bench.paper.summary import TARGETS_DB, gaps, name_of, ordinary, times_to, widest
 
 PAPER = "paper (other scenes)"
 COLUMNS = (
@@ -82,7 +82,7 @@ def measured_table(table: Table, protocol: Protocol, rows: Sequence[dict]) -> st
         if not efforts:
             lines.append([row.label, *[""] * 9, "omitted", _paper(table, row)])
     said = f"{table.about} {ABOUT}"
-    partial = f" **Partial: {missing} runs are missing; the omissions say which.**" if missing else ""
+    partial = f" **Partial: {missing} runs are missing or were refused; the omissions say which.**" if missing else ""
     return f"## {table.title} (`{table.name}`)\n\n{said}{partial}\n\n{markdown(COLUMNS, lines)}"
 
 
@@ -100,7 +100,7 @@ def _line(table: Table, row: Row, wanted: Sequence[Cell], rows: Sequence[dict]) 
     found = _of(wanted, rows)
     count = f"{len(found)} of {len(wanted)}"
     if not found:
-        return [row.label, str(wanted[0].effort), *[""] * 8, f"{count}: missing", _paper(table, row)]
+        return [row.label, str(wanted[0].effort), *[""] * 8, count, _paper(table, row)]
     kept = f", {sum('kept' in r for r in found)} of other code" if any("kept" in r for r in found) else ""
     level, *figures = [_mean(found, metric, form) for metric, form in FORMS]
     about = level, _to_first(table, row, found, rows), _spread(found)
@@ -190,8 +190,7 @@ def time_table(rows: Sequence[dict]) -> str:
         own = [r for r in rows if r["method"] == method.name]
         if own:
             cells = [_reached(times_to(rows, method.name, target)) for target in TARGETS_DB]
-            longest = max(own, key=lambda r: r["seconds"])["effort"]
-            steps = [_mean([r for r in own if r["effort"] == longest], "steps_per_s", ".1f")]
+            steps = [_mean(widest(own), "steps_per_s", ".1f")]
             lines.append([method.name, *cells, *steps])
     columns = ("method", *(f"s to {target} dB" for target in TARGETS_DB), "steps / s")
     paper = "The paper trains for 25 min (D3DGS 19, STG 24, 4DGS 22) on one RTX 4090, other scenes."
