@@ -64,26 +64,27 @@ def gaps(rows: Sequence[dict], one: str, other: str, effort: str) -> list[float]
 def leads(rows: Sequence[dict]) -> dict[str, float]:
     """How many points the rivals' curves have from LEAD_S on, and at how many of them ours is behind, by metric.
 
-    Zero where ours leads at every time. Ours is the best it has shown by then, in any of its runs of that recording.
+    Zero where ours leads at every time. Ours is what any of its runs of that recording had come to last by then, not
+    the best that one had shown: who stops a run has what it has come to.
     """
     found: dict[str, float] = {}
     for metric, better in (("psnr_db", max), ("abs_rel", min)):
-        pairs = [(level, better(shown)) for level, shown in _held(rows, metric)]
+        pairs = list(_held(rows, metric))
         if pairs:
             found[f"leads.{metric}.points"] = len(pairs)
             found[f"leads.{metric}.behind"] = sum(better(level, ours) != ours for level, ours in pairs)
     return found
 
 
-def _held(rows: Sequence[dict], metric: str) -> Iterator[tuple[float, list[float]]]:
-    """Every point of a rival from LEAD_S on, and all that ours has shown of the same recording by then."""
+def _held(rows: Sequence[dict], metric: str) -> Iterator[tuple[float, float]]:
+    """Every point of a rival from LEAD_S on, and what ours had come to on the same recording by then."""
     for recording in dict.fromkeys((r["scene"], r["seed"]) for r in rows):
         here = [r for r in rows if (r["scene"], r["seed"]) == recording]
         ours = curve((r for r in here if r["method"] == m.AUTO.name), metric)
         for seconds, level in curve((r for r in here if r["method"] in RIVALS), metric):
             shown = [y for x, y in ours if x <= seconds]
             if seconds >= LEAD_S and shown:
-                yield level, shown
+                yield level, shown[-1]
 
 
 def curve(rows: Iterable[dict], metric: str = "psnr_db") -> list[tuple[float, float]]:

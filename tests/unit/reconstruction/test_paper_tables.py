@@ -87,6 +87,9 @@ def test_who_leads_from_a_quarter_of_a_minute_on():
     behind = leads([row("auto", 30.0), row("tfi+4dgs", 25.0), row("spikegs", 40.0, "traffic")])
     counts = {f"leads.{metric}.points": 2 for metric in ("psnr_db", "abs_rel")}
     assert behind == counts | dict.fromkeys(("leads.psnr_db.behind", "leads.abs_rel.behind"), 0)
+    fell = row("auto", 30.0)
+    fell["curve"][-1]["psnr_db"] = 24.0  # it had 28 dB before
+    assert leads([fell, row("tfi+4dgs", 25.0)])["leads.psnr_db.behind"] == 1
     ahead = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 27.0)])  # 25 > 24 dB at 15 s
     assert ahead == counts | dict.fromkeys(("leads.psnr_db.behind", "leads.abs_rel.behind"), 1)
 
