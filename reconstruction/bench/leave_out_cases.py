@@ -13,7 +13,7 @@ from reconstruction.bench.variants import HOLDOUT
 from reconstruction.training.config import ReconstructionConfig
 
 SIZE, TICKS = (200, 125), 200
-GAUSSIANS = 6_000
+GAUSSIANS = 12_000
 STEPS, QUICK_STEPS, BUDGET_S = 400, 40, 10.0
 DEAD = "cam00"
 TRAINING = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam22")

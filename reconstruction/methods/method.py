@@ -38,8 +38,9 @@ class Method:
     `moves`: whether it knows motion; without, the whole clip is one still scene to it. `canonical`: the share of the
     clip at which alone movers are swept (None: at several instants). `supervision`: what it is published with, taken
     where the operator leaves it open. `watched`: whether still Gaussians that turn out to move are let go. `trainer`:
-    fields of TrainerSettings that differ from ours. `rays`: whether it is a radiance field, which learns from spikes of
-    single rays: no other supervision, and no refinement.
+    fields of TrainerSettings that differ from the defaults. `gaussians`: how many, where the operator does not say.
+    `rays`: whether it is a radiance field, which learns from spikes of single rays: no other supervision, and no
+    refinement.
     """
 
     name: str
@@ -49,4 +50,5 @@ class Method:
     supervision: str = "pixels"
     watched: bool = False
     rays: bool = False
+    gaussians: int = 48_000
     trainer: Mapping[str, Any] = field(default_factory=dict)

@@ -1,8 +1,9 @@
 """What each stage reads and writes.
 
 plan -> plan/moving_camRC.npy, plan/light.npy; images -> images/{image,trusted,stuck}_camRC.npy; points ->
-points/{still,moving}_*.npy, and points/bodies_*.npy for the model `bases`; train -> checkpoint.pt, snapshots/;
-report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
+points/{still,moving}_*.npy, points/depth_camRC.npy, and points/bodies_*.npy for the model `bases`; train ->
+checkpoint.pt, snapshots/; report -> metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json,
+viewer.bin.
 """
 
 from __future__ import annotations
@@ -102,6 +103,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
     progress(1 / rounds, f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
     masks = [sources[view].background.trusted for view in plan.views]
+    _write_depths(run, sources, maps)
     whole = [filled(m) for m in maps]
     _write_points(run, "still", sample_points(whole, stills, masks, plan.still_gaussians, 0.0, rng), share)
     parts = []
@@ -164,6 +166,13 @@ def _moving_points(
     near, far = depth_range_m(cameras)
     maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
     return sample_points(maps, images, [mask > 0.5 for mask in masks], count, recording.rig.clock.instant_s(plane), rng)
+
+
+def _write_depths(run: RunFolder, sources: dict[str, CompositeSource], maps: list[DepthMap]) -> None:
+    """Keep the depth of each view where two others confirmed it and nothing ever moves; NaN elsewhere."""
+    for (view, source), found in zip(sources.items(), maps, strict=True):
+        still = source.background.trusted & ~source.moving
+        run.write_array(f"points/depth_{view}", np.where(still, found.depth, np.float32(np.nan)))
 
 
 def _write_bodies(run: RunFolder, bodies: Bodies, progress: Progress) -> None:

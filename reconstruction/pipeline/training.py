@@ -27,6 +27,7 @@ from reconstruction.pipeline.watch import Watch
 from reconstruction.rendering.render import Backend
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
+from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.plan import Decision, Plan
 from reconstruction.training.run import RunFolder
 from reconstruction.training.supervision import TrainingView
@@ -128,7 +129,7 @@ def trainer_of(
     sources = composite_sources(run, recording)
     if plan.images in GIVEN:
         sources = _given(sources, recording, plan.images)
-    views = [TrainingView(rig.camera(view), source) for view, source in sources.items()]
+    views = [TrainingView(rig.camera(v), source, depth=_confirmed(run, v)) for v, source in sources.items()]
     if run.config.model == "auto" and plan.model == "bases" and not run.checkpoint.exists():
         plan = _settled(run, clip, views, recording)
     cloud = _seeded(run, clip, rig)
@@ -149,6 +150,11 @@ def trainer_of(
         assert isinstance(cloud, DynamicCloud)
         cloud = cloud.to(dtype)
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
+
+
+def _confirmed(run: RunFolder, view: str) -> ConfirmedDepth:
+    """The depths that the points stage confirmed in a view's still pixels."""
+    return ConfirmedDepth.of(run.read_array(f"points/depth_{view}"))
 
 
 def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:

@@ -83,8 +83,9 @@ class Watch:
         views = list(self.trainer.views)
         for i, moving in masks.items():
             source = views[i].source
-            method = short_images(self.run.plan, source.stream, moving)
-            views[i] = replace(views[i], source=replace(source, moving=moving, method=method, kept={}))
+            method, depth = short_images(self.run.plan, source.stream, moving), views[i].depth
+            retargeted = replace(source, moving=moving, method=method, kept={})
+            views[i] = replace(views[i], source=retargeted, depth=depth and depth.without(moving))
         return views
 
     def _write(self) -> None:

@@ -55,8 +55,9 @@ class ReconstructionConfig:
     """Closed lists of names as the command line knows them; exactly one of `budget_s` and `steps` rules.
 
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
-    images are targets. `refine`: whether poses, gains and lags are learnt beside the Gaussians. Raises BadRunError
-    naming the field. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
+    images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
+    lags are learnt beside the Gaussians. Raises BadRunError naming the field. `dust3r_checkpoint`: the file with the
+    user's weights, for the initialiser of that name.
     """
 
     model: Model = "auto"
@@ -68,7 +69,7 @@ class ReconstructionConfig:
     budget_s: float | None = DEFAULT_BUDGET_S
     steps: int | None = None
     seed: int = 0
-    gaussians: int = 24_000
+    gaussians: int | None = None
     tick_stride: int = 4
     refine: Refine = "auto"
     dust3r_checkpoint: str | None = None
@@ -85,7 +86,7 @@ class ReconstructionConfig:
             raise BadRunError(f"found the budget {self.budget_s} s, expected a positive number")
         if self.steps is not None and self.steps < 1:
             raise BadRunError(f"found {self.steps} steps, expected at least 1")
-        if self.gaussians < 1:
+        if self.gaussians is not None and self.gaussians < 1:
             raise BadRunError(f"found a cap of {self.gaussians} Gaussians, expected at least 1")
         if self.tick_stride < 1:
             raise BadRunError(f"found a tick stride of {self.tick_stride}, expected at least 1")

@@ -25,6 +25,7 @@ LEAST_VIEWS = 2
 TWIN_PLANES = 32  # at the start of two streams that tell whether they are one
 LIGHT_VIEWS = 4  # enough to see the light of the whole scene
 INSTANTS = 8  # at which movers are swept
+A_PIXEL = 2  # Gaussians at most for each pixel of a view
 GAUSSIAN_FLOATS = 12  # of a still one
 UNADJUSTED = ("sfm", "dust3r")  # poses that no covariance vouches for are refined in training
 BEST_METHOD = "adaptive"  # of those without a network, on single images
@@ -94,11 +95,12 @@ def make_plan(
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
     method = METHODS[model]
+    work = replace(work, gaussians=config.gaussians or min(method.gaussians, A_PIXEL * work.pixels))
     _refuse_for_rays(config, method)
     if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
-    still, moving = _split(config.gaussians, method, masks)
+    still, moving = _split(work.gaussians, method, masks)
     decisions += _economies(config, work, _share(masks), (still, moving))
     decisions += _left_out(rig, views, work)
     init = _choose_init(config, rig, work, decisions)
@@ -120,7 +122,7 @@ def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
 def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], views: Sequence[str]) -> Work:
     camera, planes = rig.camera(views[0]), min(len(streams[view]) for view in views)
     size = camera.width * camera.height
-    return Work(size, planes, len(views), config.gaussians, config.budget_s, config.steps)
+    return Work(size, planes, len(views), config.gaussians or 0, config.budget_s, config.steps)
 
 
 def _share(masks: Mapping[str, NDArray[np.bool_]]) -> float:
@@ -158,10 +160,10 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
     reason = f"{work.images(stride)} target images are drawn again and again, not {work.images(1)} for every plane"
     every = f"an image every {stride} planes"
     splats = f"{still:,} still and {moving:,} moving"
-    cost = (work.splats_s(config.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * config.gaussians)
+    cost = (work.splats_s(work.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * work.gaussians)
     return [
         Decision("instants", every, reason, "--tick-stride", *spared),
-        Decision("Gaussians", splats, "the cap as given, against twice as many", "none", *cost),
+        Decision("Gaussians", splats, "against twice as many", "none", *cost),
     ]
 
 

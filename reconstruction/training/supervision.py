@@ -23,6 +23,7 @@ from reconstruction.losses.ssim import ssim
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Backend, Rendering, render
 from reconstruction.training.closeness import Closeness
+from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
 from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
 from rigs.clock import RigClock
@@ -32,11 +33,15 @@ SpikeNorm = Literal["l1", "l2", "counts", "cumulative"]
 
 @dataclass(frozen=True, eq=False)
 class TrainingView:
-    """A camera, the images it should see, and what of the camera is being refined (None: it stands as it is)."""
+    """A camera, the images it should see, and what of the camera is being refined (None: it stands as it is).
+
+    `depth`: where it is known before the training.
+    """
 
     camera: Camera
     source: CompositeSource
     correction: Correction | None = None
+    depth: ConfirmedDepth | None = None
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """What to render for it at an instant."""
@@ -52,7 +57,8 @@ class ImageTerm:
 
     `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
     kept; `solid` works against light that passes through everything: dark texture is not a hole. `closeness` is told
-    of every image compared. Images take the float type that `backend` renders the cloud in.
+    of every image compared; `hold` keeps to depths that the view knows. Images take the float type that `backend`
+    renders the cloud in.
     """
 
     clock: RigClock
@@ -62,17 +68,23 @@ class ImageTerm:
     solid: float = 0.02
     closeness: Closeness | None = None
     backend: Backend = "native"
+    hold: DepthHold | None = None
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
         """The loss at a random plane."""
         instants = _instants(cloud, view, self.stride)
         plane = int(instants[rng.integers(len(instants))])
-        return self.against(*self.pair(cloud, view, plane))
+        return self.held(view, *self.pair(cloud, view, plane))
 
     def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
         """What is rendered and what should be, at `plane`."""
         rendered = render(view.seen(cloud, self.clock.instant_s(plane)), view.camera, backend=self.backend)
         return rendered, torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
+
+    def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
+        """The loss of one render against its target image [H, W], and against the depths that the view knows."""
+        loss = self.against(rendered, target)
+        return loss + self.hold(rendered, view.depth) if self.hold and view.depth else loss
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W]."""
@@ -100,7 +112,7 @@ class VariationTerm:
         first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
         at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
         pairs = [self.image.pair(cloud, view, plane) for plane in at]
-        pixels = torch.stack([self.image.against(r, t) for r, t in pairs]).mean()
+        pixels = torch.stack([self.image.held(view, r, t) for r, t in pairs]).mean()
         rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])
         target = torch.stack([t for _, t in pairs])
         return pixels + self.weight * variation_loss(rendered, target) / self.image.white

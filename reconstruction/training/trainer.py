@@ -16,6 +16,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.rendering.render import Backend
 from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness
+from reconstruction.training.depth_hold import DepthHold
 from reconstruction.training.ending import Ending
 from reconstruction.training.rays import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
@@ -77,6 +78,7 @@ class TrainerSettings:
     window.
     `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
     lags of the views are learnt too.
+    `holds_depth`: weight of the loss on depths that the points stage confirmed; 0 is none.
     `backend`: native for float32; the reference trains in any float type.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
@@ -91,6 +93,7 @@ class TrainerSettings:
     canonical_until: float = 3 / 17
     ends_early: bool = False
     refines: bool = False
+    holds_depth: float = 0.0
     backend: Backend = "native"
 
 
@@ -218,7 +221,10 @@ class Trainer:
 
 
 def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[Term, Term | None]:
-    image = ImageTerm(clock, settings.white, settings.tick_stride, closeness=closeness, backend=settings.backend)
+    hold = DepthHold(settings.holds_depth) if settings.holds_depth else None
+    image = ImageTerm(
+        clock, settings.white, settings.tick_stride, closeness=closeness, backend=settings.backend, hold=hold
+    )
     name = settings.supervision
     if name == "pixels":
         return image, None

@@ -23,9 +23,9 @@ from reconstruction.bench.paper.axes import (
     write_figure,
 )
 from reconstruction.bench.paper.other_diagrams import image_methods, pose_methods
-from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, ordinary, times_to, widest
+from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, lengths, ordinary, times_to, widest
 from reconstruction.bench.score_run import STAGES
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.methods.ours import BASES
 
 ERROR = "RMS error of the held-out view / white  (PSNR)"
 SECONDS = "wall seconds, from recording to result"
@@ -37,7 +37,7 @@ DEEP = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values())
 BAR = "Mark: median; bar: lowest to highest of recordings."
 SWEEPS = {  # a number in a method's name: its axis, and what it is where the name has none
     "views": ("training views", len(m.VIEWS)),
-    "gaussians": ("most Gaussians", ReconstructionConfig.gaussians),
+    "gaussians": ("most Gaussians", BASES.gaussians),
     "drop": ("planes a second", m.RATE_HZ),
     "reintegrate": ("planes a second", m.RATE_HZ),
 }
@@ -103,7 +103,7 @@ def _error(metric: str, values: ArrayLike) -> np.ndarray:
 def _ends(axes: Axes, rows: Sequence[dict], metric: str, number: int) -> None:
     """The end of each length of runs, median over recordings."""
     ring = {"mfc": "none", "mec": COLOURS[number % len(COLOURS)], "markersize": 9}
-    for own in _by_effort(rows):
+    for own in lengths(rows):
         axes.plot(_seconds(own), _error(metric, np.median([r[metric] for r in own])), "o", **ring)
 
 
@@ -128,10 +128,10 @@ def time_to(path: Path, document: dict) -> bool:
 
 def stages(path: Path, document: dict) -> bool:
     """Seconds of each stage, mean over recordings, at the length that most methods were run at."""
-    lengths = _by_effort([r for r in document["rows"] if r["method"] in SHOWN])
-    if not lengths:
+    shown = lengths([r for r in document["rows"] if r["method"] in SHOWN])
+    if not shown:
         return False
-    rows = max(lengths, key=lambda own: len({r["method"] for r in own}))
+    rows = max(shown, key=lambda own: len({r["method"] for r in own}))
     runs = {name: [r for r in rows if r["method"] == name] for name in SHOWN}
     runs = {name: own for name, own in runs.items() if own}
     figure, axes = new_figure(f"Where the seconds go (@{rows[0]['effort']})")
@@ -180,10 +180,6 @@ def sweep(path: Path, document: dict, kinds: Sequence[str], title: str) -> bool:
 def _alike(row: dict, swept: Sequence[dict]) -> bool:
     """Whether a row is of a recording and a length that the swept ones are of."""
     return any(all(row[key] == r[key] for key in ("scene", "seed", "effort")) for r in swept)
-
-
-def _by_effort(rows: Sequence[dict]) -> list[list[dict]]:
-    return [[r for r in rows if r["effort"] == effort] for effort in dict.fromkeys(r["effort"] for r in rows)]
 
 
 def _seconds(rows: Sequence[dict]) -> float:

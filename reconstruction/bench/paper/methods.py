@@ -17,7 +17,7 @@ NOMINAL = Change(nominal=True)
 RATE_HZ = 20000
 SLOWER = (2, 4, 10, 20, 40, 100, 200)  # 20 kHz down to 100 Hz
 SUPERVISIONS = ("pixels", "l1", "l2", "variation", "counts", "cumulative", "both")
-CAPS = (3000, 6000, 12_000, 48_000)  # of Gaussians, beside the default
+CAPS = (3000, 6000, 12_000, 24_000, 96_000)  # of Gaussians, beside the default
 VIEWS = (
     "cam01",
     "cam10",

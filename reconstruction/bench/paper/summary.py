@@ -94,8 +94,12 @@ def curve(rows: Iterable[dict], metric: str = "psnr_db") -> list[tuple[float, fl
 
 def widest(rows: Sequence[dict]) -> list[dict]:
     """The runs of the length that most scenes were run at, of the longest such."""
-    lengths = [[r for r in rows if r["effort"] == effort] for effort in dict.fromkeys(r["effort"] for r in rows)]
-    return max(lengths, key=lambda own: (len({r["scene"] for r in own}), max(r["seconds"] for r in own)))
+    return max(lengths(rows), key=lambda own: (len({r["scene"] for r in own}), max(r["seconds"] for r in own)))
+
+
+def lengths(rows: Sequence[dict]) -> list[list[dict]]:
+    """The same runs, those of one length together."""
+    return [[r for r in rows if r["effort"] == effort] for effort in dict.fromkeys(r["effort"] for r in rows)]
 
 
 def times_to(rows: Sequence[dict], method: str, target_db: float) -> list[float | None]:

@@ -8,6 +8,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
+from reconstruction.methods.catalogue import METHODS
 from reconstruction.training.config import ImageSource, ReconstructionConfig
 from reconstruction.training.plan import Plan, make_plan
 from rigs.errors import RigError
@@ -51,7 +52,7 @@ def test_a_moving_scene_gets_one():
     plan, masks, _ = make_plan(ReconstructionConfig(), RIG, streams(moving=True))
     assert plan.model == "bases"
     assert plan.supervision == "pixels"
-    assert plan.moving_gaussians + plan.still_gaussians == 24_000
+    assert plan.moving_gaussians + plan.still_gaussians == 2 * 40 * 26  # two for every pixel
     assert masks["cam00"][10, 10]
     assert not masks["cam00"][24, 38]
 
@@ -126,9 +127,9 @@ def about(plan, what):
 def test_what_is_left_out_says_what_it_saves():
     plan, _, _ = make_plan(ReconstructionConfig(budget_s=None, steps=1000), RIG, streams())
     assert about(plan, "supervision").saves_s == pytest.approx(
-        0.884 * 1000 * (0.01608 + 0.00642 * 40 * 26 / 1e5), rel=1e-3
+        0.884 * 1000 * (6.7e-7 * 2080 + 0.00642 * 40 * 26 / 1e5), rel=1e-3
     )
-    assert about(plan, "colour").saves_bytes == 47 * 3 * 4 * 24_000
+    assert about(plan, "colour").saves_bytes == 47 * 3 * 4 * 2080
     assert about(plan, "motion").saves_s > 0
     assert about(plan, "poses").saves_s > 0
     assert about(plan, "pixels").saves_s is None
@@ -190,3 +191,10 @@ def test_no_motion_saves_a_search_for_movers_however_long_the_training():
     found = [make_plan(ReconstructionConfig(budget_s=None, steps=n), RIG, streams())[0] for n in (500, 1000)]
     once, twice = (about(plan, "motion").saves_s for plan in found)
     assert once == twice > 0
+
+
+def test_the_cap_of_gaussians_is_the_operators_or_follows_the_pixels():
+    asked, _, _ = make_plan(ReconstructionConfig(gaussians=77), RIG, streams())
+    assert asked.still_gaussians == 77
+    plan, _, _ = make_plan(ReconstructionConfig(), RIG.scaled(400, 250), streams())
+    assert plan.still_gaussians == METHODS["static"].gaussians
