@@ -1,4 +1,4 @@
-"""Cases 20, 21 and 30 of the catalogue: constant signals, equal images, and numbers that are refused."""
+"""Cases 20, 21 and 30 of the catalogue: constant signals, equal images, numbers that are refused; and held depths."""
 
 import math
 
@@ -7,9 +7,10 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.losses.ssim import ssim_map
 from reconstruction.losses.variation import variation_loss
-from reconstruction.rendering.render import NAMES, render
+from reconstruction.rendering.render import NAMES, Rendering, render
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import CAMERA, apart, gaussians_of, renderers, running
+from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
 
 
 def _constant_signal(_: str) -> Observation:
@@ -57,7 +58,31 @@ def _taken(tensors: list[torch.Tensor], renderer: str, what: str, named: str) ->
     return [what]
 
 
+def _held_depth(_: str) -> Observation:
+    """Depths from 1e-30 to 1e30 m, light on them, before, behind and nowhere; what is no depth at the end."""
+    known = torch.tensor([1e-30, 1e-3, 1.0, 1.0, 1.0, 1.0, 1e3, 1e30, math.nan, math.inf, 0.0, -1.0])
+    shares = torch.tensor([1.0, 1.01, 1.0, 0.98, 1.3, 0.0, 1.0001, 1.02, 1.0, 1.0, 1.0, 1.0])
+    alpha = torch.tensor([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    depth = torch.where(known.isfinite(), known * shares, 2.0)
+    hold = DepthHold(0.2)
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        leaves = [t.to(dtype)[None].clone().requires_grad_() for t in (depth, alpha)]
+        image = Rendering(torch.zeros(1, len(known), 1), *leaves, torch.zeros(0, dtype=torch.int32))
+        loss = hold(image, ConfirmedDepth.of(known[None].numpy()))
+        loss.backward()
+        # As a share of the depth it is the same everywhere; a metre is not.
+        slopes = [leaf.grad.double() for leaf in leaves if leaf.grad is not None]
+        found.append((loss.detach().double(), slopes[0] * depth.double()[None].nan_to_num(), slopes[1]))
+    off = (depth[:8].double() / known[:8].double() - alpha[:8].double()).abs()
+    exact = hold.weight * off.clamp_max(hold.most).sum() / len(known)
+    error = max(apart(loss[None], exact[None]) for loss, *_ in found)
+    slope = max(apart(single, double) for single, double in zip(found[0][1:], found[1][1:], strict=True))
+    return Observation(f"off by {error:.0e}, gradient by {slope:.0e}", error, slope)
+
+
 CASES = (
+    Case(None, "held depth, 1e-30 to 1e30 m", "the formula in float64", 1e-6, _held_depth),
     Case(20, "variation loss of constant light", "zero gradient", 0.0, _constant_signal),
     Case(21, "SSIM of equal images", "1, zero gradient", 1e-5, _equal_images),
     Case(30, "NaN, infinity, bfloat16", "refused by name", 0.0, _refused, renderers),
