@@ -68,7 +68,7 @@ def _held_depth(_: str) -> Observation:
     found = []
     for dtype in (torch.float32, torch.float64):
         leaves = [t.to(dtype)[None].clone().requires_grad_() for t in (depth, alpha)]
-        image = Rendering(torch.zeros(1, len(known), 1), *leaves, torch.zeros(0, dtype=torch.int32))
+        image = Rendering(torch.zeros(1, len(known), 1), leaves[0], leaves[1], torch.zeros(0, dtype=torch.int32))
         loss = hold(image, ConfirmedDepth.of(known[None].numpy()))
         loss.backward()
         # As a share of the depth it is the same everywhere; a metre is not.
