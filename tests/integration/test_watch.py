@@ -9,9 +9,12 @@ import torch
 
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
+from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.training import trainer_of
+from reconstruction.pipeline.watch import Watch
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.run import RunFolder
@@ -68,6 +71,18 @@ def trained(recording, blind, out, kills=()):
 @pytest.fixture(scope="module")
 def whole(recording, blind, tmp_path_factory):
     return trained(recording, blind, tmp_path_factory.mktemp("runs") / "whole")
+
+
+def test_what_moves_after_all_is_not_held_in_depth(recording, whole):
+    trainer = trainer_of(whole, Recording.open(recording))
+
+    def held_movers() -> int:
+        return sum(int(v.source.moving.ravel()[v.depth.pixels.numpy()].sum()) for v in trainer.views if v.depth)
+
+    assert held_movers() > 0
+    Watch(whole, trainer).resume(load_checkpoint(whole.checkpoint)["watch"])
+    assert held_movers() == 0
+    assert all(v.depth is not None and len(v.depth.pixels) > 0 for v in trainer.views)
 
 
 def test_what_moves_is_found_and_the_plan_says_so(whole):
