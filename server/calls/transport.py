@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 import uuid
+from collections.abc import Generator
 from typing import TypeVar
 
 import httpx
@@ -22,11 +24,31 @@ class RefusedError(ServiceError):
         self.exit_code = 2 if 400 <= status < 500 else 1
 
 
+class Patience(httpx.Auth):
+    """Sends again, as soon as the service lets it, what was refused as one request too many (429)."""
+
+    _MOST_TIMES = 5
+    _MOST_S = 10
+
+    def auth_flow(self, request: httpx.Request) -> Generator[httpx.Request, httpx.Response, None]:
+        """Yield the request until it is let in or the wait is too long; the last answer counts, whatever it is."""
+        for _ in range(self._MOST_TIMES):
+            response = yield request
+            wait_s = response.headers.get("Retry-After", "")
+            if response.status_code != httpx.codes.TOO_MANY_REQUESTS or not wait_s.isdecimal():
+                return
+            if int(wait_s) > self._MOST_S:
+                return
+            time.sleep(int(wait_s))
+        yield request
+
+
 class Transport:
     """Requests over `http`; raises RefusedError for a problem and httpx.TransportError where nothing answers."""
 
     def __init__(self, http: httpx.Client) -> None:
         self._http = http
+        self._http.auth = Patience()
 
     def _get(self, path: str, model: type[_M], **parameters: str | int) -> _M:
         return model.model_validate_json(self._checked(self._http.get(f"/v1{path}", params=parameters)).content)

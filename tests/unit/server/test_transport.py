@@ -1,0 +1,51 @@
+"""What the client does with refusals that pass."""
+
+import time
+
+import httpx
+import pytest
+
+from server.client import RefusedError, ServiceClient
+from server.schemas.uploads import Upload
+
+WAITS = {"Retry-After": "2"}
+
+
+@pytest.fixture
+def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    waits: list[float] = []
+    monkeypatch.setattr(time, "sleep", waits.append)
+    return waits
+
+
+def client_of(answers: list[httpx.Response], sent: list[bytes]) -> ServiceClient:
+    def answer(request: httpx.Request) -> httpx.Response:
+        sent.append(request.content)
+        return answers.pop(0)
+
+    return ServiceClient(httpx.Client(base_url="http://lab.example", transport=httpx.MockTransport(answer)))
+
+
+def too_many(headers: dict[str, str]) -> httpx.Response:
+    return httpx.Response(429, headers=headers, json={"detail": "found too many requests"})
+
+
+def test_a_request_too_many_is_sent_again_when_it_may_be(slept: list[float]) -> None:
+    sent: list[bytes] = []
+    upload = Upload(id="u1", created="2026-01-01", name="a", bytes=2, offset=2, sha256=None, state="open")
+    client = client_of([too_many(WAITS), too_many(WAITS), httpx.Response(200, content=upload.model_dump_json())], sent)
+    assert client.append("u1", b"ab", 0).offset == 2
+    assert sent == [b"ab"] * 3
+    assert slept == [2, 2]
+
+
+@pytest.mark.parametrize(
+    ("headers", "times"), [(WAITS, 6), ({"Retry-After": "3600"}, 1), ({"Retry-After": "soon"}, 1), ({}, 1)]
+)
+def test_patience_ends(slept: list[float], headers: dict[str, str], times: int) -> None:
+    sent: list[bytes] = []
+    client = client_of([too_many(headers) for _ in range(7)], sent)
+    with pytest.raises(RefusedError, match="too many requests") as caught:
+        client.info()
+    assert caught.value.status == 429
+    assert (len(sent), len(slept)) == (times, times - 1)
