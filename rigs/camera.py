@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigs.errors import RigError
 from rigs.transform import Floats, Transform
@@ -54,6 +55,16 @@ class Camera:
     def center(self) -> Floats:
         """The camera centre in the rig frame [3], metres."""
         return self.cam_from_rig.center
+
+    def project(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Where points [N, 3] of the rig frame, in m, are in the picture [N, 2] px, and which lie in it [N].
+
+        As a pinhole: distortion is left out. NaN for what is not in front of the camera.
+        """
+        x, y, z = self.cam_from_rig.apply(points).T
+        depth = np.where(z > 0, z, np.nan)
+        pixels = np.stack([self.fx * x / depth + self.cx, self.fy * y / depth + self.cy], axis=1)
+        return pixels, ((pixels >= 0) & (pixels < (self.width, self.height))).all(axis=1)
 
     def scaled(self, width: int, height: int) -> Camera:
         """The same lens over a sensor sampled at another size, whose pixels are others."""

@@ -47,14 +47,11 @@ def score_own_points(found: Geometry, clip: PoseClip) -> dict[str, float]:
     best = np.full(len(points), np.inf)
     for camera in clip.rig.cameras:
         depth, still = _truth(clip, camera.id)
-        inside = camera.cam_from_rig.apply(points)
-        z = np.maximum(inside[:, 2], 1e-6)
-        column = np.floor(camera.fx * inside[:, 0] / z + camera.cx)
-        row = np.floor(camera.fy * inside[:, 1] / z + camera.cy)
-        seen = (inside[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        pixels, seen = camera.project(points)
         where = np.flatnonzero(seen)
-        at = row[where].astype(np.int64), column[where].astype(np.int64)
-        error = np.where(still[at], np.abs(z[where] - depth[at]) / depth[at], np.inf)
+        column, row = pixels[where].astype(np.int64).T
+        z, true = camera.cam_from_rig.apply(points[where])[:, 2], depth[row, column]
+        error = np.where(still[row, column], np.abs(z - true) / true, np.inf)
         best[where] = np.minimum(best[where], error)
     known = np.isfinite(best)
     if not known.any():

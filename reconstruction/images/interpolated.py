@@ -20,6 +20,7 @@ from reconstruction.images.estimate import Estimate, window_around
 from reconstruction.images.noise import interpolated_sigma
 
 HALF_WINDOW = 4
+PLANES = 2 * HALF_WINDOW + 1
 REACH = 128
 
 

@@ -17,6 +17,7 @@ from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.clean import GIVEN, CleanSource
 from reconstruction.images.composite import CompositeSource
+from reconstruction.images.interpolated import PLANES
 from reconstruction.images.light import Light
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.method import Seeds
@@ -28,7 +29,9 @@ from reconstruction.rendering.render import Backend
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.depth_hold import ConfirmedDepth
+from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.plan import Decision, Plan
+from reconstruction.training.prices import Work
 from reconstruction.training.run import RunFolder
 from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
@@ -70,6 +73,8 @@ def train_stage(
     saver.checkpoint()
     if budget.done(trainer.steps) < 1:
         _say_ending(run, trainer, progress)
+    if trainer.exposure and trainer.exposure.passed_px is not None and len(trainer.cloud.moving):
+        _say_exposure(run, trainer, trainer.exposure)
     if trainer.refinement:
         write_refined(run, trainer.refinement.refined(recording.rig), trainer.refinement.report())
     run.document["steps"] = trainer.steps
@@ -82,6 +87,18 @@ def _say_ending(run: RunFolder, trainer: Trainer, progress: Progress) -> None:
     assert ending is not None
     run.document["stopped_early"] = {"step": trainer.steps, "reason": ending.reason}
     progress(1.0, f"stopped early at step {trainer.steps}: {ending.reason}")
+
+
+def _say_exposure(run: RunFolder, trainer: Trainer, exposure: Exposure) -> None:
+    """Keep in the plan how many instants of an image were rendered, and why."""
+    reason = f"fast movers get {exposure.passed_px:.1f} px far in the {exposure.planes} planes of an image"
+    choice, saves_s = f"two instants an image from {FROM:.0%} on", None
+    if exposure.nodes == 1:
+        camera = trainer.views[0].camera
+        size = (camera.width * camera.height, exposure.planes, len(trainer.views), len(trainer.cloud))
+        choice, saves_s = "one instant an image", Work(*size, None, trainer.steps).second_instants_s(1 - FROM)
+    plan = run.plan.amended(Decision("exposure", choice, reason, "none", saves_s))
+    run.document["plan"] = plan.to_json()
 
 
 class _Saver:
@@ -129,7 +146,7 @@ def trainer_of(
     sources = composite_sources(run, recording)
     if plan.images in GIVEN:
         sources = _given(sources, recording, plan.images)
-    views = [TrainingView(rig.camera(v), source, depth=_confirmed(run, v)) for v, source in sources.items()]
+    views = [TrainingView(rig.camera(v), source, depth=_confirmed(run, v, source)) for v, source in sources.items()]
     if run.config.model == "auto" and plan.model == "bases" and not run.checkpoint.exists():
         plan = _settled(run, clip, views, recording)
     cloud = _seeded(run, clip, rig)
@@ -143,6 +160,7 @@ def trainer_of(
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
         refines=plan.refine,
+        image_planes=PLANES if plan.images == "interpolated" else 1,
         backend=backend,
         **own,
     )
@@ -152,9 +170,9 @@ def trainer_of(
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
 
-def _confirmed(run: RunFolder, view: str) -> ConfirmedDepth:
-    """The depths that the points stage confirmed in a view's still pixels."""
-    return ConfirmedDepth.of(run.read_array(f"points/depth_{view}"))
+def _confirmed(run: RunFolder, view: str, source: CompositeSource) -> ConfirmedDepth:
+    """The depths that the points stage confirmed in a view's pixels that still count as still."""
+    return ConfirmedDepth.of(run.read_array(f"points/depth_{view}")).without(source.moving)
 
 
 def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:

@@ -99,6 +99,10 @@ class Work:
         """Seconds of the extra instants that `variation` renders in every step."""
         return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
 
+    def second_instants_s(self, share: float) -> float:
+        """Seconds of a second instant rendered in a share of the steps."""
+        return share * self.instants_s() / 2
+
     def splats_s(self, count: int) -> float:
         """Seconds of `count` more Gaussians through all steps."""
         return self.likely_steps() * count * SPLATS_S

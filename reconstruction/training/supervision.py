@@ -24,6 +24,7 @@ from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Backend, Rendering, render
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
+from reconstruction.training.exposure import Exposure, mean_of
 from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
 from rigs.clock import RigClock
@@ -57,8 +58,8 @@ class ImageTerm:
 
     `white` is the data range in spikes per tick; instants are every `stride`-th plane, so that target images can be
     kept; `solid` works against light that passes through everything: dark texture is not a hole. `closeness` is told
-    of every image compared; `hold` keeps to depths that the view knows. Images take the float type that `backend`
-    renders the cloud in.
+    of every image compared; `hold` keeps to depths that the view knows. `exposure` knows what planes an image is the
+    mean of; without it, it shows an instant. Images take the float type that `backend` renders the cloud in.
     """
 
     clock: RigClock
@@ -69,6 +70,7 @@ class ImageTerm:
     closeness: Closeness | None = None
     backend: Backend = "native"
     hold: DepthHold | None = None
+    exposure: Exposure | None = None
 
     def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
         """The loss at a random plane."""
@@ -78,8 +80,18 @@ class ImageTerm:
 
     def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
         """What is rendered and what should be, at `plane`."""
-        rendered = render(view.seen(cloud, self.clock.instant_s(plane)), view.camera, backend=self.backend)
+        span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
+        rendered = self.over(cloud, view, view.camera, span)
         return rendered, torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
+
+    def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
+        """The mean of what `camera` sees in a span: its first plane, how many, and how many instants stand for them."""
+        first, length, nodes = span
+        renders = []
+        for node, weight in zip(*quadrature(nodes if cloud.changes else 1), strict=True):
+            instant_s = self.clock.instant_s(first + length * node - 0.5)
+            renders.append((weight, render(view.seen(cloud, instant_s), camera, backend=self.backend)))
+        return mean_of(renders)
 
     def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
         """The loss of one render against its target image [H, W], and against the depths that the view knows."""
@@ -156,36 +168,22 @@ class SpikeTerm:
         nodes = min(self.most_nodes, math.ceil(window / self.planes_a_node))
         if self.norm == "cumulative":
             return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
-        light, alpha = self._integral(cloud, view, part, (first, window, nodes))
+        seen = self.image.over(cloud, view, part.camera, (first, window, nodes))
         rate = torch.from_numpy(part.counts(view, first, first + window) / np.float32(window))
         good = torch.from_numpy(part.good)
-        spikes = _norm(self.norm, light[good], rate[good], window)
-        return spikes / self.image.white + self.image.solid * (1 - alpha).mean()
-
-    def _integral(
-        self, cloud: DynamicCloud, view: TrainingView, part: Part, span: tuple[int, int, int]
-    ) -> tuple[Tensor, Tensor]:
-        """Mean light and alpha [H, W] over the planes of the span (first, length, nodes)."""
-        first, length, nodes = span
-        nodes = nodes if cloud.changes else 1
-        light = alpha = torch.zeros(())
-        for node, weight in zip(*quadrature(nodes), strict=True):
-            instant_s = self.image.clock.instant_s(first + length * node - 0.5)
-            rendered = render(view.seen(cloud, instant_s), part.camera, backend=self.image.backend)
-            light = light + weight * rendered.intensity[..., 0]
-            alpha = alpha + weight * rendered.alpha
-        return light, alpha
+        spikes = _norm(self.norm, seen.intensity[..., 0][good], rate[good], window)
+        return spikes / self.image.white + self.image.solid * (1 - seen.alpha).mean()
 
     def _running_totals(
         self, cloud: DynamicCloud, view: TrainingView, part: Part, span: tuple[int, int, int]
     ) -> Tensor:
         first, length, parts = span
         starts = [first + i * length for i in range(parts)]
-        pairs = [self._integral(cloud, view, part, (start, length, 1)) for start in starts]
+        renders = [self.image.over(cloud, view, part.camera, (start, length, 1)) for start in starts]
         counts = np.stack([part.counts(view, start, start + length) for start in starts])
-        light, good = torch.stack([light for light, _ in pairs]), torch.from_numpy(part.good)
+        light, good = torch.stack([r.intensity[..., 0] for r in renders]), torch.from_numpy(part.good)
         loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)
-        alpha = torch.stack([alpha for _, alpha in pairs])
+        alpha = torch.stack([r.alpha for r in renders])
         return loss / self.image.white + self.image.solid * (1 - alpha).mean()
 
 

@@ -18,6 +18,7 @@ from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.depth_hold import DepthHold
 from reconstruction.training.ending import Ending
+from reconstruction.training.exposure import Exposure
 from reconstruction.training.rays import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, SumTerm, Term, TrainingView, VariationTerm
@@ -79,6 +80,7 @@ class TrainerSettings:
     `ends_early`: whether a training that no longer gains ends before its budget. `refines`: whether poses, gains and
     lags of the views are learnt too.
     `holds_depth`: weight of the loss on depths that the points stage confirmed; 0 is none.
+    `image_planes`: planes that a target image is the mean of. `deblurs`: whether renders are too, where movers get far.
     `backend`: native for float32; the reference trains in any float type.
     `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
     """
@@ -94,6 +96,8 @@ class TrainerSettings:
     ends_early: bool = False
     refines: bool = False
     holds_depth: float = 0.0
+    image_planes: int = 1
+    deblurs: bool = False
     backend: Backend = "native"
 
 
@@ -114,7 +118,8 @@ class Trainer:
         self.steps = 0
         self.ending = Ending(len(views)) if settings.ends_early else None
         self.closeness = Closeness(settings.white)
-        self.image, self.spikes = _terms(settings, clock, self.closeness)
+        self.exposure = Exposure(settings.image_planes, clock) if settings.deblurs else None
+        self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
         self.extent_m = _extent_m(cloud, views)
         self.rates = settings.rates.lit(settings.white)
         self.optimizer = _optimizer(cloud, self.extent_m, self.rates)
@@ -131,6 +136,9 @@ class Trainer:
     def step(self, done: float) -> float:
         """One update; `done` in [0, 1] is how much of the training lies behind, which sets the rates."""
         self._anneal(done, self.cloud.advance(done))
+        if self.exposure:
+            assert isinstance(self.cloud, DynamicCloud)
+            self.exposure.look(self.cloud, [view.camera for view in self.views], done)
         every = self.settings.spike_every
         due = self.spikes if self.steps % every == every - 1 else None
         view = int(self.rng.integers(len(self.views)))
@@ -178,6 +186,7 @@ class Trainer:
             "rng": json.dumps(self.rng.bit_generator.state),
             "steps": self.steps,
             "ending": self.ending.state() if self.ending else None,
+            "passed_px": self.exposure.passed_px if self.exposure else None,
             "refinement": self.refinement.state() if self.refinement else None,
         }
 
@@ -190,6 +199,8 @@ class Trainer:
         self.steps = state["steps"]
         if self.ending and state.get("ending"):
             self.ending = Ending.from_state(state["ending"])
+        if self.exposure:
+            self.exposure.passed_px = state.get("passed_px")
         if self.refinement and state.get("refinement"):
             self.refinement.restore(state["refinement"])
 
@@ -220,11 +231,12 @@ class Trainer:
             self.ending.begin_again()
 
 
-def _terms(settings: TrainerSettings, clock: RigClock, closeness: Closeness) -> tuple[Term, Term | None]:
+def _terms(
+    settings: TrainerSettings, clock: RigClock, closeness: Closeness, exposure: Exposure | None
+) -> tuple[Term, Term | None]:
     hold = DepthHold(settings.holds_depth) if settings.holds_depth else None
-    image = ImageTerm(
-        clock, settings.white, settings.tick_stride, closeness=closeness, backend=settings.backend, hold=hold
-    )
+    seen = {"closeness": closeness, "backend": settings.backend, "hold": hold, "exposure": exposure}
+    image = ImageTerm(clock, settings.white, settings.tick_stride, **seen)
     name = settings.supervision
     if name == "pixels":
         return image, None

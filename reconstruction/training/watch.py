@@ -93,14 +93,11 @@ def unsettled(means: Tensor, cameras: Sequence[Camera], changed: Mapping[int, Ma
     points = means.detach().numpy().astype(np.float64)
     seen, hit = np.zeros(len(points), int), np.zeros(len(points), int)
     for i, camera in enumerate(cameras):
-        x, y, z = camera.cam_from_rig.apply(points).T
-        depth = np.where(z > 0, z, np.inf)
-        column = np.floor(camera.fx * x / depth + camera.cx).astype(int)
-        row = np.floor(camera.fy * y / depth + camera.cy).astype(int)
-        inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        pixels, inside = camera.project(points)
         seen += inside
         if i in changed:
-            hit[inside] += changed[i][row[inside], column[inside]]
+            column, row = pixels[inside].astype(int).T
+            hit[inside] += changed[i][row, column]
     return torch.from_numpy(2 * hit > seen)
 
 

@@ -73,16 +73,23 @@ def whole(recording, blind, tmp_path_factory):
     return trained(recording, blind, tmp_path_factory.mktemp("runs") / "whole")
 
 
-def test_what_moves_after_all_is_not_held_in_depth(recording, whole):
-    trainer = trainer_of(whole, Recording.open(recording))
-
-    def held_movers() -> int:
-        return sum(int(v.source.moving.ravel()[v.depth.pixels.numpy()].sum()) for v in trainer.views if v.depth)
-
-    assert held_movers() > 0
-    Watch(whole, trainer).resume(load_checkpoint(whole.checkpoint)["watch"])
-    assert held_movers() == 0
-    assert all(v.depth is not None and len(v.depth.pixels) > 0 for v in trainer.views)
+def test_what_moves_after_all_is_not_held_in_depth(recording, blind, whole, tmp_path):
+    shutil.copytree(blind, tmp_path / "run")
+    run = RunFolder.open(tmp_path / "run")
+    trainer = trainer_of(run, Recording.open(recording))
+    Watch(run, trainer).resume(load_checkpoint(whole.checkpoint)["watch"])
+    anew = trainer_of(whole, Recording.open(recording))
+    before = trainer_of(RunFolder.open(blind), Recording.open(recording))
+    for now, later, then in zip(trainer.views, anew.views, before.views, strict=True):
+        assert now.depth is not None
+        assert later.depth is not None
+        assert then.depth is not None
+        assert not now.source.moving.ravel()[now.depth.pixels.numpy()].any()
+        assert 0 < len(now.depth.pixels) <= len(then.depth.pixels)
+        assert torch.equal(now.depth.pixels, later.depth.pixels)
+    assert any(
+        v.source.moving.ravel()[t.depth.pixels.numpy()].any() for v, t in zip(anew.views, before.views, strict=True)
+    )
 
 
 def test_what_moves_is_found_and_the_plan_says_so(whole):

@@ -1,3 +1,4 @@
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from reconstruction.images.light import Light
 from reconstruction.images.tfp import tfp
 from reconstruction.rendering.render import render
 from reconstruction.training import supervision
+from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.supervision import ImageTerm, SpikeTerm, TrainingView, VariationTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from rigs.camera import Camera
@@ -89,15 +91,41 @@ def test_the_moving_truth_explains_its_spikes_better_than_one_that_stands(norm):
 def test_the_integral_over_a_window_is_that_of_many_instants():
     truth = cloud(1.6)
     view = seen(truth)
-    part = supervision._part(view, (WIDTH, HEIGHT), np.random.default_rng(0))
-    term = SpikeTerm(ImageTerm(CLOCK, 0.6), "counts")
     with torch.no_grad():
-        light, _ = term._integral(truth, view, part, (8, 32, 4))
+        light = ImageTerm(CLOCK, 0.6).over(truth, view, CAMERA, (8, 32, 4)).intensity[..., 0]
         dense = torch.stack(
             [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0] for k in range(8, 40)]
         ).mean(dim=0)
         middle = render(truth.at(CLOCK.instant_s(23.5)), CAMERA).intensity[..., 0]
     assert float((light - dense).abs().max()) < 0.1 * float((middle - dense).abs().max())
+
+
+@pytest.mark.parametrize("plane", [0, 2, 30, PLANES - 1])
+def test_an_image_of_nine_planes_is_rendered_as_their_mean_where_a_mover_gets_far(plane):
+    truth = cloud(0.8)
+    view, exposure = seen(truth), Exposure(9, CLOCK)
+    exposure.look(truth, [CAMERA], FROM)
+    first, length, nodes = exposure.span(plane, PLANES)
+    assert nodes == 2
+    with torch.no_grad():
+        both, one = (ImageTerm(CLOCK, 0.6, exposure=e).pair(truth, view, plane)[0] for e in (exposure, None))
+        instants_s = [CLOCK.instant_s(k) for k in range(first, first + length)]
+        dense = torch.stack([render(truth.at(t), CAMERA).intensity for t in instants_s]).mean(dim=0)
+    assert float((both.intensity - dense).abs().max()) < 0.1 * float((one.intensity - dense).abs().max())
+
+
+def test_a_training_that_goes_on_knows_how_many_instants_an_image_takes():
+    view, settings = seen(cloud(0.8)), TrainerSettings("pixels", image_planes=9, deblurs=True)
+    one, two = (Trainer(cloud(0.8), [view], settings, CLOCK, seed=0) for _ in range(2))
+    assert one.exposure is not None
+    assert two.exposure is not None
+    one.step(0.4)
+    assert one.exposure.passed_px is None
+    one.step(0.5)
+    two.restore(copy.deepcopy(one.state()))
+    assert two.exposure.passed_px == one.exposure.passed_px
+    assert two.exposure.nodes == 2
+    assert [two.step(0.6), two.step(0.7)] == [one.step(0.6), one.step(0.7)]
 
 
 @pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative", "both"])

@@ -1,0 +1,85 @@
+"""Renders what a short image shows: the mean light of its planes, where movers get far in them.
+
+A short image (`images.interpolated`) is the mean of several planes. A render of its middle instant learns that blur as
+a texture; the mean of two renders, at the Gauss-Legendre instants, is blurred alike and the texture behind it sharp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.rendering.render import Rendering
+from rigs.camera import Camera
+from rigs.clock import RigClock
+
+FROM = 0.5  # share of the training before which blur is not what is wrong with a render
+FAR_PX = 1.5
+FASTEST = 0.9  # of the moving Gaussians, this share is slower than the speed that counts
+LEAST_OPACITY = 0.1
+LOOKS = 16  # instants of the clip at which speeds are measured
+
+
+class Exposure:
+    """How many instants, `nodes`, stand for an image of `planes` planes: one, until `look` finds that movers get far.
+
+    `passed_px`: how far they get in it, once looked; None before.
+    """
+
+    def __init__(self, planes: int, clock: RigClock):
+        self.planes, self.clock = planes, clock
+        self.passed_px: float | None = None
+
+    @property
+    def nodes(self) -> int:
+        """Renders that an image takes."""
+        return 1 if self.passed_px is None or self.passed_px < FAR_PX else 2
+
+    def look(self, cloud: DynamicCloud, cameras: Sequence[Camera], done: float) -> None:
+        """Measure once, as soon as `done` of the training reaches FROM."""
+        if self.passed_px is None and done >= FROM:
+            self.passed_px = passed_px(cloud, cameras, self.planes / self.clock.tick_rate_hz)
+
+    def span(self, plane: int, planes: int) -> tuple[int, int, int]:
+        """First plane and length of the image at `plane` of a clip of so many planes, and its nodes."""
+        first = max(0, plane - self.planes // 2)
+        return first, min(planes, plane + self.planes // 2 + 1) - first, self.nodes
+
+
+def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
+    """The mean of what is seen at several instants, each with its weight; weights sum to 1."""
+    if len(renders) == 1:
+        return renders[0][1]
+    means = {
+        name: torch.stack([weight * getattr(rendered, name) for weight, rendered in renders]).sum(dim=0)
+        for name in ("intensity", "depth", "alpha")
+    }
+    return replace(renders[-1][1], median=None, **means)
+
+
+def passed_px(cloud: DynamicCloud, cameras: Sequence[Camera], span_s: float) -> float:
+    """How far in `span_s` seconds a fast mover gets in the pictures of `cameras`, in px; 0 where nothing moves.
+
+    Nine in ten of what moves, is there at the time and lies in the picture are slower. NaN and infinity do not count.
+    """
+    if not len(cloud.moving):
+        return 0.0
+    clip, found = cloud.clip, [np.zeros(1)]
+    for middle_s in np.linspace(clip.first_s, clip.last_s, LOOKS + 2)[1:-1]:
+        with torch.no_grad():
+            ends = [cloud.motion.at(cloud.moving, clip.fraction(middle_s + s * span_s)) for s in (-0.5, 0.5)]
+        there = (torch.minimum(ends[0].opacities, ends[1].opacities) > LEAST_OPACITY).numpy()
+        points = [end.means.numpy()[there].astype(np.float64) for end in ends]
+        found += [_shifts_px(camera, *points) for camera in cameras]
+    return float(np.quantile(np.concatenate(found), FASTEST))
+
+
+def _shifts_px(camera: Camera, before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances [k] in the picture from `before` to `after` [n, 3] of those inside it at both ends."""
+    (first, inside), (last, still_inside) = (camera.project(points) for points in (before, after))
+    return np.linalg.norm((last - first)[inside & still_inside], axis=1)

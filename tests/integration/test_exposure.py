@@ -1,0 +1,55 @@
+"""Movers that blur the images of a whole run: it renders as blurred, says so, and goes on alike where it is stopped."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from acquisition.devices.open import Simulation
+from acquisition.progress import silent
+from acquisition.session.record import simulate
+from reconstruction.pipeline.budget import StoppedError
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from reconstruction.training.config import ReconstructionConfig
+from rigs.toml import catalog_rig
+
+pytestmark = pytest.mark.slow
+STEPS = 16
+CONFIG = ReconstructionConfig(holdout="cam11", steps=STEPS, budget_s=None, seed=1, gaussians=2000)
+
+
+def quiet(stage):
+    return silent
+
+
+def recorded(path, tick_rate_hz):
+    rig = replace(catalog_rig("ci3x3").scaled(160, 102), tick_rate_hz=tick_rate_hz)
+    simulate(Simulation("fan_and_ball", seed=3), rig, 128, path)
+    return path
+
+
+def said(run):
+    return next(d for d in run.plan.decisions if d.about == "exposure")
+
+
+def test_fast_movers_are_rendered_as_blurred_as_their_images(tmp_path):
+    recording = recorded(tmp_path / "rec", 4000.0)
+    whole = reconstruct(recording, tmp_path / "whole", CONFIG, quiet)
+    assert said(whole).choice == "two instants an image from 50% on"
+    assert load_checkpoint(whole.checkpoint)["trainer"]["passed_px"] > 1.5
+    stops = iter([False] * (3 * STEPS // 4) + [True] * STEPS)
+    with pytest.raises(StoppedError):
+        reconstruct(recording, tmp_path / "stopped", CONFIG, quiet, should_stop=lambda: next(stops))
+    resumed = reconstruct(recording, tmp_path / "stopped", CONFIG, quiet)
+    assert resumed.plan == whole.plan
+    for (name, a), (_, b) in zip(
+        load_cloud(whole.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
+    ):
+        assert torch.equal(a, b), name
+
+
+def test_slow_ones_are_not_and_what_that_saves_is_said(tmp_path):
+    run = reconstruct(recorded(tmp_path / "rec", 20000.0), tmp_path / "run", CONFIG, quiet)
+    assert said(run).choice == "one instant an image"
+    assert (said(run).saves_s or 0) > 0
