@@ -64,7 +64,8 @@ class Camera:
         x, y, z = self.cam_from_rig.apply(points).T
         depth = np.where(z > 0, z, np.nan)
         pixels = np.stack([self.fx * x / depth + self.cx, self.fy * y / depth + self.cy], axis=1)
-        return pixels, ((pixels >= 0) & (pixels < (self.width, self.height))).all(axis=1)
+        inside = np.logical_and(pixels >= 0, pixels < (self.width, self.height))
+        return pixels, inside[:, 0] & inside[:, 1]
 
     def scaled(self, width: int, height: int) -> Camera:
         """The same lens over a sensor sampled at another size, whose pixels are others."""
