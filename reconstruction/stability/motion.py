@@ -10,15 +10,18 @@ import torch
 
 from acquisition.native import code_path, code_paths
 from reconstruction.errors import ReconstructionError
+from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.motion import Motion
 from reconstruction.gaussians.rigid import knot_weights
 from reconstruction.initialization.points import spacing
 from reconstruction.rendering.render import render
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import CLIP, against_float64, evaluated, model_names, models
 from reconstruction.stability.probe import CAMERA, Apart, apart
+from reconstruction.training.exposure import passed_px
 
 WITHIN_S = (0.0, 0.007, 0.02)
 BEYOND_S = (-1e30, -1e6, -0.1, 0.5, 1e6, 1e15)
@@ -191,6 +194,19 @@ def _rendered(cloud: DynamicCloud, path: str) -> bool:
     return True
 
 
+def _passed(_: str) -> Observation:
+    """How far a point gets in the middle tenth of a clip, from rest to 1e30 m a clip, against its path on paper."""
+    error, speeds = 0.0, (0.0, 1e-30, 1e-6, 1e-3, 0.1, 1.0, 3.0, 1e3, 1e30, math.nan)
+    for speed in speeds:
+        point = GaussianCloud.from_points(torch.tensor([[0.0, 0.0, 2.0]]), torch.ones(1, 1), torch.ones(1), 0.9)
+        motion = Motion.at_rest(torch.tensor([0.5]), 1e3)
+        motion.velocities[:] = torch.tensor([[speed, 0.0, 0.0]])
+        found = passed_px(DynamicCloud(point, point, motion, CLIP), [CAMERA], (CLIP.last_s - CLIP.first_s) / 10)
+        px = CAMERA.fx * speed / 2.0 / 10
+        error = max(error, abs(found - px) if px < CAMERA.width / 2 else found)
+    return Observation(f"{len(speeds)} speeds, {error:.0e} px off", error)
+
+
 CASES = (
     Case(1, "zero quaternions that move", "finite, as in float64", 1e-5, _zero_quaternions, model_names),
     Case(12, "no mover, and one", "as in float64", 1e-5, _few, model_names),
@@ -201,5 +217,6 @@ CASES = (
     Case(17, "nearest neighbours", "the same spacing in any unit, above zero", 1e-5, _spacings),
     Case(18, "durations of 0 and infinity", "a floor and a ceiling", 1e-5, _durations, _with("log_durations")),
     Case(19, "far outside the clip", "bounded or gone, as in float64", 1e-5, _beyond_the_clip, model_names),
+    Case(None, "how far a mover gets", "its path on paper, nowhere where it leaves the picture", 1e-3, _passed),
     Case(30, "NaN and infinity that move", "refused by cloud or renderer", 0.0, _refused, model_names),
 )
