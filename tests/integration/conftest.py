@@ -2,6 +2,9 @@ import sys
 
 import pytest
 
+from acquisition.devices.open import Simulation
+from acquisition.session.record import simulate
+from rigs.toml import catalog_rig
 from server.cli.main import main
 
 
@@ -17,3 +20,11 @@ def spike4dgs(monkeypatch, capsys):
         return caught.value.code, out, err.strip().splitlines()
 
     return run
+
+
+@pytest.fixture(scope="session")
+def small_recording(tmp_path_factory):
+    """Nine cameras of 160x102 before things that move, 128 planes."""
+    path = tmp_path_factory.mktemp("recordings") / "rec"
+    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3").scaled(160, 102), 128, path)
+    return path

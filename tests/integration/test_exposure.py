@@ -3,14 +3,11 @@
 import pytest
 import torch
 
-from acquisition.devices.open import Simulation
 from acquisition.progress import silent
-from acquisition.session.record import simulate
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.config import ReconstructionConfig
-from rigs.toml import catalog_rig
 
 pytestmark = pytest.mark.slow
 STEPS = 16
@@ -21,26 +18,19 @@ def quiet(stage):
     return silent
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recordings") / "rec"
-    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3").scaled(160, 102), 128, path)
-    return path
-
-
 def said(run):
     return next(d for d in run.plan.decisions if d.about == "exposure")
 
 
-def test_fast_movers_are_rendered_as_blurred_as_their_images(recording, tmp_path, monkeypatch):
+def test_fast_movers_are_rendered_as_blurred_as_their_images(small_recording, tmp_path, monkeypatch):
     monkeypatch.setattr("reconstruction.training.exposure.FAR_PX", 0.01)
-    whole = reconstruct(recording, tmp_path / "whole", CONFIG, quiet)
+    whole = reconstruct(small_recording, tmp_path / "whole", CONFIG, quiet)
     assert said(whole).choice == "two instants an image from 50% on"
     assert load_checkpoint(whole.checkpoint)["trainer"]["passed_px"] > 0.01
     stops = iter([False] * (3 * STEPS // 4) + [True] * STEPS)
     with pytest.raises(StoppedError):
-        reconstruct(recording, tmp_path / "stopped", CONFIG, quiet, should_stop=lambda: next(stops))
-    resumed = reconstruct(recording, tmp_path / "stopped", CONFIG, quiet)
+        reconstruct(small_recording, tmp_path / "stopped", CONFIG, quiet, should_stop=lambda: next(stops))
+    resumed = reconstruct(small_recording, tmp_path / "stopped", CONFIG, quiet)
     assert resumed.plan == whole.plan
     for (name, a), (_, b) in zip(
         load_cloud(whole.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
@@ -48,7 +38,7 @@ def test_fast_movers_are_rendered_as_blurred_as_their_images(recording, tmp_path
         assert torch.equal(a, b), name
 
 
-def test_slow_ones_are_not_and_what_that_saves_is_said(recording, tmp_path):
-    run = reconstruct(recording, tmp_path / "run", CONFIG, quiet)
+def test_slow_ones_are_not_and_what_that_saves_is_said(small_recording, tmp_path):
+    run = reconstruct(small_recording, tmp_path / "run", CONFIG, quiet)
     assert said(run).choice == "one instant an image"
     assert (said(run).saves_s or 0) > 0

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
-from acquisition.session.record import simulate
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
@@ -18,7 +16,6 @@ from reconstruction.pipeline.watch import Watch
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.config import ReconstructionConfig
 from reconstruction.training.run import RunFolder
-from rigs.toml import catalog_rig
 
 pytestmark = pytest.mark.slow
 STEPS, WATCHED = 24, 6
@@ -30,27 +27,20 @@ def quiet(stage):
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recordings") / "rec"
-    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3").scaled(160, 102), 128, path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def blind(recording, tmp_path_factory):
+def blind(small_recording, tmp_path_factory):
     """A run up to its training whose plan took everything for still."""
     path = tmp_path_factory.mktemp("runs") / "blind"
-    run = reconstruct(recording, path, CONFIG, quiet, stage="plan")
+    run = reconstruct(small_recording, path, CONFIG, quiet, stage="plan")
     for view in run.plan.views:
         run.write_array(f"plan/moving_{view}", np.zeros_like(run.read_array(f"plan/moving_{view}")))
     run.document["plan"] |= {"model": "static", "still_gaussians": CONFIG.gaussians, "moving_gaussians": 0}
     run.save()
     for stage in ("poses", "images", "points"):
-        reconstruct(recording, path, CONFIG, quiet, stage=stage)
+        reconstruct(small_recording, path, CONFIG, quiet, stage=stage)
     return path
 
 
-def trained(recording, blind, out, kills=()):
+def trained(small_recording, blind, out, kills=()):
     """A copy of `blind` trained to the end, killed after each of `kills` steps on the way."""
     shutil.copytree(blind, out)
     for last in kills:
@@ -58,28 +48,28 @@ def trained(recording, blind, out, kills=()):
         done = load_checkpoint(out / "checkpoint.pt")["trainer"]["steps"] if (out / "checkpoint.pt").exists() else 0
         with pytest.raises(StoppedError, match=f"stopped at step {last}"):
             reconstruct(
-                recording,
+                small_recording,
                 out,
                 CONFIG,
                 quiet,
                 stage="train",
                 should_stop=lambda s=steps, n=last - done: next(s) == n - 1,
             )
-    return reconstruct(recording, out, CONFIG, quiet, stage="train")
+    return reconstruct(small_recording, out, CONFIG, quiet, stage="train")
 
 
 @pytest.fixture(scope="module")
-def whole(recording, blind, tmp_path_factory):
-    return trained(recording, blind, tmp_path_factory.mktemp("runs") / "whole")
+def whole(small_recording, blind, tmp_path_factory):
+    return trained(small_recording, blind, tmp_path_factory.mktemp("runs") / "whole")
 
 
-def test_what_moves_after_all_is_not_held_in_depth(recording, blind, whole, tmp_path):
+def test_what_moves_after_all_is_not_held_in_depth(small_recording, blind, whole, tmp_path):
     shutil.copytree(blind, tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
-    trainer = trainer_of(run, Recording.open(recording))
+    trainer = trainer_of(run, Recording.open(small_recording))
     Watch(run, trainer).resume(load_checkpoint(whole.checkpoint)["watch"])
-    anew = trainer_of(whole, Recording.open(recording))
-    before = trainer_of(RunFolder.open(blind), Recording.open(recording))
+    anew = trainer_of(whole, Recording.open(small_recording))
+    before = trainer_of(RunFolder.open(blind), Recording.open(small_recording))
     for now, later, then in zip(trainer.views, anew.views, before.views, strict=True):
         assert now.depth is not None
         assert later.depth is not None
@@ -102,8 +92,8 @@ def test_what_moves_is_found_and_the_plan_says_so(whole):
 
 
 @pytest.mark.parametrize("kills", [(WATCHED - 1,), (WATCHED,), (WATCHED - 1, WATCHED + 3)])
-def test_killed_around_the_watch_it_ends_in_the_same_state(kills, whole, recording, blind, tmp_path):
-    resumed = trained(recording, blind, tmp_path / "run", kills)
+def test_killed_around_the_watch_it_ends_in_the_same_state(kills, whole, small_recording, blind, tmp_path):
+    resumed = trained(small_recording, blind, tmp_path / "run", kills)
     for (name, a), (_, b) in zip(
         load_cloud(whole.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
     ):
@@ -111,14 +101,16 @@ def test_killed_around_the_watch_it_ends_in_the_same_state(kills, whole, recordi
     assert resumed.plan == whole.plan
 
 
-def test_killed_between_checkpoint_and_masks_it_ends_in_the_same_state(whole, recording, blind, tmp_path, monkeypatch):
+def test_killed_between_checkpoint_and_masks_it_ends_in_the_same_state(
+    whole, small_recording, blind, tmp_path, monkeypatch
+):
     shutil.copytree(blind, tmp_path / "run")
     monkeypatch.setattr("reconstruction.pipeline.watch.Watch._write", lambda self: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train")
+        reconstruct(small_recording, tmp_path / "run", CONFIG, quiet, stage="train")
     assert RunFolder.open(tmp_path / "run").plan.model == "static"
     monkeypatch.undo()
-    resumed = reconstruct(recording, tmp_path / "run", CONFIG, quiet, stage="train")
+    resumed = reconstruct(small_recording, tmp_path / "run", CONFIG, quiet, stage="train")
     for (name, a), (_, b) in zip(
         load_cloud(whole.checkpoint).tensors(), load_cloud(resumed.checkpoint).tensors(), strict=True
     ):
@@ -126,13 +118,13 @@ def test_killed_between_checkpoint_and_masks_it_ends_in_the_same_state(whole, re
     assert resumed.plan == whole.plan
 
 
-def test_an_override_is_obeyed(recording, blind, tmp_path):
+def test_an_override_is_obeyed(small_recording, blind, tmp_path):
     shutil.copytree(blind, tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
     config = replace(CONFIG, model="static")
     run.document["configuration"] = config.to_json()
     run.save()
-    run = reconstruct(recording, run.path, config, quiet, stage="train")
+    run = reconstruct(small_recording, run.path, config, quiet, stage="train")
     assert run.plan.model == "static"
     assert len(load_cloud(run.checkpoint).moving) == 0
     assert any(d.about == "watch" and d.choice == "obeys --model static" for d in run.plan.decisions)
