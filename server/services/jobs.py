@@ -128,7 +128,7 @@ class JobService:
     def delete(self, job_id: str) -> None:
         """Delete a job and what it made; raises NotFoundError, and StateError while it is at work."""
         self._ended(job_id, "done", "failed", "cancelled")
-        using = [entry.id for entry in self._store.entries.unfinished() if entry.request.get("job") == job_id]
+        using = [entry.id for entry in self._queue.at_work() if entry.request.get("job") == job_id]
         if using:
             raise StateError(f"found {job_id} in use by {using[0]}, expected no job at work on it; cancel it")
         self._store.entries.remove(job_id)  # first: what is kept and not queued is queued again

@@ -46,6 +46,12 @@ class Queue:
         if self._store.entries.add(entry):
             self.start(entry)
 
+    def at_work(self) -> list[Entry]:
+        """Entries that are queued or running as the engine knows it: what was told of them lags by half a second."""
+        told = self._store.entries.unfinished()
+        now = self._engine.statuses(told)
+        return [entry for entry in told if now[entry.id] in ACTIVE]
+
     def start(self, entry: Entry) -> None:
         """Queue a new entry."""
         if entry.queue is not None:

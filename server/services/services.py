@@ -40,7 +40,7 @@ class Services:
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
         self.health = HealthService(self.store, self.engine)
-        self.uploads = UploadService(self.store, settings.max_upload_bytes, settings.keep_free_bytes)
+        self.uploads = UploadService(self.store, queue, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
         self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs)

@@ -12,6 +12,7 @@ from starlette.requests import ClientDisconnect
 
 from server.errors import DigestError, OffsetError, StateError, UploadDiskError, UploadSizeError
 from server.schemas.uploads import Upload, UploadRequest, Uploads
+from server.services.queue import Queue
 from server.store.store import Store
 from server.store.upload_file import Appender, digest_of, held
 from server.store.uploads import StoredUpload
@@ -23,8 +24,9 @@ _IDLE_S = 30.0  # a client that is silent for so long is gone, and another reque
 class UploadService:
     """The uploads of a service, each at most `most_bytes` long; `keep_free` bytes of the disk are left free."""
 
-    def __init__(self, store: Store, most_bytes: int, keep_free: int) -> None:
+    def __init__(self, store: Store, queue: Queue, most_bytes: int, keep_free: int) -> None:
         self._store = store
+        self._queue = queue
         self._most_bytes = most_bytes
         self._keep_free = keep_free
 
@@ -94,7 +96,7 @@ class UploadService:
     def delete(self, upload_id: str) -> None:
         """Forget an upload and its bytes; raises NotFoundError, StateError while it is written or imported."""
         upload = self._store.uploads.get(upload_id)
-        for entry in self._store.entries.unfinished():
+        for entry in self._queue.at_work():
             if entry.type == "import" and upload_id in entry.request["dats"]:
                 raise StateError(f"found {upload_id} being imported by {entry.id}, expected it unused; wait for that")
         with held(self.path(upload_id)):

@@ -18,6 +18,7 @@ from acquisition.spikes.packing import pack
 from rigs.exchange.nerfstudio import dump_transforms
 from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
+from server.services import announcer
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.store.entries import Entry
@@ -115,6 +116,17 @@ def test_an_import_is_queued_with_its_cameras_file(
     refused(http.get(f"{answer.headers['Location']}/manifest"), 409, "queued")
     assert http.post(f"{answer.headers['Location']}/cancel").json()["status"] == "cancelled"
     refused(http.post(f"{answer.headers['Location']}/cancel"), 409, "cancelled")
+
+
+def test_uploads_are_free_as_soon_as_their_import_has_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(announcer, "_LOOK_S", 3600)  # nobody is told that the import has ended
+    with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url="http://127.0.0.1") as http:
+        dats = [uploaded(http, b"spikes") for _ in RIG.ids]
+        body = {"uploads": dats, "cameras": {"rig": "lab3x3"}, "tick_rate_hz": 20000}
+        capture = http.post("/v1/captures:import", json=body).json()["id"]
+        refused(http.delete(f"/v1/uploads/{dats[0]}"), 409, capture)
+        assert http.post(f"/v1/captures/{capture}/cancel").json()["status"] == "cancelled"
+        assert http.delete(f"/v1/uploads/{dats[0]}").status_code == 204
 
 
 def test_transforms_and_rigs_are_cameras_too(http: TestClient, services: Services, dats: dict[str, str]) -> None:
