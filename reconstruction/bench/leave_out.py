@@ -24,6 +24,7 @@ from acquisition.session.record import simulate
 from reconstruction.bench.leave_out_cases import (
     BUDGET_S,
     CASES,
+    GAUSSIANS,
     GREY,
     MISSED,
     PLAN,
@@ -40,7 +41,7 @@ COST_DB = 0.1  # the most that a plan may cost
 Result = TypeVar("Result")
 SCORES = ("psnr_db", "dynamic_psnr_db")
 OMISSIONS = (
-    "one seed a case; clips of 200x125, 6,000 Gaussians",
+    f"one seed a case; clips of {SIZE[0]}x{SIZE[1]}, {GAUSSIANS:,} Gaussians",
     "colour: three channels; the third-degree harmonics that the plan's bytes are against are not in the engine",
     "pixels, light: nothing to switch",
 )
