@@ -86,9 +86,10 @@ class RigService:
 class CaptureService:
     """The captures themselves, however they came."""
 
-    def __init__(self, store: Store, engine: Engine) -> None:
+    def __init__(self, store: Store, engine: Engine, queue: Queue) -> None:
         self._store = store
         self._engine = engine
+        self._queue = queue
 
     def get(self, capture_id: str) -> Capture:
         """One capture; raises NotFoundError."""
@@ -131,11 +132,9 @@ class CaptureService:
         folder = self._store.folder
         if capture.status in ACTIVE or is_locked(folder.entry(capture_id)):
             raise StateError(f"found {capture.id} {capture.status}, expected it ended; stop it first")
-        using = self._store.entries.page(Filter("job", capture=capture_id), 10_000)
-        status = self._engine.statuses(using)
-        active = [entry.id for entry in using if status[entry.id] in ACTIVE]
-        if active:
-            raise StateError(f"found {capture.id} in use by {active[0]}, expected no job at work on it; cancel it")
+        using = [e.id for e in self._queue.at_work() if e.kind == "job" and e.capture == capture_id]
+        if using:
+            raise StateError(f"found {capture.id} in use by {using[0]}, expected no job at work on it; cancel it")
         self._store.entries.remove(capture_id)  # first: what is kept and not queued is queued again
         self._engine.forget(capture_id)
         folder.remove(folder.recording(capture_id))

@@ -35,7 +35,7 @@ class Services:
         self.engine = Engine(settings)
         queue = Queue(self.store, self.engine)
         self.rigs = RigService(self.store, self.engine, queue, sources)
-        self.captures = CaptureService(self.store, self.engine)
+        self.captures = CaptureService(self.store, self.engine, queue)
         self.jobs = JobService(self.store, self.engine, queue, self.rigs)
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
