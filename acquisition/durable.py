@@ -27,7 +27,7 @@ def write_durably(path: Path, data: bytes | str) -> None:
     except OSError as error:
         aside.unlink(missing_ok=True)
         raise DiskError(
-            f"{path}: cannot be written ({error.strerror}), expected room and permission for {len(raw)} bytes"
+            f"cannot be written ({error.strerror})", f"room and permission for {len(raw)} bytes", where=path
         ) from error
 
 
@@ -64,7 +64,7 @@ def made_aside(path: Path) -> Iterator[Path]:
     except OSError as error:
         if old.exists():
             old.rename(path)
-        raise DiskError(f"{path}: cannot be written ({error.strerror}), expected room and permission") from error
+        raise DiskError(f"cannot be written ({error.strerror})", "room and permission", where=path) from error
     finally:
         _remove(aside)
         _remove(old)

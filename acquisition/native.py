@@ -35,7 +35,7 @@ def code_paths() -> tuple[str, ...]:
 def code_path(name: str) -> Iterator[None]:
     """Inside the block, this thread's kernels are those of the build `name`, one of `code_paths`."""
     if name not in code_paths():
-        raise AcquisitionError(f"found the code path {name}, expected one of {', '.join(code_paths())}")
+        raise AcquisitionError(f"found the code path {name}", f"one of {', '.join(code_paths())}")
     token = _chosen.set(name)
     try:
         yield
@@ -49,7 +49,7 @@ def load_library(package: str) -> ctypes.CDLL:
     Raises AcquisitionError where the package was imported without having been installed.
     """
     if not code_paths():
-        raise AcquisitionError(f"found no native library in {package}, expected lib{package}-*.so; run `make install`")
+        raise AcquisitionError(f"found no native library in {package}", f"lib{package}-*.so", "run `make install`")
     return _loaded(package, _chosen.get() or code_paths()[-1])
 
 

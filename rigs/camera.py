@@ -37,14 +37,14 @@ class Camera:
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.id):
-            raise RigError(f"found the camera id {self.id!r}, expected letters, digits, _ and -, such as cam01")
+            raise RigError(f"found the camera id {self.id!r}", "letters, digits, _ and -, such as cam01")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(n) for n in numbers):
-            raise RigError(f"{self.id}: found intrinsics with NaN or infinity, expected finite numbers")
+            raise RigError("found intrinsics with NaN or infinity", "finite numbers", where=self.id)
         if self.fx <= 0 or self.fy <= 0:
-            raise RigError(f"{self.id}: found focal lengths {self.fx}, {self.fy}, expected positive pixels")
+            raise RigError(f"found focal lengths {self.fx}, {self.fy}", "positive pixels", where=self.id)
         if self.width < 1 or self.height < 1:
-            raise RigError(f"{self.id}: found the size {self.width}x{self.height}, expected at least 1x1")
+            raise RigError(f"found the size {self.width}x{self.height}", "at least 1x1", where=self.id)
 
     @property
     def K(self) -> Floats:  # noqa: N802

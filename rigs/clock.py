@@ -14,7 +14,7 @@ class RigClock:
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.tick_rate_hz) or self.tick_rate_hz <= 0:
-            raise RigError(f"found the tick rate {self.tick_rate_hz} Hz, expected a positive number")
+            raise RigError(f"found the tick rate {self.tick_rate_hz} Hz", "a positive number")
 
     def instant_s(self, plane: float) -> float:
         """The middle of plane `plane`, in seconds."""

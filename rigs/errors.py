@@ -1,10 +1,35 @@
-"""Errors that reach a person: one line saying what was found, what was expected, what to do."""
+"""Errors that reach a person, in one line."""
+
+from __future__ import annotations
+
+from typing import Self
 
 
 class Spike4dgsError(Exception):
-    """Root of every error this project raises on purpose; `exit_code` is what the command line returns."""
+    """Root of every error this project raises on purpose.
+
+    `found` says what is wrong, `expected` what would have been right, `do` what a person may do about it, and `where`
+    names the file, camera or option concerned. An error prints as `where: found, expected ...; do`. `exit_code` is
+    what the command line returns.
+    """
 
     exit_code = 1
+
+    def __init__(self, found: str, expected: str = "", do: str = "", *, where: object = ""):
+        super().__init__(found, expected, do)
+        self.found, self.expected, self.do, self.where = found, expected, do, str(where)
+
+    def __str__(self) -> str:
+        """Say all of it in one line."""
+        place = f"{self.where}: " if self.where else ""
+        return f"{place}{self.found}{self.expected and ', expected '}{self.expected}{self.do and '; '}{self.do}"
+
+    @classmethod
+    def at(cls, where: object, error: Exception) -> Self:
+        """Return an error of this class that says what `error` says, and `where` it happened."""
+        if not isinstance(error, Spike4dgsError):
+            return cls(str(error), where=where)
+        return cls(error.found, error.expected, error.do, where=f"{where}: {error.where}" if error.where else where)
 
 
 class RigError(Spike4dgsError):

@@ -29,7 +29,7 @@ class Fields:
 
     def __init__(self, table: object, where: str):
         if not isinstance(table, dict):
-            raise RigError(f"{where}: found {_short(table)}, expected a table of fields")
+            raise RigError(f"found {_short(table)}", "a table of fields", where=where)
         self.table = table
         self.where = where
 
@@ -37,7 +37,7 @@ class Fields:
         """Raise RigError for a field that is not among `known`: a misspelt name must not be passed over."""
         for key in self.table:
             if key not in known:
-                raise RigError(f"{self.where}: found the unknown field {key!r}, expected {', '.join(known)}")
+                raise RigError(f"found the unknown field {key!r}", f"{', '.join(known)}", where=self.where)
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number."""
@@ -90,11 +90,11 @@ class Fields:
     def _get(self, key: str, default: object) -> object:
         found = self.table.get(key, default)
         if found is None:
-            raise RigError(f"{self.where}: found no field {key}, expected it; add {key}")
+            raise RigError(f"found no field {key}", "it", f"add {key}", where=self.where)
         return found
 
     def _wrong(self, key: str, expected: str) -> RigError:
-        return RigError(f"{self.where}: found {key} = {_short(self.table.get(key))}, expected {expected}")
+        return RigError(f"found {key} = {_short(self.table.get(key))}", f"{expected}", where=self.where)
 
 
 def _short(value: object) -> str:

@@ -40,12 +40,16 @@ class Rig:
     def __post_init__(self) -> None:
         RigClock(self.tick_rate_hz)
         if not self.cameras:
-            raise RigError(f"rig {self.name}: found no cameras, expected at least one")
+            raise RigError("found no cameras", "at least one", where=f"rig {self.name}")
         repeated = {c for c in self.ids if self.ids.count(c) > 1}
         if repeated:
-            raise RigError(f"rig {self.name}: found {', '.join(sorted(repeated))} twice or more; name each camera once")
+            raise RigError(
+                f"found {', '.join(sorted(repeated))} twice or more",
+                do="name each camera once",
+                where=f"rig {self.name}",
+            )
         if self.poses not in ("calibrated", "nominal"):
-            raise RigError(f"rig {self.name}: found poses {self.poses!r}, expected calibrated or nominal")
+            raise RigError(f"found poses {self.poses!r}", "calibrated or nominal", where=f"rig {self.name}")
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -62,7 +66,7 @@ class Rig:
         for camera in self.cameras:
             if camera.id == camera_id:
                 return camera
-        raise RigError(f"found no camera {camera_id} in rig {self.name}, expected one of {', '.join(self.ids)}")
+        raise RigError(f"found no camera {camera_id} in rig {self.name}", f"one of {', '.join(self.ids)}")
 
     def only(self, camera_ids: Iterable[str]) -> Rig:
         """The rig with just these cameras, in the order given."""

@@ -44,7 +44,7 @@ def align(source: Rig, target: Rig) -> Similarity:
     """
     shared = [c for c in source.ids if c in target.ids]
     if not shared:
-        raise RigError(f"found no camera of rig {source.name} in rig {target.name}, expected the same ids")
+        raise RigError(f"found no camera of rig {source.name} in rig {target.name}", "the same ids")
     pairs = [(source.camera(c), target.camera(c)) for c in shared]
     turns = sum(b.cam_from_rig.rotation.T @ a.cam_from_rig.rotation for a, b in pairs)
     u, _, vt = np.linalg.svd(turns)

@@ -31,9 +31,9 @@ def load_rig(path: Path) -> Rig:
     try:
         text = path.read_bytes().decode()
     except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); give an existing rig file") from error
+        raise RigError(f"cannot be read ({error.strerror})", do="give an existing rig file", where=path) from error
     except UnicodeDecodeError as error:
-        raise RigError(f"{path}: found bytes that are not UTF-8, expected a rig in TOML") from error
+        raise RigError("found bytes that are not UTF-8", "a rig in TOML", where=path) from error
     return parse_rig(text, str(path), path.parent)
 
 
@@ -45,7 +45,7 @@ def parse_rig(text: str, where: str, folder: Path | None) -> Rig:
     try:
         fields = Fields(tomllib.loads(text), where)
     except (ValueError, RecursionError) as error:  # also a number of too many digits
-        raise RigError(f"{where}: found text that is not TOML ({error}), expected a rig file") from error
+        raise RigError(f"found text that is not TOML ({error})", "a rig file", where=where) from error
     fields.refuse_others(RIG_FIELDS)
     cameras = tuple(_camera(entry, where, number, folder) for number, entry in enumerate(fields.list_at("camera")))
     calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
@@ -80,7 +80,7 @@ def catalog_names() -> tuple[str, ...]:
 def catalog_rig(name: str) -> Rig:
     """A rig that comes with the package; raises RigError listing the known names."""
     if name not in catalog_names():
-        raise RigError(f"found no rig {name!r} in the catalog, expected one of {', '.join(catalog_names())}")
+        raise RigError(f"found no rig {name!r} in the catalog", f"one of {', '.join(catalog_names())}")
     return parse_rig((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml", Path())
 
 
@@ -92,8 +92,10 @@ def refuse_holes(camera_ids: Iterable[str], where: str) -> None:
     missing = [c for c in (f"cam{row}{column}" for row in range(rows) for column in range(columns)) if c not in ids]
     if missing:
         raise RigError(
-            f"{where}: found {len(cells)} cameras of a {rows}x{columns} grid, expected also "
-            f"{', '.join(missing[:9])}; add what is missing or name the cameras as a full grid"
+            f"found {len(cells)} cameras of a {rows}x{columns} grid",
+            f"also {', '.join(missing[:9])}",
+            "add what is missing or name the cameras as a full grid",
+            where=where,
         )
 
 
@@ -107,7 +109,7 @@ def _calibration(fields: Fields) -> Calibration:
     try:
         datetime.datetime.fromisoformat(date)
     except ValueError as error:
-        raise RigError(f"{fields.where}: found date = {date!r}, expected an ISO date such as 2025-03-09") from error
+        raise RigError(f"found date = {date!r}", "an ISO date such as 2025-03-09", where=fields.where) from error
     return Calibration(date, fields.number("residual_px"), fields.number("rotation_sd_deg"))
 
 
@@ -134,9 +136,9 @@ def _pixels(fields: Fields, folder: Path | None) -> Path | None:
     if not name:
         return None
     if folder is None:
-        raise RigError(f"{fields.where}: found pixels = {name!r:.80}, expected a rig without files; leave pixels out")
+        raise RigError(f"found pixels = {name!r:.80}", "a rig without files", "leave pixels out", where=fields.where)
     if Path(name).name != name or not (folder / name).is_file():
-        raise RigError(f"{fields.where}: found pixels = {name!r}, expected a file of that name beside the rig file")
+        raise RigError(f"found pixels = {name!r}", "a file of that name beside the rig file", where=fields.where)
     return folder / name
 
 

@@ -26,11 +26,11 @@ class Transform:
         rotation = np.asarray(self.rotation, dtype=np.float64)
         translation = np.asarray(self.translation, dtype=np.float64)
         if rotation.shape != (3, 3) or translation.shape != (3,):
-            raise RigError(f"found a pose of shapes {rotation.shape} and {translation.shape}, expected (3, 3) and (3,)")
+            raise RigError(f"found a pose of shapes {rotation.shape} and {translation.shape}", "(3, 3) and (3,)")
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
-            raise RigError("found a pose with NaN or infinity, expected finite numbers; mend the pose")
+            raise RigError("found a pose with NaN or infinity", "finite numbers", "mend the pose")
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
-            raise RigError("found a matrix that is not a rotation, expected orthonormal with determinant +1")
+            raise RigError("found a matrix that is not a rotation", "orthonormal with determinant +1")
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", translation)
 
@@ -46,7 +46,7 @@ class Transform:
         with np.errstate(over="ignore"):
             length = np.linalg.norm(q)
         if q.shape != (4,) or not np.isfinite(length) or length == 0:
-            raise RigError(f"found the quaternion {q.tolist()}, expected four finite numbers, not all zero")
+            raise RigError(f"found the quaternion {q.tolist()}", "four finite numbers, not all zero")
         w, x, y, z = q / length
         rotation = np.array(
             [
@@ -67,7 +67,7 @@ class Transform:
         """From a homogeneous matrix [4, 4] or its upper [3, 4]."""
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape not in ((4, 4), (3, 4)):
-            raise RigError(f"found a matrix of shape {m.shape}, expected (4, 4) or (3, 4)")
+            raise RigError(f"found a matrix of shape {m.shape}", "(4, 4) or (3, 4)")
         return cls(m[:3, :3], m[:3, 3])
 
     @classmethod
@@ -77,7 +77,7 @@ class Transform:
         forward = np.asarray(target, dtype=np.float64) - origin
         right = np.cross(np.asarray(down, dtype=np.float64), forward)
         if np.linalg.norm(right) < 1e-12:
-            raise RigError("found a camera that looks along its own vertical, expected another direction")
+            raise RigError("found a camera that looks along its own vertical", "another direction")
         forward = forward / np.linalg.norm(forward)
         right = right / np.linalg.norm(right)
         rotation = np.stack([right, np.cross(forward, right), forward])

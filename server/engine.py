@@ -153,7 +153,7 @@ class Engine:
                 entry.id, start_step=start, application_version=APPLICATION_VERSION, queue_name=entry.queue
             )
         except engine_errors.DBOSException as error:  # another request was faster
-            raise StateError(f"found {entry.id} queued or deleted meanwhile, expected it ended; look again") from error
+            raise StateError(f"found {entry.id} queued or deleted meanwhile", "it ended", "look again") from error
 
     def forget(self, entry_id: str) -> None:
         """Delete what the engine knows of an entry."""

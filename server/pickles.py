@@ -23,8 +23,8 @@ def refuse_pickles() -> None:
 
 
 def _refuse_reading(cls: object, serialized_data: str) -> Any:
-    raise PickleError("found a pickle in the job engine's tables, expected portable JSON; somebody else wrote there")
+    raise PickleError("found a pickle in the job engine's tables", "portable JSON", "somebody else wrote there")
 
 
 def _refuse_writing(self: object, data: Any) -> str:
-    raise PickleError("found job state about to be pickled, expected portable JSON")
+    raise PickleError("found job state about to be pickled", "portable JSON")

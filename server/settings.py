@@ -169,7 +169,7 @@ def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> Ser
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         fault = first["msg"].removeprefix("Value error, ")
-        raise SettingsError(f"{where}: {fault}; mend the flag or SPIKE4DGS_{where.upper()}") from error
+        raise SettingsError(f"{fault}", do=f"mend the flag or SPIKE4DGS_{where.upper()}", where=where) from error
     if rig is None and devices is None:
         return settings
     source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")

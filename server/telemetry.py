@@ -60,5 +60,5 @@ def _need_packages() -> None:
 
     if find_spec("opentelemetry.instrumentation") is None:
         raise SettingsError(
-            "otel: found no OpenTelemetry packages, expected them for traces; run pip install 'spike4dgs[otel]'"
+            "found no OpenTelemetry packages", "them for traces", "run pip install 'spike4dgs[otel]'", where="otel"
         )

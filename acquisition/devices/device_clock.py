@@ -39,7 +39,7 @@ class DeviceClock:
 
     def __post_init__(self) -> None:
         if self.offset_s < 0 or self.jitter_s < 0 or min(self.missed, default=2) < 2:
-            raise DeviceError(f"found the clock {self}, expected offset and jitter from 0, missed pulses from 2")
+            raise DeviceError(f"found the clock {self}", "offset and jitter from 0, missed pulses from 2")
 
     def latch_s(self, pulse: int, period_s: float) -> float:
         """The device time at which pulse `pulse` of a train of `period_s` is seen."""

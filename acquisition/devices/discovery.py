@@ -23,7 +23,7 @@ def find_camera(camera: Camera, backend: IBackend) -> usb.core.Device:
     """The device with the camera's serial, of any profile; raises CameraSetupError where there is none."""
     if not camera.serial:
         raise CameraSetupError(
-            f"{camera.id}: found no serial in the rig, expected the one on the camera; add it to the rig"
+            "found no serial in the rig", "the one on the camera", "add it to the rig", where=camera.id
         )
     devices = usb.core.find(find_all=True, backend=backend, custom_match=device_profile)
     serials = []
@@ -34,7 +34,9 @@ def find_camera(camera: Camera, backend: IBackend) -> usb.core.Device:
         serials.append(serial)
     connected = ", ".join(sorted(serials)) or "none"
     raise CameraSetupError(
-        f"{camera.id}: found no camera with serial {camera.serial} (connected: {connected}); check its cable and power"
+        f"found no camera with serial {camera.serial} (connected: {connected})",
+        do="check its cable and power",
+        where=camera.id,
     )
 
 

@@ -52,7 +52,7 @@ def parse_fault(text: str) -> tuple[str, str]:
     """Kind and camera of `KIND:camRC`; raises CameraSetupError for all else."""
     kind, _, camera_id = text.partition(":")
     if kind not in FAULTS or not camera_id:
-        raise CameraSetupError(f"found the fault {text!r}, expected one of {', '.join(FAULTS)}, and :camRC behind it")
+        raise CameraSetupError(f"found the fault {text!r}", f"one of {', '.join(FAULTS)}, and :camRC behind it")
     return kind, camera_id
 
 

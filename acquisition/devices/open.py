@@ -59,13 +59,13 @@ class Simulation:
         if self.fault:
             parse_fault(self.fault)
         if self.sensor not in SENSOR_KINDS:
-            raise CameraSetupError(f"found the sensor {self.sensor!r}, expected one of {', '.join(SENSOR_KINDS)}")
+            raise CameraSetupError(f"found the sensor {self.sensor!r}", f"one of {', '.join(SENSOR_KINDS)}")
         if self.samples < 1 or self.truth_every < 1:
             found = f"found samples {self.samples}, truth_every {self.truth_every}"
-            raise CameraSetupError(f"{found}; expected at least 1 each")
+            raise CameraSetupError(f"{found}", "at least 1 each")
         if not 0 <= self.rig_error <= MOST_RIG_ERROR:
             found = f"found the rig error {self.rig_error}"
-            raise CameraSetupError(f"{found}, expected 0 to {MOST_RIG_ERROR:g} degrees, cm and percent")
+            raise CameraSetupError(f"{found}", f"0 to {MOST_RIG_ERROR:g} degrees, cm and percent")
 
     def built(self, rig: Rig) -> Rig:
         """The rig as its cameras really stand, which a calibration does not move: they were built by the drawing.
@@ -112,12 +112,12 @@ def parse_devices(uri: str) -> Devices:
         return Replay(Path(uri.removeprefix("replay:")))
     parts = urlsplit(uri)
     if parts.scheme != "mock":
-        raise CameraSetupError(f"found the devices {uri!r}, expected usb: or mock:SCENE, or replay:REC")
+        raise CameraSetupError(f"found the devices {uri!r}", "usb: or mock:SCENE, or replay:REC")
     values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
     fields = [field.name for field in dataclasses.fields(Simulation)][1:]
     for name, value in values.items():
         if name not in fields:
-            raise CameraSetupError(f"{uri}: found {name}, expected {', '.join(fields)}")
+            raise CameraSetupError(f"found {name}", f"{', '.join(fields)}", where=uri)
         if name not in ("sensor", "fault"):
             values[name] = _number(uri, name, str(value))
     return Simulation(parts.path, **cast(dict, values))
@@ -137,7 +137,7 @@ def _number(uri: str, name: str, value: str) -> int | float:
     fits = r"[0-9]+(\.[0-9]+)?" if name == "rig_error" else r"[0-9]+"
     if not re.fullmatch(fits, value):
         expected = "a number" if name == "rig_error" else "a whole number"
-        raise CameraSetupError(f"{uri}: found {name}={value}, expected {expected}")
+        raise CameraSetupError(f"found {name}={value}", f"{expected}", where=uri)
     return float(value) if name == "rig_error" else int(value)
 
 
@@ -195,7 +195,7 @@ def _replayed(rig: Rig, recording: Recording) -> list[DeviceModel]:
     missing = [camera_id for camera_id in rig.ids if camera_id not in sources]
     if missing:
         raise CameraSetupError(
-            f"{recording.path}: found no stream of {', '.join(missing)}, expected one for each camera of rig {rig.name}"
+            f"found no stream of {', '.join(missing)}", f"one for each camera of rig {rig.name}", where=recording.path
         )
     return [DeviceModel(camera.serial, sources[camera.id], recording.tick_rate_hz) for camera in rig.cameras]
 
@@ -227,5 +227,5 @@ def _with_serials(rig: Rig) -> Rig:
 def _libusb() -> IBackend:
     backend = libusb_package.get_libusb1_backend()
     if backend is None:
-        raise DeviceError("found no libusb that loads, expected the one of libusb-package; reinstall libusb-package")
+        raise DeviceError("found no libusb that loads", "the one of libusb-package", "reinstall libusb-package")
     return backend

@@ -60,9 +60,7 @@ class Identity(NamedTuple):
         """Raises DeviceError for bytes that are not this register."""
         magic, *fields = _unpack(_IDENTITY, data, "identity")
         if magic != IDENTITY_MAGIC:
-            raise DeviceError(
-                f"found the identity {magic!r}, expected {IDENTITY_MAGIC!r}; this is no spike camera of ours"
-            )
+            raise DeviceError(f"found the identity {magic!r}", f"{IDENTITY_MAGIC!r}", "this is no spike camera of ours")
         return cls(*fields)
 
 
@@ -100,7 +98,7 @@ class Status(NamedTuple):
         """Raises DeviceError for bytes that are not this register."""
         state, *counters = _unpack(_STATUS, data, "status")
         if state not in list(State):
-            raise DeviceError(f"found the state {state}, expected one of {list(map(int, State))}")
+            raise DeviceError(f"found the state {state}", f"one of {list(map(int, State))}")
         return cls(State(state), *counters)
 
 
@@ -125,7 +123,7 @@ class Sensitivity(NamedTuple):
             ("exposure", self.exposure, EXPOSURES),
         ):
             if not least <= value <= most:
-                raise DeviceError(f"found the {name} {value}, expected {least} to {most} thousandths")
+                raise DeviceError(f"found the {name} {value}", f"{least} to {most} thousandths")
 
     def encode(self) -> bytes:
         """The register's bytes."""
@@ -218,19 +216,19 @@ def pixel_format(layout: PlaneLayout) -> int:
     """
     if layout.trailing_columns:
         found = f"found {layout.trailing_columns} columns behind the pixels"
-        raise DeviceError(f"{found}, expected none; send planes of pixels only")
+        raise DeviceError(f"{found}", "none", "send planes of pixels only")
     return _PIXEL_FORMATS[layout.bit_order, layout.row_order]
 
 
 def layout_of(width: int, height: int, code: int) -> PlaneLayout:
     """The layout a size and a pixel format name; raises DeviceError for a format this protocol does not have."""
     if code not in LAYOUT_ORDERS:
-        raise DeviceError(f"found the pixel format {code:#x}, expected one of {sorted(map(hex, LAYOUT_ORDERS))}")
+        raise DeviceError(f"found the pixel format {code:#x}", f"one of {sorted(map(hex, LAYOUT_ORDERS))}")
     bit_order, row_order = LAYOUT_ORDERS[code]
     return PlaneLayout(width, height, bit_order, row_order)
 
 
 def _unpack(register: struct.Struct, data: bytes, name: str) -> tuple:
     if len(data) != register.size:
-        raise DeviceError(f"found {len(data)} B in the {name} register, expected {register.size}")
+        raise DeviceError(f"found {len(data)} B in the {name} register", f"{register.size}")
     return register.unpack(data)

@@ -57,11 +57,13 @@ class BoxStatus(NamedTuple):
     def decode(cls, data: bytes) -> BoxStatus:
         """Raises DeviceError for bytes that are not this report."""
         if len(data) != STATUS_BYTES:
-            raise DeviceError(f"trigger box: found a status of {len(data)} B, expected {STATUS_BYTES}")
+            raise DeviceError(f"found a status of {len(data)} B", f"{STATUS_BYTES}", where="trigger box")
         _, magic, version, state, period_us, pulses = _STATUS.unpack(data)
         if magic != _MAGIC or version != BOX_VERSION or state not in list(BoxState):
             found = f"found the status {magic!r}, version {version}, state {state}"
-            raise DeviceError(f"trigger box: {found}; expected {_MAGIC!r}, version {BOX_VERSION}; update one of them")
+            raise DeviceError(
+                f"{found}", f"{_MAGIC!r}, version {BOX_VERSION}", "update one of them", where="trigger box"
+            )
         return cls(BoxState(state), period_us, pulses)
 
 
@@ -121,7 +123,7 @@ class TriggerBox:
         found = self.status()
         if found.state is not BoxState.PULSING or not found.pulses or found.period_us != self._period_us:
             expected = f"expected pulses every {self._period_us} us"
-            raise DeviceError(f"trigger box: found {found} after firing, {expected}; reconnect it")
+            raise DeviceError(f"found {found} after firing, {expected}", do="reconnect it", where="trigger box")
 
     def close(self) -> None:
         """End the pulses and give the box back; one that is gone has ended them."""
@@ -148,14 +150,14 @@ def find_box() -> TriggerBox | None:
         return None
     if len(found) > 1:
         serials = ", ".join(sorted(each["serial_number"] for each in found))
-        raise DeviceError(f"found {len(found)} trigger boxes ({serials}), expected one; unplug the others")
+        raise DeviceError(f"found {len(found)} trigger boxes ({serials})", "one", "unplug the others")
     device = hidraw.device()
     try:
         device.open_path(found[0]["path"])
     except OSError as error:
         path = found[0]["path"].decode()
         raise DeviceError(
-            f"trigger box at {path}: access was denied; allow this user to open it (a udev rule)"
+            "access was denied", do="allow this user to open it (a udev rule)", where=f"trigger box at {path}"
         ) from error
     try:
         return TriggerBox(device)
@@ -165,4 +167,4 @@ def find_box() -> TriggerBox | None:
 
 
 def _gone() -> DeviceError:
-    return DeviceError("trigger box: it is not connected any more, or does not answer; check its cable")
+    return DeviceError("it is not connected any more, or does not answer", do="check its cable", where="trigger box")

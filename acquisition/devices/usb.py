@@ -126,7 +126,7 @@ class UsbCamera:
         self._command(Request.ARM)
         state = self.status().state
         if state is not State.ARMED and not (joins and state is State.RUNNING):
-            raise DeviceError(f"{self.id}: found it {state.name.lower()} after arming, expected armed; reconnect it")
+            raise DeviceError(f"found it {state.name.lower()} after arming", "armed", "reconnect it", where=self.id)
         with self._named():
             self._stream.start()
 
@@ -151,11 +151,11 @@ class UsbCamera:
         try:
             wanted.refuse_wild()
         except DeviceError as error:
-            raise CameraSetupError(f"{self.id}: {error}; choose another value") from error
+            raise CameraSetupError(f"{error}", do="choose another value", where=self.id) from error
         self._command(Request.SET_SENSITIVITY, wanted.encode())
         found = self.sensitivity()
         if found != wanted:
-            raise DeviceError(f"{self.id}: found {found} after setting it, expected {wanted}; update its firmware")
+            raise DeviceError(f"found {found} after setting it", f"{wanted}", "update its firmware", where=self.id)
 
     def link_counters(self) -> LinkCounters:
         """What its end of the link has counted since it was powered up."""
@@ -206,7 +206,7 @@ class UsbCamera:
         self._attach()
         if self.layout != before:
             self.close()
-            raise DeviceError(f"{self.id}: found planes of {self.layout}, expected {before} as before; reconnect it")
+            raise DeviceError(f"found planes of {self.layout}", f"{before} as before", "reconnect it", where=self.id)
 
     def close(self) -> None:
         """Give the device back."""
@@ -217,16 +217,16 @@ class UsbCamera:
         version = self.identity().protocol_version
         if version != PROTOCOL_VERSION:
             raise CameraSetupError(
-                f"{self.id}: found protocol {version}, expected {PROTOCOL_VERSION}; update one of them"
+                f"found protocol {version}", f"{PROTOCOL_VERSION}", "update one of them", where=self.id
             )
         if (self.layout.width, self.layout.height) != (camera.width, camera.height):
             found = f"{self.layout.width}x{self.layout.height}"
             raise CameraSetupError(
-                f"{self.id}: found a sensor of {found}, expected {camera.width}x{camera.height}; mend the rig"
+                f"found a sensor of {found}", f"{camera.width}x{camera.height}", "mend the rig", where=self.id
             )
         rate = decode_tick_rate(self._register(Request.TICK_RATE))
         if abs(rate - tick_rate_hz) > 1e-3:
-            raise CameraSetupError(f"{self.id}: found {rate:g} Hz, expected {tick_rate_hz:g} Hz; mend the rig")
+            raise CameraSetupError(f"found {rate:g} Hz", f"{tick_rate_hz:g} Hz", "mend the rig", where=self.id)
 
     def _receive(self, timeout_s: float) -> bool:
         with self._named():

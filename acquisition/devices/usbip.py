@@ -79,7 +79,7 @@ class UsbIpDevice:
             port = _free_port("ss" if speed == SUPER_SPEED else "hs")
             (HOST_CONTROLLER / "attach").write_text(f"{port} {theirs.fileno()} {port + 1} {speed}")
         except OSError as error:
-            raise DeviceError(f"{HOST_CONTROLLER}: {error.strerror}; load vhci-hcd and run as root") from error
+            raise DeviceError(f"{error.strerror}", do="load vhci-hcd and run as root", where=HOST_CONTROLLER) from error
         finally:
             theirs.close()
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._receive, self._send_stream)]
@@ -226,7 +226,7 @@ def _free_port(hub: str) -> int:
         kind, port, state, *_ = line.split()
         if kind == hub and int(state) == _FREE_PORT:
             return int(port)
-    raise DeviceError(f"found no free {hub} port on {HOST_CONTROLLER}, expected one; unplug a device")
+    raise DeviceError(f"found no free {hub} port on {HOST_CONTROLLER}", "one", "unplug a device")
 
 
 def _standard(kind: int, request: int) -> bytes | None:

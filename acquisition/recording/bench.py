@@ -104,7 +104,7 @@ def bench_recorder(folder: Path, schedule: Schedule, progress: Progress = silent
     try:
         free = shutil.disk_usage(folder).free
         if free < 9_000_000_000:
-            raise DiskError(f"{folder}: found {free} bytes free, expected 9000000000; give --out on another disk")
+            raise DiskError(f"found {free} bytes free", "9000000000", "give --out on another disk", where=folder)
         rows, summary = _measure(folder, schedule, progress)
         return BenchDocument("recorder", rows, [], summary)
     finally:

@@ -53,7 +53,7 @@ def finalise(path: Path, progress: Progress = silent) -> Finalised:
     if path.is_dir() and any(path.iterdir()):
         return _complete(path, progress)
     if not folder.is_dir():
-        raise BadRecordingError(f"{path}: found no recording and no {folder.name}, expected what `record` wrote")
+        raise BadRecordingError(f"found no recording and no {folder.name}", "what `record` wrote", where=path)
     lock = lock_folder(folder)
     try:
         manifest = read_any_manifest(folder)
@@ -70,7 +70,7 @@ def _complete(path: Path, progress: Progress) -> Finalised:
     manifest = read_any_manifest(path)
     if manifest.status in UNFINISHED:
         raise BadRecordingError(
-            f"{path}: found it {manifest.status}, expected that only in {partial_of(path).name}; move it there"
+            f"found it {manifest.status}", f"that only in {partial_of(path).name}", "move it there", where=path
         )
     bare = [camera for camera in manifest.cameras if camera.sha256 is None]
     if not bare:
@@ -81,7 +81,9 @@ def _complete(path: Path, progress: Progress) -> Finalised:
         if camera in bare:
             sha256, digests = digests_of(path / camera.file, camera.block_planes * camera.layout.plane_bytes)
             if digests != camera.block_digests:
-                raise BadRecordingError(f"{path / camera.file}: found other bytes than were recorded; verify it")
+                raise BadRecordingError(
+                    "found other bytes than were recorded", do="verify it", where=path / camera.file
+                )
             camera = dataclasses.replace(camera, sha256=sha256)
         cameras.append(camera)
     manifest = dataclasses.replace(manifest, cameras=tuple(cameras))
@@ -96,7 +98,7 @@ def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
         progress(number / len(manifest.cameras), camera.file)
         cameras.append(_prove(folder, camera))
     if not any(camera.planes for camera in cameras):
-        raise BadRecordingError(f"{folder}: found no whole block in its journals, expected one; remove the folder")
+        raise BadRecordingError("found no whole block in its journals", "one", "remove the folder", where=folder)
     with disk_errors(folder):
         for camera in cameras:
             os.truncate(folder / camera.file, camera.planes * camera.layout.plane_bytes)
@@ -125,7 +127,7 @@ def _prove(folder: Path, camera: CameraFile) -> CameraFile:
                 sha256.update(data)
                 sound, planes = sound + 1, planes + wanted
     except OSError as error:
-        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}), expected a camera's planes") from error
+        raise BadRecordingError(f"cannot be read ({error.strerror})", "a camera's planes", where=path) from error
     return dataclasses.replace(
         camera,
         planes=planes,

@@ -53,9 +53,9 @@ class ImportOptions:
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
-            raise BadRecordingError(f"found the format {self.format!r}, expected one of {', '.join(FORMATS)}")
+            raise BadRecordingError(f"found the format {self.format!r}", f"one of {', '.join(FORMATS)}")
         if self.format == "m1k40" and (self.bit_order or self.row_order):
-            raise BadRecordingError("found a bit or row order for m1k40, expected none: the format fixes them")
+            raise BadRecordingError("found a bit or row order for m1k40", "none: the format fixes them")
 
     @property
     def camera_size(self) -> tuple[int, int] | None:
@@ -117,11 +117,11 @@ def _named(dats: Sequence[str]) -> dict[str, Path] | None:
         return None
     if len(named) < len(dats):
         plain = next(dat for dat, m in zip(dats, matches, strict=True) if not m)
-        raise BadRecordingError(f"found {plain} among named files, expected camRC=FILE for all of them or for none")
+        raise BadRecordingError(f"found {plain} among named files", "camRC=FILE for all of them or for none")
     ids = [camera_id for camera_id, _ in named]
     repeated = sorted({camera_id for camera_id in ids if ids.count(camera_id) > 1})
     if repeated:
-        raise BadRecordingError(f"found {', '.join(repeated)} more than once, expected one file a camera")
+        raise BadRecordingError(f"found {', '.join(repeated)} more than once", "one file a camera")
     return dict(named)
 
 
@@ -131,10 +131,10 @@ def _match(dats: Sequence[str], named: dict[str, Path] | None, rig: Rig) -> dict
     found = f"found {len(dats)} streams for {len(rig.ids)} cameras, expected one each"
     missing = [camera_id for camera_id in rig.ids if camera_id not in files]
     if missing:
-        raise BadRecordingError(f"{found}; none for {', '.join(missing)}")
+        raise BadRecordingError(f"{found}", do=f"none for {', '.join(missing)}")
     surplus = [camera_id for camera_id in files if camera_id not in rig.ids] or list(dats[len(rig.ids) :])
     if surplus:
-        raise BadRecordingError(f"{found}; no camera for {', '.join(surplus)}")
+        raise BadRecordingError(f"{found}", do=f"no camera for {', '.join(surplus)}")
     return {camera_id: files[camera_id] for camera_id in rig.ids}
 
 
@@ -153,21 +153,21 @@ def _open(camera_id: str, path: Path, rig: Rig, options: ImportOptions) -> Strea
 
 def _open_m1k40(path: Path, size: tuple[int, int], allow_partial: bool) -> m1k40.M1K40Stream:
     if size != (m1k40.SIDE, m1k40.SIDE):
-        raise BadRecordingError(
-            f"found a camera of {size[0]}x{size[1]}, expected {m1k40.SIDE}x{m1k40.SIDE} of an M1K40"
-        )
+        raise BadRecordingError(f"found a camera of {size[0]}x{size[1]}", f"{m1k40.SIDE}x{m1k40.SIDE} of an M1K40")
     try:
         data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.empty(0, dtype=np.uint8)
     except OSError as error:
-        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); give an existing .dat") from error
+        raise BadRecordingError(f"cannot be read ({error.strerror})", do="give an existing .dat", where=path) from error
     try:
         stream = m1k40.locate(data)
     except BadRecordingError as error:
         raise BadRecordingError(f"{path}: {error}") from error
     if stream.partial_bytes and not allow_partial:
         raise BadRecordingError(
-            f"{path}: found {stream.partial_bytes} bytes behind the last of {len(stream)} whole planes, expected none; "
-            "allow a partial last plane"
+            f"found {stream.partial_bytes} bytes behind the last of {len(stream)} whole planes",
+            "none",
+            "allow a partial last plane",
+            where=path,
         )
     return stream
 

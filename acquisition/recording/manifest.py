@@ -44,7 +44,7 @@ class Gap:
     def __post_init__(self) -> None:
         whole = type(self.first_plane) is type(self.planes) is int
         if not whole or self.first_plane < 0 or self.planes < 1 or self.layer not in get_args(Layer):
-            raise BadRecordingError(f"found the gap {self}, expected planes from 0 lost in one of {get_args(Layer)}")
+            raise BadRecordingError(f"found the gap {self}", f"planes from 0 lost in one of {get_args(Layer)}")
 
 
 @dataclass(frozen=True)
@@ -93,16 +93,16 @@ class CameraFile:
         whole = type(self.planes) is type(self.block_planes) is int
         if not whole or self.planes < 0 or self.block_planes < 1:
             found = f"found {self.planes} planes, {self.block_planes} a block"
-            raise BadRecordingError(f"{self.id}: {found}; expected none or more, and at least one a block")
+            raise BadRecordingError(f"{found}", "none or more, and at least one a block", where=self.id)
         blocks = -(-self.planes // self.block_planes)
         if len(self.block_digests) != blocks:
-            raise BadRecordingError(f"{self.id}: found {len(self.block_digests)} block digests, expected {blocks}")
+            raise BadRecordingError(f"found {len(self.block_digests)} block digests", f"{blocks}", where=self.id)
         if not set("/\0").isdisjoint(self.file) or self.file in ("", ".", ".."):
-            raise BadRecordingError(f"{self.id}: found the file {self.file!r}, expected a name inside the recording")
+            raise BadRecordingError(f"found the file {self.file!r}", "a name inside the recording", where=self.id)
         known = 0
         for gap in self.gaps:
             if gap.first_plane < known or gap.first_plane + gap.planes > self.planes:
-                raise BadRecordingError(f"{self.id}: found {gap}, expected gaps in order inside {self.planes} planes")
+                raise BadRecordingError(f"found {gap}", f"gaps in order inside {self.planes} planes", where=self.id)
             known = gap.first_plane + gap.planes
 
     @property
@@ -138,15 +138,15 @@ class Manifest:
 
     def __post_init__(self) -> None:
         if not self.tick_rate_hz > 0:
-            raise BadRecordingError(f"found the tick rate {self.tick_rate_hz} Hz, expected a positive number")
+            raise BadRecordingError(f"found the tick rate {self.tick_rate_hz} Hz", "a positive number")
         if self.trigger not in get_args(Trigger):
-            raise BadRecordingError(f"found the trigger {self.trigger!r}, expected one of {get_args(Trigger)}")
+            raise BadRecordingError(f"found the trigger {self.trigger!r}", f"one of {get_args(Trigger)}")
         if self.status not in get_args(Status) or (self.reason is None) != (self.status != "incomplete"):
             found = f"found the status {self.status!r} with the reason {self.reason!r}"
-            raise BadRecordingError(f"{found}, expected one of {get_args(Status)}, and a reason where incomplete")
+            raise BadRecordingError(f"{found}", f"one of {get_args(Status)}, and a reason where incomplete")
         ids = [camera.id for camera in self.cameras]
         if not ids or len(set(ids)) < len(ids):
-            raise BadRecordingError(f"found the cameras {ids}, expected at least one, each once")
+            raise BadRecordingError(f"found the cameras {ids}", "at least one, each once")
 
     def camera(self, camera_id: str) -> CameraFile:
         """The entry of one camera; raises BadRecordingError listing the known ones."""
@@ -154,7 +154,7 @@ class Manifest:
             if camera.id == camera_id:
                 return camera
         known = ", ".join(camera.id for camera in self.cameras)
-        raise BadRecordingError(f"found no camera {camera_id} in the recording, expected one of {known}")
+        raise BadRecordingError(f"found no camera {camera_id} in the recording", f"one of {known}")
 
 
 def dump_manifest(manifest: Manifest) -> str:
@@ -172,7 +172,7 @@ def load_manifest(text: str | bytes) -> Manifest:
         version = document.pop("schema_version")
         if version != SCHEMA_VERSION:
             expected = f"expected {SCHEMA_VERSION}; update spike4dgs"
-            raise BadRecordingError(f"{MANIFEST_FILE}: found schema {version}, {expected}")
+            raise BadRecordingError(f"found schema {version}, {expected}", where=MANIFEST_FILE)
         cameras = tuple(_camera(table) for table in document.pop("cameras"))
         manifest = Manifest(cameras=cameras, **document)
         digests = manifest.pixels_sha256.items()
@@ -188,9 +188,7 @@ def load_manifest(text: str | bytes) -> Manifest:
             raise ValueError("found a pixel calibration outside the recording")
         return manifest
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise BadRecordingError(
-            f"{MANIFEST_FILE}: found no manifest ({error}), expected what spike4dgs writes"
-        ) from error
+        raise BadRecordingError(f"found no manifest ({error})", "what spike4dgs writes", where=MANIFEST_FILE) from error
 
 
 def _camera(table: dict[str, Any]) -> CameraFile:
@@ -204,10 +202,10 @@ def _camera(table: dict[str, Any]) -> CameraFile:
     camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, conversion=conversion, **table)
     _check_kinds(camera)
     if drops != {layer: lost for layer, lost in camera.drops.items() if lost or layer in drops}:
-        raise BadRecordingError(f"{camera.id}: found the drops {drops}, expected {camera.drops} as the gaps say")
+        raise BadRecordingError(f"found the drops {drops}", f"{camera.drops} as the gaps say", where=camera.id)
     if (offered, written) not in ((None, None), (camera.planes, camera.written)):
         found = f"found {offered} planes offered, {written} written"
-        raise BadRecordingError(f"{camera.id}: {found}, expected {camera.planes} and {camera.written} as the gaps say")
+        raise BadRecordingError(f"{found}", f"{camera.planes} and {camera.written} as the gaps say", where=camera.id)
     return camera
 
 

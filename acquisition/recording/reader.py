@@ -26,7 +26,7 @@ class Recording:
         missing = [camera_id for camera_id in self.rig.ids if camera_id not in known]
         if missing:
             raise BadRecordingError(
-                f"{self.path}: found no stream of {', '.join(missing)}, expected one for each camera of its rig"
+                f"found no stream of {', '.join(missing)}", "one for each camera of its rig", where=self.path
             )
 
     @classmethod
@@ -65,11 +65,11 @@ class Recording:
         entry = self.manifest.camera(camera_id)
         if not entry.planes:
             found = f"found no plane of {camera_id}, expected at least one"
-            raise BadRecordingError(f"{self.path}: {found}; mend or leave it out, and record again")
+            raise BadRecordingError(f"{found}", do="mend or leave it out, and record again", where=self.path)
         stream = SpikeStream.open(self.path / entry.file, entry.layout, self.tick_rate_hz)
         if len(stream) != entry.planes:
             found = f"found {len(stream)} planes, expected {entry.planes}"
-            raise BadRecordingError(f"{self.path / entry.file}: {found}; verify the recording")
+            raise BadRecordingError(f"{found}", do="verify the recording", where=self.path / entry.file)
         return stream
 
 
@@ -78,7 +78,9 @@ def read_manifest(path: Path) -> Manifest:
     manifest = read_any_manifest(path)
     if manifest.status in UNFINISHED:
         found = f"found it {manifest.status}, expected a finished recording"
-        raise BadRecordingError(f"{path}: {found}; if nothing records it any more, run `spike4dgs finalise {path}`")
+        raise BadRecordingError(
+            f"{found}", do=f"if nothing records it any more, run `spike4dgs finalise {path}`", where=path
+        )
     return manifest
 
 
@@ -88,7 +90,7 @@ def read_any_manifest(path: Path) -> Manifest:
         text = (path / MANIFEST_FILE).read_bytes()
     except OSError as error:
         raise BadRecordingError(
-            f"{path}: found no readable {MANIFEST_FILE} ({error.strerror}), expected a recording folder"
+            f"found no readable {MANIFEST_FILE} ({error.strerror})", "a recording folder", where=path
         ) from error
     try:
         return load_manifest(text)

@@ -30,9 +30,9 @@ class SpikeCVConfig:
         for name in ("spike_w", "spike_h"):
             value = getattr(self, name)
             if type(value) is not int or not 1 <= value <= 9999:
-                raise BadRecordingError(f"found {name}: {str(value)[:40]}, expected a whole number of pixels")
+                raise BadRecordingError(f"found {name}: {str(value)[:40]}", "a whole number of pixels")
         if any(type(kind) not in (int, float) for kind in self.labeled_data_type):
-            raise BadRecordingError(f"found labeled_data_type: {self.labeled_data_type}, expected a list of numbers")
+            raise BadRecordingError(f"found labeled_data_type: {self.labeled_data_type}", "a list of numbers")
 
 
 def read_config(path: Path) -> SpikeCVConfig:
@@ -40,11 +40,13 @@ def read_config(path: Path) -> SpikeCVConfig:
     try:
         document = yaml.safe_load(path.read_bytes())
     except OSError as error:
-        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); give SpikeCV's config.yaml") from error
+        raise BadRecordingError(
+            f"cannot be read ({error.strerror})", do="give SpikeCV's config.yaml", where=path
+        ) from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise BadRecordingError(f"{path}: found text that is not YAML, expected SpikeCV's config.yaml") from error
+        raise BadRecordingError("found text that is not YAML", "SpikeCV's config.yaml", where=path) from error
     if not isinstance(document, dict) or not {"spike_w", "spike_h"} <= document.keys():
-        raise BadRecordingError(f"{path}: found no spike_w and spike_h, expected SpikeCV's config.yaml")
+        raise BadRecordingError("found no spike_w and spike_h", "SpikeCV's config.yaml", where=path)
     kinds = document.get("labeled_data_type", [_RAW])
     suffix = document.get("labeled_data_suffix")
     try:
@@ -80,9 +82,9 @@ def write_config(recording: Path, manifest: Manifest) -> Path:
     """
     sizes = {(camera.layout.stored_width, camera.layout.height) for camera in manifest.cameras}
     if len(sizes) > 1:
-        raise BadRecordingError(f"{recording}: found cameras of {len(sizes)} sizes, expected one for a config.yaml")
+        raise BadRecordingError(f"found cameras of {len(sizes)} sizes", "one for a config.yaml", where=recording)
     if any(camera.layout.bit_order != "lsb" for camera in manifest.cameras):
-        raise BadRecordingError(f"{recording}: found planes stored msb first, expected lsb, which is all SpikeCV reads")
+        raise BadRecordingError("found planes stored msb first", "lsb, which is all SpikeCV reads", where=recording)
     width, height = sizes.pop()
     path = recording / CONFIG_FILE
     write_durably(path, dump_config(SpikeCVConfig(recording.resolve().name, width, height)))

@@ -149,7 +149,9 @@ class StreamWriter:
         """What the disk refused, in a line."""
         found = self.failure.strerror if self.failure else "the file is closed"
         lost = f", {self._unlisted} planes behind the file's end are lost" if self._unlisted else ""
-        return DiskError(f"{self.path}: the disk is full or failing ({found}){lost}; free some space and record again")
+        return DiskError(
+            f"the disk is full or failing ({found}){lost}", do="free some space and record again", where=self.path
+        )
 
     def draft(self) -> CameraFile:
         """The manifest's entry of a stream whose planes are only in the journal."""

@@ -67,8 +67,10 @@ class RecordingWriter:
         free, needed = free_bytes(self.path.parent), self._use.needed_bytes + self._use.keep_free_bytes
         if free < needed:
             raise DiskError(
-                f"{self.path}: found {free} bytes free, expected at least {needed}; "
-                "free some space or record fewer ticks"
+                f"found {free} bytes free",
+                f"at least {needed}",
+                "free some space or record fewer ticks",
+                where=self.path,
             )
         self.folder.mkdir(exist_ok=True)
         self._lock = lock_folder(self.folder)
@@ -136,7 +138,9 @@ class RecordingWriter:
             try:
                 found[pixels] = hashlib.sha256(pixels.read_bytes()).hexdigest()
             except OSError as error:
-                raise BadRecordingError(f"{pixels}: cannot be read ({error.strerror}); calibrate again") from error
+                raise BadRecordingError(
+                    f"cannot be read ({error.strerror})", do="calibrate again", where=pixels
+                ) from error
         return found
 
     def _drafts(self) -> tuple[CameraFile, ...]:
@@ -161,8 +165,10 @@ class RecordingWriter:
         if kept and not self._use.replace_left_over:
             os.close(self._lock)
             raise BadRecordingError(
-                f"{self.folder}: found what a killed recorder left, expected nothing; "
-                f"save it by `spike4dgs finalise {self.path}`, or remove it"
+                "found what a killed recorder left",
+                "nothing",
+                f"save it by `spike4dgs finalise {self.path}`, or remove it",
+                where=self.folder,
             )
 
 
@@ -178,7 +184,7 @@ def lock_folder(folder: Path) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(handle)
-        raise BadRecordingError(f"{folder}: is being recorded now; choose another --out") from error
+        raise BadRecordingError("is being recorded now", do="choose another --out", where=folder) from error
     return handle
 
 
@@ -197,7 +203,7 @@ def publish(folder: Path, path: Path) -> None:
 def refuse_taken(path: Path) -> None:
     """Raise BadRecordingError unless `path` is free or an empty folder."""
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise BadRecordingError(f"{path}: exists already, expected a new folder; choose another --out")
+        raise BadRecordingError("exists already", "a new folder", "choose another --out", where=path)
 
 
 def free_bytes(folder: Path) -> int:
@@ -213,7 +219,9 @@ def disk_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in _DISK_FULL:
             raise
-        raise DiskError(f"{path}: the disk is full ({error.strerror}); free some space and record again") from error
+        raise DiskError(
+            f"the disk is full ({error.strerror})", do="free some space and record again", where=path
+        ) from error
 
 
 def _sync(path: Path) -> None:

@@ -26,7 +26,7 @@ class Finish:
 
     def __post_init__(self) -> None:
         if not self.texel_m > 0 or not all(0 <= a <= 1 for a in self.albedo):
-            raise AcquisitionError(f"found {self.texel_m} m a texel and albedo {self.albedo}, expected > 0 and 0..1")
+            raise AcquisitionError(f"found {self.texel_m} m a texel and albedo {self.albedo}", "> 0 and 0..1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Shape:
     def __post_init__(self) -> None:
         needed = {"rectangle": 2, "box": 3, "sphere": 1, "cylinder": 2}.get(self.kind)
         if needed is None or len(self.size) != needed or not all(s > 0 for s in self.size):
-            raise AcquisitionError(f"found a {self.kind} of size {self.size}, expected {KINDS} with positive lengths")
+            raise AcquisitionError(f"found a {self.kind} of size {self.size}", f"{KINDS} with positive lengths")
 
     def row(self) -> list[float]:
         """The shape as the native ray caster reads it [10]."""
@@ -71,10 +71,10 @@ class Body:
     def __post_init__(self) -> None:
         if isinstance(self.motion, tuple) and len(self.motion) != len(self.shapes):
             raise AcquisitionError(
-                f"{self.name}: found {len(self.motion)} motions of {len(self.shapes)} shapes, expected one for each"
+                f"found {len(self.motion)} motions of {len(self.shapes)} shapes", "one for each", where=self.name
             )
         if not self.from_s < self.to_s:
-            raise AcquisitionError(f"{self.name}: found from {self.from_s} to {self.to_s} s, expected a time between")
+            raise AcquisitionError(f"found from {self.from_s} to {self.to_s} s", "a time between", where=self.name)
 
     @property
     def motions(self) -> tuple[Movement, ...]:

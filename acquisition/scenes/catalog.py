@@ -50,7 +50,7 @@ SCENES: dict[str, Callable[[int], Scene]] = {
 def build_scene(name: str, seed: int) -> Scene:
     """The scene `name`, its textures and small placements drawn from `seed`; an unknown name is a BadRecordingError."""
     if name not in SCENES:
-        raise BadRecordingError(f"found the scene {name!r}, expected one of {', '.join(SCENES)}")
+        raise BadRecordingError(f"found the scene {name!r}", f"one of {', '.join(SCENES)}")
     if seed < 0:
-        raise BadRecordingError(f"found the seed {seed}, expected a whole number from 0")
+        raise BadRecordingError(f"found the seed {seed}", "a whole number from 0")
     return SCENES[name](seed)

@@ -21,7 +21,7 @@ class Flicker:
 
     def __post_init__(self) -> None:
         if not self.rate_hz > 0 or not 0 <= self.depth <= 1:
-            raise AcquisitionError(f"found flicker of {self.rate_hz} Hz by {self.depth}, expected > 0 Hz by 0..1")
+            raise AcquisitionError(f"found flicker of {self.rate_hz} Hz by {self.depth}", "> 0 Hz by 0..1")
 
     def gains(self, instants_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """The light at `instants_s` [n] as a share of the brightest [n]."""
@@ -39,7 +39,7 @@ class Uneven:
 
     def __post_init__(self) -> None:
         if not 0 <= self.least <= 1:
-            raise AcquisitionError(f"found a least light of {self.least}, expected 0..1")
+            raise AcquisitionError(f"found a least light of {self.least}", "0..1")
 
 
 EVEN = Uneven((0.0, 0.0, 0.0))

@@ -49,9 +49,9 @@ class Motion:
 
     def __post_init__(self) -> None:
         if not math.hypot(*self.spin_axis) > 0:
-            raise AcquisitionError(f"found the spin axis {self.spin_axis}, expected one with a direction")
+            raise AcquisitionError(f"found the spin axis {self.spin_axis}", "one with a direction")
         if not self.bounce_s > 0:
-            raise AcquisitionError(f"found a bounce of {self.bounce_s} s, expected a positive time")
+            raise AcquisitionError(f"found a bounce of {self.bounce_s} s", "a positive time")
 
     @property
     def moving(self) -> bool:

@@ -36,7 +36,7 @@ def random_rig(seed: int, views: int, width: int, height: int, tick_rate_hz: flo
     Their true poses; `misplaced` makes the nominal ones of it. Raises AcquisitionError for less than 2 or more than 9.
     """
     if not 2 <= views <= len(PLACES):
-        raise AcquisitionError(f"found a rig of {views} views, expected 2 to {len(PLACES)}")
+        raise AcquisitionError(f"found a rig of {views} views", f"2 to {len(PLACES)}")
     rng = np.random.default_rng([seed, 0x61])
     spacing, distance = rng.uniform(*SPACING_M), rng.uniform(*DISTANCE_M)
     focal = FOCAL_PX * width / LAB_WIDTH_PX * rng.uniform(*LENS)

@@ -34,7 +34,7 @@ def random_scene(seed: int, middle_s: float = 0.0, field_px: int = 96) -> Scene:
     The same numbers give the same scene. Raises AcquisitionError for a negative seed or an empty field.
     """
     if seed < 0 or field_px < 1:
-        raise AcquisitionError(f"found the seed {seed} and a field of {field_px} px, expected from 0 and from 1")
+        raise AcquisitionError(f"found the seed {seed} and a field of {field_px} px", "from 0 and from 1")
     rng = np.random.default_rng([seed, 0x5C])
     still = rng.random() < STILL_SHARE
     wall_m = rng.uniform(2.0, 3.5)

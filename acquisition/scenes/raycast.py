@@ -56,9 +56,9 @@ class Geometry:
     def __post_init__(self) -> None:
         size = self.textures.shape[-1]
         if not 1 <= len(self.shapes) <= MOST_SHAPES:
-            raise AcquisitionError(f"found {len(self.shapes)} shapes, expected 1 to {MOST_SHAPES}; use fewer shapes")
+            raise AcquisitionError(f"found {len(self.shapes)} shapes", f"1 to {MOST_SHAPES}", "use fewer shapes")
         if self.textures.ndim != 3 or self.textures.shape[1] != size or size & (size - 1):
-            raise AcquisitionError(f"found textures {self.textures.shape}, expected (K, S, S), S a power of two")
+            raise AcquisitionError(f"found textures {self.textures.shape}", "(K, S, S), S a power of two")
         if not 0 <= self.shapes[:, 4].min() <= self.shapes[:, 4].max() < len(self.textures):
             raise AcquisitionError(f"found a texture index outside the {len(self.textures)} textures of the scene")
 
@@ -109,10 +109,10 @@ class Raycaster:
     ):
         if any(camera.distortion):
             raise AcquisitionError(
-                f"{camera.id}: found lens distortion {camera.distortion}, expected none; scenes are seen by pinholes"
+                f"found lens distortion {camera.distortion}", "none", "scenes are seen by pinholes", where=camera.id
             )
         if samples < 1:
-            raise AcquisitionError(f"found {samples} samples a side of a pixel, expected at least 1")
+            raise AcquisitionError(f"found {samples} samples a side of a pixel", "at least 1")
         self._size = (camera.height, camera.width)
         self._scene = self._native_scene(geometry)
         self._view = _View(
@@ -172,7 +172,7 @@ class Raycaster:
     def _checked(self, rotations: Floats, positions: Floats) -> tuple[Floats, Floats]:
         count = (len(rotations), self._scene.count)
         if rotations.shape != (*count, 3, 3) or positions.shape != (*count, 3):
-            raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}, expected {count} of them")
+            raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}", f"{count} of them")
         return np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(positions, np.float64)
 
     @property
@@ -207,7 +207,7 @@ class Raycaster:
         rotations, positions = self._checked(*placements[:2])
         gains = np.ones(len(rotations)) if placements[2] is None else placements[2]
         if gains.shape != rotations.shape[:1]:
-            raise AcquisitionError(f"found gains {gains.shape}, expected one for each of {len(rotations)} instants")
+            raise AcquisitionError(f"found gains {gains.shape}", f"one for each of {len(rotations)} instants")
         gains = np.ascontiguousarray(gains, dtype=np.float64)
         arrays = (rotations, positions, gains, intensity, depth, ids)
         load_library("acquisition").raycast_frames(

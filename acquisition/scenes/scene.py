@@ -53,9 +53,11 @@ class Scene:
     def __post_init__(self) -> None:
         names = [body.name for body in self.bodies]
         if not names or len(set(names)) < len(names) or len(names) > 127:
-            raise AcquisitionError(f"scene {self.name}: found the bodies {names}, expected 1 to 127 different names")
+            raise AcquisitionError(f"found the bodies {names}", "1 to 127 different names", where=f"scene {self.name}")
         if not self.white > 0 or not 0 <= self.ambient <= 1 or not np.linalg.norm(self.to_sun) > 0:
-            raise AcquisitionError(f"scene {self.name}: expected white > 0, ambient in 0..1, a direction to the sun")
+            raise AcquisitionError(
+                "expected white > 0, ambient in 0..1, a direction to the sun", where=f"scene {self.name}"
+            )
         _ = self.geometry  # refuses too many shapes or a texture that is not there
 
     @property

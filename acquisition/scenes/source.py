@@ -38,7 +38,7 @@ class SceneSource:
     ):
         sizes = {(camera.height, camera.width), sensor.shape, (layout.height, layout.width)}
         if len(sizes) > 1:
-            raise BadRecordingError(f"{camera.id}: found camera, sensor and layout of the sizes {sizes}, expected one")
+            raise BadRecordingError(f"found camera, sensor and layout of the sizes {sizes}", "one", where=camera.id)
         self.layout = layout
         self.sensitivity = 1.0  # spikes for the same light, as a share of those at the nominal threshold
         self._scene, self._camera, self._sensor = scene, camera, sensor

@@ -49,9 +49,9 @@ def write_truth(
     Raises BadRecordingError where the folder exists or there is nothing to write, DiskError when the disk refuses.
     """
     if ticks < 1 or every < 1:
-        raise BadRecordingError(f"found {ticks} ticks and truth every {every} planes, expected at least 1 of each")
+        raise BadRecordingError(f"found {ticks} ticks and truth every {every} planes", "at least 1 of each")
     if folder.exists():
-        raise BadRecordingError(f"{folder}: found it there already, expected a new folder; move it away")
+        raise BadRecordingError("found it there already", "a new folder", "move it away", where=folder)
     planes = list(range(0, ticks, every))
     cameras = (*rig.cameras, *novel_cameras(scene, rig))
     for number, camera in enumerate(cameras):

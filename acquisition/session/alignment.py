@@ -80,7 +80,7 @@ def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> 
     reference = reference or next(iter(rates))
     for camera_id, rate in rates.items():
         if len(rate) < LEAST_OVERLAP:
-            raise TimingError(f"{camera_id}: found {len(rate)} planes, expected at least {LEAST_OVERLAP}")
+            raise TimingError(f"found {len(rate)} planes", f"at least {LEAST_OVERLAP}", where=camera_id)
     flashes = {camera_id: flash(rate) for camera_id, rate in rates.items()}
     seen = {camera_id: found for camera_id, found in flashes.items() if found}
     if len(seen) == len(rates):
@@ -128,7 +128,7 @@ def correlation_lag(reference: Rates, rate: Rates) -> tuple[float, float]:
     """
     for name, one in (("the reference's", reference), ("its", rate)):
         if not float(one.std()) > 1e-9:
-            raise TimingError(f"found that {name} light never changes, expected a flash or motion; align by a flash")
+            raise TimingError(f"found that {name} light never changes", "a flash or motion", "align by a flash")
     most = min(LARGEST_LAG, min(len(reference), len(rate)) // 2)
     lags = np.arange(-most, most + 1)
     reference, rate = _smoothed(reference), _smoothed(rate)
@@ -136,17 +136,19 @@ def correlation_lag(reference: Rates, rate: Rates) -> tuple[float, float]:
     peak = int(np.argmax(scores))
     if scores[peak] < _LEAST_CORRELATION:
         raise TimingError(
-            f"found a best correlation of {scores[peak]:.2f} with the reference's light, expected at least "
-            f"{_LEAST_CORRELATION}; the light hardly changes, align by a flash"
+            f"found a best correlation of {scores[peak]:.2f} with the reference's light",
+            f"at least {_LEAST_CORRELATION}",
+            "the light hardly changes, align by a flash",
         )
     if peak in (0, len(lags) - 1):
-        raise TimingError(f"found no peak of the correlation within {most} planes; align by a flash")
+        raise TimingError(f"found no peak of the correlation within {most} planes", do="align by a flash")
     rivals = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])) + 1
     rivals = [int(lags[k]) for k in rivals if k != peak and scores[k] > _NEXT_BEST * scores[peak]]
     if rivals:
         raise TimingError(
-            f"found that lags of {lags[peak]} and {rivals[0]} planes fit alike, expected one: the light repeats "
-            "itself; align by a flash"
+            f"found that lags of {lags[peak]} and {rivals[0]} planes fit alike",
+            "one: the light repeats itself",
+            "align by a flash",
         )
     left, top, right = scores[peak - 1 : peak + 2]
     bend = left - 2 * top + right

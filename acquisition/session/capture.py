@@ -137,7 +137,7 @@ class Capture:
             silent_reads = 0 if block else silent_reads + 1
             if silent_reads == SILENT_READS:
                 found = f"found no data for {SILENT_READS} reads after {self.position} planes"
-                raise DeviceError(f"{self.camera.id}: {found}, expected blocks; check its cable and trigger")
+                raise DeviceError(f"{found}", "blocks", "check its cable and trigger", where=self.camera.id)
             if block:
                 self._receive(self._placed(block))
                 self._pass_on()
@@ -170,14 +170,16 @@ class Capture:
     def _receive(self, block: Block) -> None:
         if block.layout != self.writer.layout:
             found = f"found planes of {block.layout}, expected {self.writer.layout}"
-            raise DeviceError(f"{self.camera.id}: {found}; reconnect it")
+            raise DeviceError(f"{found}", do="reconnect it", where=self.camera.id)
         planes, lost = len(block.packed), block.first_plane - self.position
         if -REPEATED_BLOCKS * planes <= lost < 0:
             self.repeated_blocks += 1
             return
         if lost < 0 or lost > LONGEST_GAP_S * self._rules.tick_rate_hz:
             found = f"found plane {block.first_plane}, expected {self.position}"
-            raise DeviceError(f"{self.camera.id}: {found}; its counter began anew or cannot be right, reconnect it")
+            raise DeviceError(
+                f"{found}", do="its counter began anew or cannot be right, reconnect it", where=self.camera.id
+            )
         if self.position == 0 and self._rules.trigger == "line":
             self.writer.skew_s = block.device_time_ns * 1e-9 - block.first_plane / self._rules.tick_rate_hz
         if not self.returned:

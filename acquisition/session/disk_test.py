@@ -33,7 +33,7 @@ def write_speed(folder: Path, seconds: float, clock: Callable[[], float] = time.
         step = _THREADS * _WRITE_BYTES
         size = min(_MOST_BYTES, shutil.disk_usage(folder).free // 2) // step * step
         if not size:
-            raise DiskError(f"{folder}: found no room for a disk test, expected {2 * step} bytes free")
+            raise DiskError("found no room for a disk test", f"{2 * step} bytes free", where=folder)
         try:
             return _measure(folder, os.O_DIRECT, size, (seconds, clock))
         except OSError as error:
@@ -41,7 +41,7 @@ def write_speed(folder: Path, seconds: float, clock: Callable[[], float] = time.
                 raise
             return _measure(folder, 0, size, (seconds, clock))
     except OSError as error:
-        raise DiskError(f"{folder}: cannot be written ({error.strerror}), expected a disk") from error
+        raise DiskError(f"cannot be written ({error.strerror})", "a disk", where=folder) from error
 
 
 def _measure(folder: Path, flag: int, size: int, timing: tuple[float, Callable[[], float]]) -> DiskSpeed:

@@ -43,9 +43,9 @@ class Take:
 
     def __post_init__(self) -> None:
         if self.planes is not None and self.planes < 1:
-            raise BadRecordingError(f"found {self.planes} ticks, expected at least 1")
+            raise BadRecordingError(f"found {self.planes} ticks", "at least 1")
         if self.pre_trigger_ms is not None and not 0 < self.pre_trigger_ms < float("inf"):
-            raise BadRecordingError(f"found a pre-trigger of {self.pre_trigger_ms} ms, expected more than 0")
+            raise BadRecordingError(f"found a pre-trigger of {self.pre_trigger_ms} ms", "more than 0")
 
 
 def record(rig: Rig, devices: str, take: Take | int, out: Path, progress: Progress = silent) -> Manifest:
@@ -96,7 +96,7 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
         manifest = recording.commit(recording.entries(), opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
     if manifest.reason:
-        raise IncompleteError(f"{manifest.reason}; {out} keeps what was recorded, marked incomplete")
+        raise IncompleteError(f"{manifest.reason}", do=f"{out} keeps what was recorded, marked incomplete")
     return manifest
 
 
@@ -106,7 +106,7 @@ def _check_memory(rig: Rig, pre_planes: int) -> None:
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > free // 2:
         raise BadRecordingError(
-            f"found a pre-trigger of {needed} bytes, expected at most half of the {free} bytes of memory; shorten it"
+            f"found a pre-trigger of {needed} bytes", f"at most half of the {free} bytes of memory", "shorten it"
         )
 
 

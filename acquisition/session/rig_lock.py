@@ -29,7 +29,7 @@ def rig_lock(name: str, out: Path) -> Iterator[None]:
         except BlockingIOError as error:
             holder = os.pread(handle, 500, 0).decode(errors="replace").strip() or "another process"
             raise RigBusyError(
-                f"rig {name}: found it in use by {holder}, expected it free; wait for that run to end, or stop it"
+                f"found it in use by {holder}", "it free", "wait for that run to end, or stop it", where=f"rig {name}"
             ) from error
         with contextlib.suppress(OSError):  # another user's file can be locked but not written
             os.ftruncate(handle, 0)
@@ -54,7 +54,7 @@ def _open(path: Path) -> int:
             if flags & os.O_CREAT:
                 os.fchmod(handle, 0o666)
             return handle
-    raise RigBusyError(f"{path}: cannot be opened, expected a file every operator may lock; set {LOCK_FOLDER}")
+    raise RigBusyError("cannot be opened", "a file every operator may lock", f"set {LOCK_FOLDER}", where=path)
 
 
 def _user() -> str:

@@ -106,22 +106,22 @@ def estimate_clock(
         raise TimingError(f"found {len(counted)} pulses within {np.ptp(stamps_s):g} s: the camera's clock stands still")
     steps = np.rint(np.diff(stamps_s) / period_s)
     if steps.max(initial=0) > MOST_STEPS:
-        raise TimingError(f"found {steps.max():g} periods between two stamps, expected at most {MOST_STEPS}")
+        raise TimingError(f"found {steps.max():g} periods between two stamps", f"at most {MOST_STEPS}")
     pulses = int(counted[0]) + np.r_[0, np.cumsum(steps)].astype(np.int64)
     return _fit(pulses, stamps_s, (period_s, duration_s / 2), _missed(pulses, np.diff(counted)))
 
 
 def _refuse_useless(counted: NDArray, stamps_s: NDArray[np.float64], period_s: float) -> None:
     if not period_s > 0:
-        raise TimingError(f"found a pulse period of {period_s} s, expected a positive one")
+        raise TimingError(f"found a pulse period of {period_s} s", "a positive one")
     if counted.ndim != 1 or counted.shape != stamps_s.shape:
-        raise TimingError(f"found {counted.shape} counts and {stamps_s.shape} stamps, expected as many of each")
+        raise TimingError(f"found {counted.shape} counts and {stamps_s.shape} stamps", "as many of each")
     if not len(counted):
-        raise TimingError("found no sync pulse, expected at least one; check the sync line")
+        raise TimingError("found no sync pulse", "at least one", "check the sync line")
     if not np.isfinite(stamps_s).all():
         raise TimingError("found a stamp that is not a finite number of seconds")
     if (np.diff(stamps_s) < 0).any() or (np.diff(counted) < 0).any():
-        raise TimingError("found stamps or counts that go backwards, expected rising ones; the camera was restarted")
+        raise TimingError("found stamps or counts that go backwards", "rising ones", "the camera was restarted")
 
 
 def _missed(pulses: NDArray[np.int64], counted_steps: NDArray) -> Missed:

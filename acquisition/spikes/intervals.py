@@ -105,15 +105,15 @@ def _checked(packed: Bytes, planes: Sequence[int], reach: int) -> NDArray[np.int
     instants = np.asarray(planes, dtype=np.int64)
     outside = instants[(instants < 0) | (instants >= len(packed))]
     if len(outside):
-        raise BadRecordingError(f"found the instant at plane {outside[0]}, expected one inside 0:{len(packed)}")
+        raise BadRecordingError(f"found the instant at plane {outside[0]}", f"one inside 0:{len(packed)}")
     if not 1 <= reach <= FARTHEST:
-        raise BadRecordingError(f"found a reach of {reach} planes, expected 1 to {FARTHEST}")
+        raise BadRecordingError(f"found a reach of {reach} planes", f"1 to {FARTHEST}")
     return np.ascontiguousarray(instants)
 
 
 def _checked_weights(weights: NDArray, planes: int) -> NDArray[np.uint32]:
     if weights.ndim != 2 or weights.shape[1] != planes or not np.issubdtype(weights.dtype, np.integer):
-        raise BadRecordingError(f"found weights {weights.shape} of {weights.dtype}, expected (K, {planes}) integers")
+        raise BadRecordingError(f"found weights {weights.shape} of {weights.dtype}", f"(K, {planes}) integers")
     if weights.size and (weights.min() < 0 or weights.sum(axis=1, dtype=np.uint64).max() >= 2**32):
-        raise BadRecordingError("found weights below 0 or adding up to 2^32 or more, expected fewer planes")
+        raise BadRecordingError("found weights below 0 or adding up to 2^32 or more", "fewer planes")
     return np.ascontiguousarray(weights, dtype=np.uint32)

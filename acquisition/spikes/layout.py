@@ -27,12 +27,12 @@ class PlaneLayout:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
-            raise BadRecordingError(f"found the size {self.width}x{self.height}, expected at least 1x1")
+            raise BadRecordingError(f"found the size {self.width}x{self.height}", "at least 1x1")
         if self.trailing_columns < 0:
-            raise BadRecordingError(f"found {self.trailing_columns} trailing columns, expected 0 or more")
+            raise BadRecordingError(f"found {self.trailing_columns} trailing columns", "0 or more")
         if self.bit_order not in ("lsb", "msb") or self.row_order not in ("bottom", "top"):
             raise BadRecordingError(
-                f"found bit order {self.bit_order!r}, row order {self.row_order!r}; expected lsb or msb, bottom or top"
+                f"found bit order {self.bit_order!r}, row order {self.row_order!r}", "lsb or msb, bottom or top"
             )
 
     @property

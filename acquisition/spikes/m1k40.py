@@ -105,8 +105,9 @@ def _alignment(data: NDArray[np.uint8]) -> int:
         counts.append(int(((names[:-1] == _LAST) & (names[1:] == _FIRST)).sum()))
     if not max(counts):
         raise BadRecordingError(
-            f"found no end of a plane followed by the start of one in {len(data)} bytes, expected an M1K40 stream of "
-            "at least two planes; give the right --format"
+            f"found no end of a plane followed by the start of one in {len(data)} bytes",
+            "an M1K40 stream of at least two planes",
+            "give the right --format",
         )
     return counts.index(max(counts))
 
@@ -120,7 +121,7 @@ def _places_by_name(names: NDArray[np.int64]) -> NDArray[np.int64]:
             places[inside] = np.arange(SEGMENTS)
             return places
     raise BadRecordingError(
-        f"found no plane with all its {SEGMENTS} segments, expected at least one; the file is damaged throughout"
+        f"found no plane with all its {SEGMENTS} segments", "at least one", "the file is damaged throughout"
     )
 
 

@@ -18,7 +18,7 @@ Bytes = NDArray[np.uint8]
 def pack(planes: NDArray, layout: PlaneLayout) -> Bytes:
     """Planes [T, H, W] (non-zero is a spike) to packed bytes [T, B]; trailing columns are zero."""
     if planes.ndim != 3 or planes.shape[1:] != (layout.height, layout.width):
-        raise BadRecordingError(f"found planes {planes.shape}, expected (T, {layout.height}, {layout.width})")
+        raise BadRecordingError(f"found planes {planes.shape}", f"(T, {layout.height}, {layout.width})")
     rows = planes[:, ::-1] if layout.row_order == "bottom" else planes
     stored = np.pad(rows != 0, ((0, 0), (0, 0), (0, layout.trailing_columns)))
     bits = stored.reshape(len(planes), layout.height * layout.stored_width)
@@ -76,7 +76,7 @@ def _window_arguments(packed: Bytes, layout: PlaneLayout, bounds: NDArray, least
     outside = (bounds[:, 0] < 0) | (bounds[:, 1] < bounds[:, 0] + least) | (bounds[:, 1] > len(packed))
     if outside.any():
         first, last = bounds[outside][0]
-        raise BadRecordingError(f"found planes {first}:{last}, expected a window inside 0:{len(packed)}")
+        raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(packed)}")
     data, _, *size = native_arguments(packed, layout)
     return data, *size, pointer(bounds), ctypes.c_int64(len(bounds))
 
@@ -92,7 +92,7 @@ def native_arguments(packed: Bytes, layout: PlaneLayout) -> tuple:
     Raises BadRecordingError where the planes are not [T, B] bytes of the layout.
     """
     if packed.dtype != np.uint8 or packed.ndim != 2 or packed.shape[1] != layout.plane_bytes:
-        raise BadRecordingError(f"found packed planes {packed.shape}, expected (T, {layout.plane_bytes}) bytes")
+        raise BadRecordingError(f"found packed planes {packed.shape}", f"(T, {layout.plane_bytes}) bytes")
     contiguous = np.ascontiguousarray(packed)
     return (
         pointer(contiguous),

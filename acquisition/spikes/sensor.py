@@ -57,10 +57,10 @@ class Sensor:
         self, width: int, height: int, kind: SensorKind, seed: int, camera_index: int, *, threads: int = 1
     ) -> None:
         if kind not in SENSOR_KINDS:
-            raise BadRecordingError(f"found the sensor {kind!r}, expected one of {', '.join(SENSOR_KINDS)}")
+            raise BadRecordingError(f"found the sensor {kind!r}", f"one of {', '.join(SENSOR_KINDS)}")
         if width < 1 or height < 1 or seed < 0 or camera_index < 0:
             raise BadRecordingError(
-                f"found a sensor of {width}x{height}, seed {seed}, camera {camera_index}; expected 1x1 or more, from 0"
+                f"found a sensor of {width}x{height}, seed {seed}, camera {camera_index}", "1x1 or more, from 0"
             )
         self.kind: SensorKind = kind
         self.shape = (height, width)
@@ -134,10 +134,10 @@ class Sensor:
 
     def _checked(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         if intensity.ndim != 3 or intensity.shape[1:] != self.shape:
-            raise BadRecordingError(f"found light of shape {intensity.shape}, expected (n, {self.shape})")
+            raise BadRecordingError(f"found light of shape {intensity.shape}", f"(n, {self.shape})")
         light = np.ascontiguousarray(intensity, dtype=np.float32)
         if np.isnan(light.min(initial=0)):
-            raise BadRecordingError("found NaN in the light on the sensor, expected numbers; mend the scene")
+            raise BadRecordingError("found NaN in the light on the sensor", "numbers", "mend the scene")
         return light
 
 

@@ -29,21 +29,24 @@ class SpikeStream:
     def open(cls, path: Path, layout: PlaneLayout, tick_rate_hz: float, *, allow_partial: bool = False) -> SpikeStream:
         """Map `path`; raises BadRecordingError when it is missing, empty, or (unless allowed) ends inside a plane."""
         if not tick_rate_hz > 0:
-            raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz, expected a positive number")
+            raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz", "a positive number")
         try:
             with path.open("rb") as file:
                 size = file.seek(0, os.SEEK_END)
         except OSError as error:
-            raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); give an existing .dat") from error
+            raise BadRecordingError(
+                f"cannot be read ({error.strerror})", do="give an existing .dat", where=path
+            ) from error
         planes, partial = divmod(size, layout.plane_bytes)
         expected = f"{layout.plane_bytes} bytes a plane of {layout.width}x{layout.height}"
         if partial and not allow_partial:
             raise BadRecordingError(
-                f"{path}: found {size} bytes, {partial} more than {planes} whole planes ({expected}); "
-                "give the right size, or allow a partial last plane"
+                f"found {size} bytes, {partial} more than {planes} whole planes ({expected})",
+                do="give the right size, or allow a partial last plane",
+                where=path,
             )
         if planes == 0:
-            raise BadRecordingError(f"{path}: found {size} bytes, expected at least one plane ({expected})")
+            raise BadRecordingError(f"found {size} bytes", f"at least one plane ({expected})", where=path)
         mapped = np.memmap(path, dtype=np.uint8, mode="r", shape=(planes, layout.plane_bytes))
         return cls(mapped, layout, tick_rate_hz, partial)
 
@@ -53,7 +56,7 @@ class SpikeStream:
     def window(self, first: int, last: int) -> NDArray[np.uint8]:
         """Packed planes [last - first, B]; raises BadRecordingError outside the stream."""
         if not 0 <= first <= last <= len(self):
-            raise BadRecordingError(f"found planes {first}:{last}, expected a window inside 0:{len(self)}")
+            raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(self)}")
         return self.packed[first:last]
 
     def planes(self, first: int, last: int) -> NDArray[np.uint8]:

@@ -57,7 +57,9 @@ def _section_filled(section: str, documents: Mapping[str, dict]) -> str:
     def figure(found: re.Match[str]) -> str:
         name, digits = found[1], len(found[2].partition(".")[2])
         if name not in summary:
-            raise BadRunError(f"EVIDENCE.md: found the figure {name}, expected a name of the summary of {linked}.json")
+            raise BadRunError(
+                f"found the figure {name}", f"a name of the summary of {linked}.json", where="EVIDENCE.md"
+            )
         return f"| `{name}` | {summary[name]:.{digits}f} |"
 
     def block(found: re.Match[str]) -> str:

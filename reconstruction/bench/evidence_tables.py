@@ -29,7 +29,9 @@ def table(documents: Documents, name: str, block: str) -> str:
     """The block of the document `name`; raises BadRunError where there is no such block."""
     makers = TABLES.get(name, {})
     if block not in makers:
-        raise BadRunError(f"EVIDENCE.md: found the block {name} {block}, expected one of {', '.join(makers) or 'none'}")
+        raise BadRunError(
+            f"found the block {name} {block}", f"one of {', '.join(makers) or 'none'}", where="EVIDENCE.md"
+        )
     return makers[block](documents)
 
 

@@ -27,7 +27,7 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     lies behind the training, so that no second of it is on the run's clock.
     """
     if recording.truth is None:
-        raise BadRunError(f"{recording.path}: found no truth, expected a simulated recording to score against")
+        raise BadRunError("found no truth", "a simulated recording to score against", where=recording.path)
     own = posed(run, Recording.open(run.recording), refined=True)
     seen = replace(recording, rig=replace(own.rig, tick_rate_hz=recording.tick_rate_hz))
     held_out, truth = held_out_camera(seen, HOLDOUT, run.plan.views, Truth.open(recording.truth))

@@ -165,7 +165,7 @@ def covariance(problem: Problem, state: State) -> Floats:
     scale = 1 / np.sqrt(np.maximum(np.diag(at.hessian), np.finfo(np.float64).tiny))
     if not np.linalg.eigvalsh(reduced * np.outer(scale, scale))[0] > SINGULAR:
         raise GeometryError(
-            "found cameras that the observations leave free, expected them determined: show the cameras a deeper scene"
+            "found cameras that the observations leave free", "them determined: show the cameras a deeper scene"
         )
     scores = at.scores - np.einsum("lgd,lde,le->lg", at.coupling, inverse, at.block_gradient)
     bread = np.linalg.inv(reduced)

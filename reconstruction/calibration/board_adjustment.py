@@ -84,7 +84,7 @@ def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[Solution, Sig
     poses = starting_poses(points, sightings, rig.cameras)
     sightings = sightings.only(np.array([pose is not None for pose in poses]))
     if not len(sightings):
-        raise GeometryError("found no picture with four points of the board that are not in a line; show it whole")
+        raise GeometryError("found no picture with four points of the board that are not in a line", do="show it whole")
     cameras, values = Cameras.of(rig.cameras), _all_values(rig)
     blocks = board_poses([pose for pose in poses if pose is not None], points[sightings.point])
     groups: tuple[str, ...] = ("poses",)

@@ -101,8 +101,9 @@ def sight_board(
     blind = [c for c in streams if not any(len(found[n, c].points) for n in range(len(planes)))]
     if blind:
         raise GeometryError(
-            f"found no board {board.text} in {', '.join(blind)}, expected it in every camera at some instant; "
-            "hold the whole board where all cameras see it, nearer or in more light"
+            f"found no board {board.text} in {', '.join(blind)}",
+            "it in every camera at some instant",
+            "hold the whole board where all cameras see it, nearer or in more light",
         )
     return gathered(recording.camera_ids, found, len(planes))
 
@@ -164,8 +165,10 @@ def _refuse_other_sizes(recording: Recording) -> None:
         layout = recording.layout(camera.id)
         if (layout.width, layout.height) != (camera.width, camera.height):
             raise BadRunError(
-                f"{recording.path}: {camera.id}: found planes of {layout.width}x{layout.height}, expected "
-                f"{camera.width}x{camera.height} as its rig says; the rig file is another array's"
+                f"{camera.id}: found planes of {layout.width}x{layout.height}",
+                f"{camera.width}x{camera.height} as its rig says",
+                "the rig file is another array's",
+                where=recording.path,
             )
 
 
@@ -176,8 +179,10 @@ def _refuse_contradictions(board: BoardSpec, found: Pictures) -> None:
     if fitting < LEAST_FITTING * seen:
         ids = sorted({tag for sighting in found.values() for tag in sighting.tags})
         raise BadRunError(
-            f"board {board.text}: found {fitting} of {seen} tags where the board has them (ids {ids[0]} to {ids[-1]}, "
-            f"expected 0 to {len(board.tags) - 1}); it is another board: check columns, rows and millimetres"
+            f"found {fitting} of {seen} tags where the board has them (ids {ids[0]} to {ids[-1]}",
+            f"0 to {len(board.tags) - 1})",
+            "it is another board: check columns, rows and millimetres",
+            where=f"board {board.text}",
         )
 
 
@@ -187,9 +192,12 @@ def _refuse_unseen(board: BoardSpec, found: Pictures, pictures: Iterable[Image])
     if not any(sighting.tags for sighting in found.values()):
         other = _other_dictionary(list(pictures))
         if other:
-            raise BadRunError(f"board {board.text}: found tags of {other}, expected {board.dictionary}; mend the SPEC")
+            raise BadRunError(
+                f"found tags of {other}", f"{board.dictionary}", "mend the SPEC", where=f"board {board.text}"
+            )
     raise GeometryError(
-        f"found no board {board.text} in any camera; hold it where the cameras see it whole, in focus and in the light"
+        f"found no board {board.text} in any camera",
+        do="hold it where the cameras see it whole, in focus and in the light",
     )
 
 

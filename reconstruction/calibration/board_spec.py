@@ -49,7 +49,7 @@ def parse_board(text: str) -> BoardSpec:
     """The board that SPEC describes; raises BadRunError naming the part that is wrong."""
     parts = text.strip().split(":")
     if len(parts) != 5 or parts[0] not in ("charuco", "apriltag"):
-        raise BadRunError(f"found the board {text!r}, expected {FORMS}")
+        raise BadRunError(f"found the board {text!r}", f"{FORMS}")
     columns, rows = _grid(text, parts[1])
     if parts[0] == "charuco":
         return _charuco(text, columns, rows, parts[2:])
@@ -64,11 +64,13 @@ def predefined(name: str) -> cv2.aruco.Dictionary:
 def _charuco(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
     square, marker = _metres(text, "square", parts[0]), _metres(text, "marker", parts[1])
     if columns < 3 or rows < 3:
-        raise BadRunError(f"board {text}: found {columns}x{rows} squares, expected at least 3x3")
+        raise BadRunError(f"found {columns}x{rows} squares", "at least 3x3", where=f"board {text}")
     if marker >= square:
         raise BadRunError(
-            f"board {text}: found markers of {1e3 * marker:g} mm in squares of {1e3 * square:g} mm, expected smaller "
-            "markers; the square comes first"
+            f"found markers of {1000.0 * marker:g} mm in squares of {1000.0 * square:g} mm",
+            "smaller markers",
+            "the square comes first",
+            where=f"board {text}",
         )
     dictionary = _dictionary(text, parts[2], columns * rows // 2)
     white = [(row, column) for row in range(rows) for column in range(columns) if (row + column) % 2]
@@ -83,9 +85,9 @@ def _charuco(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
 def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
     tag, gap = _metres(text, "tag", parts[0]), _metres(text, "gap", parts[1])
     if parts[2] not in _FAMILIES:
-        raise BadRunError(f"board {text}: found the family {parts[2]!r}, expected one of {', '.join(_FAMILIES)}")
+        raise BadRunError(f"found the family {parts[2]!r}", f"one of {', '.join(_FAMILIES)}", where=f"board {text}")
     if columns < 2 or rows < 2:
-        raise BadRunError(f"board {text}: found {columns}x{rows} tags, expected at least 2x2")
+        raise BadRunError(f"found {columns}x{rows} tags", "at least 2x2", where=f"board {text}")
     dictionary = _dictionary(text, _FAMILIES[parts[2]], columns * rows)
     at = (tag + gap) * np.array([(column, row) for row in range(rows) for column in range(columns)], dtype=np.float64)
     tags = _tags(at, tag)
@@ -104,17 +106,17 @@ def _tags(at: Floats, side: float) -> Floats:
 
 def _dictionary(text: str, name: str, tags: int) -> str:
     if name not in DICTIONARIES:
-        raise BadRunError(f"board {text}: found the dictionary {name!r}, expected one of {', '.join(DICTIONARIES)}")
+        raise BadRunError(f"found the dictionary {name!r}", f"one of {', '.join(DICTIONARIES)}", where=f"board {text}")
     size = len(predefined(name).bytesList)
     if tags > size:
-        raise BadRunError(f"board {text}: found {tags} tags, expected at most the {size} of {name}")
+        raise BadRunError(f"found {tags} tags", f"at most the {size} of {name}", where=f"board {text}")
     return name
 
 
 def _grid(text: str, part: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", part)
     if not match or not all(1 <= int(n) <= _MOST for n in match.groups()):
-        raise BadRunError(f"board {text}: found the size {part!r}, expected COLSxROWS of 1 to {_MOST}, such as 6x4")
+        raise BadRunError(f"found the size {part!r}", f"COLSxROWS of 1 to {_MOST}, such as 6x4", where=f"board {text}")
     return int(match[1]), int(match[2])
 
 
@@ -124,5 +126,5 @@ def _metres(text: str, name: str, part: str) -> float:
     except ValueError:
         millimetres = math.nan
     if not 0 < millimetres < 1e5:
-        raise BadRunError(f"board {text}: found the {name} {part!r}, expected a positive number of millimetres")
+        raise BadRunError(f"found the {name} {part!r}", "a positive number of millimetres", where=f"board {text}")
     return millimetres / 1e3

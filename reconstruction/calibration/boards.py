@@ -56,9 +56,10 @@ def from_sightings(rig: Rig, board: BoardSpec, sightings: Sightings, date: str) 
     rms = float(np.sqrt((residuals[good] ** 2).sum(axis=1).mean())) if good.any() else np.inf
     if good.mean() < LEAST_KEPT or rms > MOST_RESIDUAL_PX:
         raise BadRunError(
-            f"board {board.text}: found {good.mean():.0%} of the corners within {OUTLIER_PX:g} px of where it has "
-            f"them, residual {rms:.2f} px, expected {LEAST_KEPT:.0%} and {MOST_RESIDUAL_PX:g} px; the board is bent, "
-            "or its millimetres are others"
+            f"found {good.mean():.0%} of the corners within {OUTLIER_PX:g} px, residual {rms:.2f} px",
+            f"{LEAST_KEPT:.0%} and {MOST_RESIDUAL_PX:g} px",
+            "the board is bent, or its millimetres are others",
+            where=f"board {board.text}",
         )
     free = replace(rig, cameras=solution.state.cameras.written_to(rig.cameras))
     similarity = align(free, rig)
@@ -137,9 +138,10 @@ def _refuse_rescaled(board: BoardSpec, rig: Rig, scale: float) -> None:
     centers = np.array([camera.center for camera in rig.cameras])
     if np.ptp(centers, axis=0).max() > _SPREAD_M and abs(scale - 1) > MOST_RESCALED:
         raise BadRunError(
-            f"board {board.text}: found the cameras {1 / scale:.2f} times as far apart as the rig file has them, "
-            f"expected that within {MOST_RESCALED:.0%}; the board is printed at {scale:.2f} times its SPEC: measure "
-            "it, or the rig file is another array's"
+            f"found the cameras {1 / scale:.2f} times as far apart as the rig file has them",
+            f"that within {MOST_RESCALED:.0%}",
+            f"the board is printed at {scale:.2f} times its SPEC: measure it, or the rig file is another array's",
+            where=f"board {board.text}",
         )
 
 
@@ -150,9 +152,9 @@ def _refuse_displaced(rig: Rig, found: Rig) -> None:
         shift = float(np.linalg.norm(camera.center - drawn.center))
         if turn > MOST_TURN_DEG or shift > MOST_SHIFT * distance_m:
             raise GeometryError(
-                f"found {camera.id} {turn:.1f} degrees and {100 * shift:.1f} cm off the rig file, expected at most "
-                f"{MOST_TURN_DEG:g} and {100 * MOST_SHIFT * distance_m:.0f}; cables are swapped, or the rig file is "
-                "another array's"
+                f"found {camera.id} {turn:.1f} degrees and {100 * shift:.1f} cm off the rig file",
+                f"at most {MOST_TURN_DEG:g} and {100 * MOST_SHIFT * distance_m:.0f}",
+                "cables are swapped, or the rig file is another array's",
             )
 
 
@@ -166,7 +168,7 @@ def _refuse_undetermined(rig: Rig, sds: list[CameraSd], sightings: Sightings) ->
     ]
     if few:
         raise GeometryError(
-            f"found {sightings.poses} poses of the board, which leave {', '.join(few)} too uncertain, expected "
-            f"{MOST_SD.rotation_deg:g} degrees, {1e3 * most_m:.2g} mm, {MOST_SD.focal_percent:g} % at most; show the "
-            "board near and far, at several tilts, in every camera"
+            f"found {sightings.poses} poses of the board, which leave {', '.join(few)} too uncertain",
+            f"{MOST_SD.rotation_deg:g} degrees, {1000.0 * most_m:.2g} mm, {MOST_SD.focal_percent:g} % at most",
+            "show the board near and far, at several tilts, in every camera",
         )

@@ -44,13 +44,15 @@ class Evidence:
         few = [c for c, n in zip(self.images, seen, strict=True) if n < LEAST_OBSERVATIONS]
         if few and len(few) < len(seen) - 2:
             raise GeometryError(
-                f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}, expected more as in the others; "
-                "it is covered, moved, or in another camera's place: mend it or leave it out"
+                f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}",
+                "more as in the others",
+                "it is covered, moved, or in another camera's place: mend it or leave it out",
             )
         if len(tracks) < LEAST_TRACKS:
             raise GeometryError(
-                f"found {len(tracks)} tracks over {LEAST_VIEWS} or more views, expected {LEAST_TRACKS}: too little "
-                "texture or light, or too short a recording; show the cameras something else, or a board"
+                f"found {len(tracks)} tracks over {LEAST_VIEWS} or more views",
+                f"{LEAST_TRACKS}: too little texture or light, or too short a recording",
+                "show the cameras something else, or a board",
             )
         return tracks
 
@@ -58,12 +60,10 @@ class Evidence:
 def refuse_blind(images: Mapping[str, Image]) -> None:
     """Raise GeometryError for too few views, or naming those without light."""
     if len(images) < LEAST_VIEWS:
-        raise GeometryError(f"found {len(images)} views, expected {LEAST_VIEWS} or more to find the cameras from")
+        raise GeometryError(f"found {len(images)} views", f"{LEAST_VIEWS} or more to find the cameras from")
     dark = [c for c, image in images.items() if float(np.mean(image)) < DARK]
     if dark:
-        raise GeometryError(
-            f"found no light in {', '.join(dark)}, expected all views lit; open the lens or leave it out"
-        )
+        raise GeometryError(f"found no light in {', '.join(dark)}", "all views lit", "open the lens or leave it out")
 
 
 def refuse_unsure(sds: Sequence[CameraSd]) -> None:
@@ -71,8 +71,9 @@ def refuse_unsure(sds: Sequence[CameraSd]) -> None:
     sd_deg = float(np.mean([sd.rotation_deg for sd in sds]))
     if not sd_deg < MOST_SD_DEG:
         raise GeometryError(
-            f"found the cameras to {sd_deg:.2f} degrees, expected {MOST_SD_DEG:g} or better: too little texture, or "
-            "too short or dim a recording; show the cameras something else, or a board"
+            f"found the cameras to {sd_deg:.2f} degrees",
+            f"{MOST_SD_DEG:g} or better: too little texture, or too short or dim a recording",
+            "show the cameras something else, or a board",
         )
 
 
@@ -84,19 +85,20 @@ def judge(nominal: Rig, solution: Solution) -> None:
     per_camera = np.bincount(solution.problem.observations.camera[kept], minlength=len(nominal.cameras))
     if share < LEAST_KEPT:
         raise GeometryError(
-            f"found {share:.0%} of the observations within {INLIER_PX:g} px, expected {LEAST_KEPT:.0%}: matches "
-            "contradict one another, as on a pattern that repeats; show the cameras something else, or a board"
+            f"found {share:.0%} of the observations within {INLIER_PX:g} px",
+            f"{LEAST_KEPT:.0%}: matches contradict one another, as on a pattern that repeats",
+            "show the cameras something else, or a board",
         )
     few = [c for c, n in zip(nominal.ids, per_camera, strict=True) if n < LEAST_OBSERVATIONS]
     if few:
         raise GeometryError(
-            f"found fewer than {LEAST_OBSERVATIONS} good observations in {', '.join(few)}; leave it out"
+            f"found fewer than {LEAST_OBSERVATIONS} good observations in {', '.join(few)}", do="leave it out"
         )
     focal = float(solution.state.steps[-1])
     if abs(focal) > MOST_FOCAL:
         raise GeometryError(
-            f"found a focal length {focal:+.1%} off the nominal one, expected at most {MOST_FOCAL:.0%}: "
-            "the scene does not determine it, or the rig file is another array's"
+            f"found a focal length {focal:+.1%} off the nominal one",
+            f"at most {MOST_FOCAL:.0%}: the scene does not determine it, or the rig file is another array's",
         )
     _refuse_displaced(nominal, solution)
 
@@ -109,21 +111,23 @@ def _refuse_displaced(nominal: Rig, solution: Solution) -> None:
     for one, other in itertools.combinations(nominal.ids, 2):
         if not displaced(found, _exchanged(nominal, one, other)):
             raise GeometryError(
-                f"found {one} and {other} in each other's place, expected them as in the rig file; exchange their "
-                "streams or their serials"
+                f"found {one} and {other} in each other's place",
+                "them as in the rig file",
+                "exchange their streams or their serials",
             )
     for one in nominal.ids:
         others = [c for c in nominal.ids if c != one]
         if not displaced(found.only(others), nominal.only(others)):
             far = displaced(align(found.only(others), nominal).carry_rig(found), nominal, aligned=True)[one]
             raise GeometryError(
-                f"found {one} {far}, while the other cameras are where the rig file has them; it has moved, or sees a "
-                "pattern that repeats: mend it or leave it out"
+                f"found {one} {far}, while the other cameras are where the rig file has them",
+                do="it has moved, or sees a pattern that repeats: mend it or leave it out",
             )
     worst, far = max(displaced(found, nominal).items(), key=lambda item: item[1])
     raise GeometryError(
-        f"found {worst} {far}, expected {100 * MOST_SHIFT_M:g} cm and {MOST_TURN_DEG:g} degrees at most; a pattern "
-        "that repeats was matched wrongly, or the rig file is another array's"
+        f"found {worst} {far}",
+        f"{100 * MOST_SHIFT_M:g} cm and {MOST_TURN_DEG:g} degrees at most",
+        "a pattern that repeats was matched wrongly, or the rig file is another array's",
     )
 
 

@@ -91,9 +91,7 @@ def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
     frames = [truth.frame(camera_id, plane) for plane in spread(truth.planes(camera_id), instants)]
     expected = (held_out.camera.height, held_out.camera.width)
     if frames[0].intensity.shape != expected:
-        raise BadRunError(
-            f"found truth of shape {frames[0].intensity.shape}, expected {expected} as {camera_id} records"
-        )
+        raise BadRunError(f"found truth of shape {frames[0].intensity.shape}", f"{expected} as {camera_id} records")
     return frames
 
 

@@ -44,14 +44,14 @@ class Truth:
             return cls(path, float(scene["white"]), tuple(int(m["id"]) for m in scene["movers"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise BadRunError(
-                f"{path}: found no usable scene.json, expected the truth/ of a simulated recording"
+                "found no usable scene.json", "the truth/ of a simulated recording", where=path
             ) from error
 
     def planes(self, camera_id: str) -> list[int]:
         """The planes a camera has truth for; raises BadRunError where it has none."""
         planes = sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
         if not planes:
-            raise BadRunError(f"{self.path}: found no truth of {camera_id}, expected {camera_id}/000000.npy and so on")
+            raise BadRunError(f"found no truth of {camera_id}", f"{camera_id}/000000.npy and so on", where=self.path)
         return planes
 
     def frame(self, camera_id: str, plane: int) -> TruthFrame:
@@ -60,7 +60,7 @@ class Truth:
         try:
             intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
         except (OSError, ValueError, EOFError) as error:
-            raise BadRunError(f"{folder}: found no readable truth at plane {plane}, expected it whole") from error
+            raise BadRunError(f"found no readable truth at plane {plane}", "it whole", where=folder) from error
         return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
@@ -69,9 +69,7 @@ class Truth:
         try:
             return np.load(file)
         except (OSError, ValueError, EOFError) as error:
-            raise BadRunError(
-                f"{file}: found no readable blurred image, expected one at each plane of truth"
-            ) from error
+            raise BadRunError("found no readable blurred image", "one at each plane of truth", where=file) from error
 
     def cameras(self, tick_rate_hz: float) -> Rig | None:
         """The true cameras; None in a truth that does not have them."""

@@ -79,14 +79,14 @@ OPTIONS = {"at_s": "--at", "frames": "--frames", "camera": "--camera"}
 def checked_format(name: str, choices: Choices) -> Format:
     """The format called `name`; raises BadRunError for an unknown one, or for choices it has no use for."""
     if name not in FORMATS:
-        raise BadRunError(f"found the format {name!r}, expected one of {', '.join(FORMATS)}")
+        raise BadRunError(f"found the format {name!r}", f"one of {', '.join(FORMATS)}")
     if choices.frames is not None and choices.frames < 1:
-        raise BadRunError(f"found {choices.frames} frames, expected one or more; change --frames")
+        raise BadRunError(f"found {choices.frames} frames", "one or more", "change --frames")
     found = FORMATS[name]
     for field in fields(choices):
         if getattr(choices, field.name) is not None and field.name not in found.takes:
             taken = ", ".join(OPTIONS[name] for name in OPTIONS if name in found.takes) or "neither"
-            raise BadRunError(f"found {OPTIONS[field.name]} for {name}, which takes {taken}; leave it out")
+            raise BadRunError(f"found {OPTIONS[field.name]} for {name}, which takes {taken}", do="leave it out")
     return found
 
 
@@ -96,15 +96,15 @@ def check_target(path: Path, *, folder: bool, overwrite: bool) -> None:
     Nothing is replaced unasked; a folder never, unless an export made it, as its manifest says.
     """
     if path.is_dir() and not folder:
-        raise BadRunError(f"{path}: found a folder, expected the name of a file; change --out")
+        raise BadRunError("found a folder", "the name of a file", "change --out", where=path)
     if path.is_file() and folder:
-        raise BadRunError(f"{path}: found a file, expected the name of a folder; change --out")
+        raise BadRunError("found a file", "the name of a folder", "change --out", where=path)
     if not (any(path.iterdir()) if path.is_dir() else path.exists()):
         return
     if not overwrite:
-        raise BadRunError(f"{path}: found something there, expected a new name; change --out or add --overwrite")
+        raise BadRunError("found something there", "a new name", "change --out or add --overwrite", where=path)
     if folder and _made_by(path) not in FORMATS:
-        raise BadRunError(f"{path}: found a folder that no export made, expected one to replace; change --out")
+        raise BadRunError("found a folder that no export made", "one to replace", "change --out", where=path)
 
 
 def export_scene(

@@ -47,9 +47,7 @@ class Scene:
     def gaussians(self) -> DynamicCloud:
         """The cloud of a model made of Gaussians; raises BadRunError for one that is not."""
         if not isinstance(self.cloud, DynamicCloud):
-            raise BadRunError(
-                f"found the model {self.model}, a radiance field, expected Gaussians; export video or depth"
-            )
+            raise BadRunError(f"found the model {self.model}, a radiance field", "Gaussians", "export video or depth")
         return self.cloud
 
     @property
@@ -64,8 +62,9 @@ class Scene:
             return self.middle_s
         if not clip.first_s <= choices.at_s <= clip.last_s:
             raise BadRunError(
-                f"found the instant {choices.at_s:g} s, expected one within the clip, "
-                f"{clip.first_s:g} to {clip.last_s:g} s; change --at"
+                f"found the instant {choices.at_s:g} s",
+                f"one within the clip, {clip.first_s:g} to {clip.last_s:g} s",
+                "change --at",
             )
         return choices.at_s
 

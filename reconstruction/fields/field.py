@@ -126,8 +126,9 @@ class RadianceField:
             return cls(frustum=Frustum(**state["frustum"]), clip=Clip(*state["clip"]), **learnt, **kept)
         except (KeyError, TypeError, ValueError) as error:
             raise ReconstructionError(
-                f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}, expected one as this "
-                "version stores it; train again"
+                f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}",
+                "one as this version stores it",
+                "train again",
             ) from error
 
 

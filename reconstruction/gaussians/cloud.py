@@ -30,19 +30,19 @@ class GaussianCloud:
         for name, tensor in vars(self).items():
             shape = shapes.get(name, (n, *self.intensities.shape[1:2]))
             if tensor.shape != shape or tensor.ndim != len(shape):
-                raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}, expected {shape}")
+                raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", f"{shape}")
             if not torch.isfinite(tensor.detach()).all():
-                raise ReconstructionError(f"found NaN or infinity in {name}, expected finite numbers")
+                raise ReconstructionError(f"found NaN or infinity in {name}", "finite numbers")
         if self.intensities.ndim != 2:
-            raise ReconstructionError(f"found intensities of shape {tuple(self.intensities.shape)}, expected ({n}, C)")
+            raise ReconstructionError(f"found intensities of shape {tuple(self.intensities.shape)}", f"({n}, C)")
 
     @classmethod
     def from_points(cls, points: Tensor, intensities: Tensor, scales: Tensor, opacity: float = 0.5) -> GaussianCloud:
         """Round Gaussians at points [N, 3] with intensities [N, C] and standard deviations [N] in metres."""
         if not 0 < opacity < 1:
-            raise ReconstructionError(f"found the opacity {opacity}, expected a number between 0 and 1")
+            raise ReconstructionError(f"found the opacity {opacity}", "a number between 0 and 1")
         if not bool((scales > 0).all()):
-            raise ReconstructionError("found scales that are not positive, expected standard deviations in metres")
+            raise ReconstructionError("found scales that are not positive", "standard deviations in metres")
         quats = torch.zeros(len(points), 4, dtype=points.dtype, device=points.device)
         quats[:, 0] = 1
         logits = torch.full_like(scales, opacity).logit()

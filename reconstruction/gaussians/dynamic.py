@@ -36,9 +36,7 @@ class Clip:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.first_s) and self.last_s > self.first_s):
-            raise ReconstructionError(
-                f"found a clip from {self.first_s} to {self.last_s} s, expected a positive length"
-            )
+            raise ReconstructionError(f"found a clip from {self.first_s} to {self.last_s} s", "a positive length")
 
     def fraction(self, instant_s: float) -> float:
         """The instant in clips."""
@@ -140,7 +138,7 @@ class DynamicCloud:
         except (KeyError, TypeError, ValueError) as error:
             found = f"the model {kind!r} with {', '.join(parts['motion']) or 'no tensors'}"
             raise ReconstructionError(
-                f"found {found}, expected one of {', '.join(MODELS)} as this version stores it; train again"
+                f"found {found}", f"one of {', '.join(MODELS)} as this version stores it", "train again"
             ) from error
 
 

@@ -27,7 +27,7 @@ class Estimate:
 def window_around(stream: SpikeStream, plane: int, half_window: int) -> tuple[int, int]:
     """Planes [first, last) within `half_window` of `plane`, clipped to the stream; refuses a plane outside it."""
     if not 0 <= plane < len(stream):
-        raise BadRecordingError(f"found the instant at plane {plane}, expected one inside 0:{len(stream)}")
+        raise BadRecordingError(f"found the instant at plane {plane}", f"one inside 0:{len(stream)}")
     return max(0, plane - half_window), min(len(stream), plane + half_window + 1)
 
 

@@ -47,9 +47,9 @@ def method_for(name: str, layout: PlaneLayout, pixels: NDArray[np.bool_]) -> Met
 def method(name: str, weights: Path | None = None) -> Method:
     """The method called `name`, a learned one with `weights` if given; raises BadRunError listing the known ones."""
     if name not in METHODS:
-        raise BadRunError(f"found the image method {name!r}, expected one of {', '.join(METHODS)}")
+        raise BadRunError(f"found the image method {name!r}", f"one of {', '.join(METHODS)}")
     if weights is None:
         return METHODS[name]
     if name not in LEARNED:
-        raise BadRunError(f"found weights for the method {name!r}, expected one of {', '.join(LEARNED)} beside them")
+        raise BadRunError(f"found weights for the method {name!r}", f"one of {', '.join(LEARNED)} beside them")
     return partial(LEARNED[name], weights=weights)

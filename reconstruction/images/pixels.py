@@ -40,9 +40,9 @@ class PixelCalibration:
     def __post_init__(self) -> None:
         arrays = [getattr(self, name) for name in _ARRAYS]
         if len({array.shape for array in arrays}) > 1 or self.gain.ndim != 2:
-            raise BadRecordingError(f"found pixel maps of {[array.shape for array in arrays]}, expected one size")
+            raise BadRecordingError(f"found pixel maps of {[array.shape for array in arrays]}", "one size")
         if not (np.isfinite(self.gain).all() and np.isfinite(self.offset).all() and (self.gain > 0).all()):
-            raise BadRecordingError("found a gain or offset that is not finite or not positive, expected numbers")
+            raise BadRecordingError("found a gain or offset that is not finite or not positive", "numbers")
 
     @property
     def defect(self) -> NDArray[np.bool_]:
@@ -52,7 +52,7 @@ class PixelCalibration:
     def corrected(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """An image [H, W] in spikes per tick with even pixels; defects take the median of their good neighbours."""
         if image.shape != self.gain.shape:
-            raise BadRecordingError(f"found an image of {image.shape}, expected {self.gain.shape} as calibrated")
+            raise BadRecordingError(f"found an image of {image.shape}", f"{self.gain.shape} as calibrated")
         even = np.maximum((image - self.offset) / self.gain, 0).astype(np.float32)
         good = np.pad(np.where(self.defect, np.nan, even), 1, constant_values=np.nan)
         for row, column in np.argwhere(self.defect):
@@ -70,7 +70,7 @@ def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
     sizes = [(stream.layout.width, stream.layout.height) for stream in (flat, dark)]
     if sizes[0] != sizes[1]:
         raise BadRecordingError(
-            f"found a flat of {sizes[0][0]}x{sizes[0][1]} and a dark of {sizes[1][0]}x{sizes[1][1]}, expected one size"
+            f"found a flat of {sizes[0][0]}x{sizes[0][1]} and a dark of {sizes[1][0]}x{sizes[1][1]}", "one size"
         )
     lit, unlit = _rate(flat), _rate(dark)
     light = lit - unlit
@@ -95,13 +95,13 @@ def read_pixels(path: Path) -> PixelCalibration:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise BadRecordingError(f"{path}: cannot be read ({error.strerror}); calibrate again") from error
+        raise BadRecordingError(f"cannot be read ({error.strerror})", do="calibrate again", where=path) from error
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             gain, offset, hot, dead = (np.asarray(archive[name]) for name in _ARRAYS)
         return PixelCalibration(gain.astype(np.float32), offset.astype(np.float32), hot.astype(bool), dead.astype(bool))
     except (*_NO_ARCHIVE, BadRecordingError) as error:
-        raise BadRecordingError(f"{path}: found no pixel calibration ({error}); calibrate again") from error
+        raise BadRecordingError(f"found no pixel calibration ({error})", do="calibrate again", where=path) from error
 
 
 def _rate(stream: SpikeStream) -> NDArray[np.float64]:
@@ -111,10 +111,11 @@ def _rate(stream: SpikeStream) -> NDArray[np.float64]:
 def _refuse_useless(lit: float, light: float, planes: int) -> None:
     if light * planes < LEAST_SPIKES:
         raise BadRecordingError(
-            f"found {max(0.0, light) * planes:.0f} spikes a pixel of light in {planes} planes of the flat, expected "
-            f"at least {LEAST_SPIKES}; give it more light or record longer"
+            f"found {max(0.0, light) * planes:.0f} spikes a pixel of light in {planes} planes of the flat",
+            f"at least {LEAST_SPIKES}",
+            "give it more light or record longer",
         )
     if lit > BRIGHTEST:
         raise BadRecordingError(
-            f"found {lit:.2f} spikes per tick in the flat, expected at most {BRIGHTEST}: pixels saturate; dim the light"
+            f"found {lit:.2f} spikes per tick in the flat", f"at most {BRIGHTEST}: pixels saturate", "dim the light"
         )

@@ -23,9 +23,7 @@ def spk2imgnet(stream: SpikeStream, plane: int, tier: str = "small", weights: Pa
     `weights` are one's own for that tier. Raises BadRunError for a tier that has neither.
     """
     if tier not in TIERS or not (TIERS[tier] or weights):
-        raise BadRunError(
-            f"found the tier {tier!r} without weights, expected small, or a tier and weights trained for it"
-        )
+        raise BadRunError(f"found the tier {tier!r} without weights", "small, or a tier and weights trained for it")
     from reconstruction.images.learned.inference import estimated  # torch, which no other method needs
 
     return estimated(tier, stream, plane, weights)

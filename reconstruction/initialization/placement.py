@@ -24,18 +24,18 @@ def usable_views(rig: Rig, images: Images) -> tuple[str, ...]:
     """Ids of the cameras that have an image, in the rig's order; BadRunError, by name, for images that do not fit."""
     unknown = [c for c in images if c not in rig.ids]
     if unknown:
-        raise BadRunError(f"found an image of {unknown[0]}, expected cameras of rig {rig.name}: {', '.join(rig.ids)}")
+        raise BadRunError(f"found an image of {unknown[0]}", f"cameras of rig {rig.name}: {', '.join(rig.ids)}")
     if len(images) < FEWEST_VIEWS:
-        raise BadRunError(f"found images of {len(images)} cameras, expected at least {FEWEST_VIEWS}")
+        raise BadRunError(f"found images of {len(images)} cameras", f"at least {FEWEST_VIEWS}")
     for camera_id, image in images.items():
         camera = rig.camera(camera_id)
         if image.shape != (camera.height, camera.width):
             size = f"[{camera.height}, {camera.width}]"
-            raise BadRunError(f"{camera_id}: found an image of shape {image.shape}, expected {size}")
+            raise BadRunError(f"found an image of shape {image.shape}", f"{size}", where=camera_id)
         if not np.isfinite(image).all():
-            raise BadRunError(f"{camera_id}: found NaN or infinity in the image, expected spikes per tick")
+            raise BadRunError("found NaN or infinity in the image", "spikes per tick", where=camera_id)
         if not image.max() > image.min():
-            raise BadRunError(f"{camera_id}: found an image without contrast, expected light; leave this camera out")
+            raise BadRunError("found an image without contrast", "light", "leave this camera out", where=camera_id)
     return tuple(c for c in rig.ids if c in images)
 
 

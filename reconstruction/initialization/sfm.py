@@ -54,9 +54,9 @@ class SfmOptions:
         known = {"mapping": ("incremental", "global"), "focal": ("estimated", "rig"), "missing": ("refuse", "nominal")}
         for name, values in known.items():
             if getattr(self, name) not in values:
-                raise BadRunError(f"found {name} {getattr(self, name)!r}, expected {' or '.join(values)}")
+                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"{' or '.join(values)}")
         if not 0 < self.peak_threshold < 1:
-            raise BadRunError(f"found a peak threshold of {self.peak_threshold}, expected more than 0, less than 1")
+            raise BadRunError(f"found a peak threshold of {self.peak_threshold}", "more than 0, less than 1")
 
 
 def sfm(rig: Rig, images: Images, options: SfmOptions | None = None, progress: Progress = silent) -> Geometry:
@@ -81,7 +81,9 @@ def _shared_lens(rig: Rig) -> Camera:
     odd = next((c for c in rig.cameras if (c.width, c.height) != (first.width, first.height)), None)
     if odd:
         sizes = f"{odd.width}x{odd.height}, expected {first.width}x{first.height} as of {first.id}"
-        raise BadRunError(f"{odd.id}: found the size {sizes}; structure from motion takes one lens for all cameras")
+        raise BadRunError(
+            f"found the size {sizes}", do="structure from motion takes one lens for all cameras", where=odd.id
+        )
     return replace(first, **mean, distortion=(0.0, 0.0, 0.0, 0.0))
 
 
@@ -110,7 +112,7 @@ def _quiet_pycolmap() -> Iterator[ModuleType]:
     try:
         import pycolmap
     except ImportError as error:
-        raise BadRunError("found no pycolmap, expected it for sfm; pip install 'spike4dgs[reconstruction]'") from error
+        raise BadRunError("found no pycolmap", "it for sfm", "pip install 'spike4dgs[reconstruction]'") from error
     handler = signal.getsignal(signal.SIGTERM)
     if handler is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, handler)  # pycolmap has put its own there, which prints a stack trace
@@ -220,7 +222,7 @@ def _geometry(rig: Rig, views: tuple[str, ...], lens: Camera, models: list[Any],
     absent = [c for c in views if c not in poses]
     if absent and (options.missing == "refuse" or len(poses) < FEWEST_VIEWS):
         advice = "give sharper or less noisy images, another peak threshold, or keep the rig's poses"
-        raise GeometryError(f"found no place for {', '.join(absent)} of {len(views)} views, expected all; {advice}")
+        raise GeometryError(f"found no place for {', '.join(absent)} of {len(views)} views", "all", f"{advice}")
     (colmap_lens,) = models[0].cameras.values()
     x, y = colmap_lens.focal_length_x / lens.fx, colmap_lens.focal_length_y / lens.fy
     cameras = []

@@ -18,7 +18,7 @@ GAIN_SPREAD = 0.01  # what a flat-field correction leaves
 def rate_deviation(rate: Tensor, planes: int) -> Tensor:
     """Standard deviation of a rate [H, W] in spikes per tick that was counted over so many planes."""
     if planes < 1:
-        raise ReconstructionError(f"found a window of {planes} planes, expected at least 1")
+        raise ReconstructionError(f"found a window of {planes} planes", "at least 1")
     shot = rate / (ELECTRONS_PER_SPIKE * planes)
     return torch.sqrt(PHASE_VARIANCE / planes**2 + shot + (GAIN_SPREAD * rate) ** 2)
 

@@ -36,10 +36,10 @@ def ssim_map(image: Tensor, target: Tensor, data_range: float) -> Tensor:
     """
     if image.ndim != 2 or image.shape != target.shape or image.numel() == 0:
         raise ReconstructionError(
-            f"found images of shapes {tuple(image.shape)} and {tuple(target.shape)}, expected the same (H, W)"
+            f"found images of shapes {tuple(image.shape)} and {tuple(target.shape)}", "the same (H, W)"
         )
     if not (math.isfinite(data_range) and data_range > 0):
-        raise ReconstructionError(f"found the data range {data_range}, expected a positive number")
+        raise ReconstructionError(f"found the data range {data_range}", "a positive number")
     if image.dtype != target.dtype or image.dtype != torch.float32 or image.device.type != "cpu":
         return ssim_map_reference(image, target, data_range)
     return _Similarity.apply(image, target, data_range)

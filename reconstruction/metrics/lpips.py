@@ -37,7 +37,7 @@ class Lpips:
             self._layers = [(network[f"features.{n}.weight"], network[f"features.{n}.bias"]) for n, _, _ in _LAYERS]
         except (OSError, KeyError, TypeError, RuntimeError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile) as e:
             reason = str(e).partition("\n")[0]
-            raise BadRunError(f"{weights}: found no weights of AlexNet ({reason}), expected torchvision's") from e
+            raise BadRunError(f"found no weights of AlexNet ({reason})", "torchvision's", where=weights) from e
         with files("torchmetrics").joinpath("functional/image/lpips_models/alex.pth").open("rb") as heads:
             stored = torch.load(heads, map_location="cpu", weights_only=True)
         self._heads = [stored[f"lin{i}.model.1.weight"] for i in range(len(_LAYERS))]

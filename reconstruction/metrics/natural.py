@@ -34,7 +34,7 @@ def brisque(pixels: Pixels, model: Path, spans: Path) -> float:
         judge = getattr(cv2.quality, "QualityBRISQUE_compute")  # noqa: B009  OpenCV's type stubs lack it
         return float(judge(pixels, str(model), str(spans))[0])
     except cv2.error as error:
-        raise BadRunError(f"{model}: found no BRISQUE model ({error.err}), expected OpenCV's with its range") from error
+        raise BadRunError(f"found no BRISQUE model ({error.err})", "OpenCV's with its range", where=model) from error
 
 
 class Niqe:
@@ -49,7 +49,7 @@ class Niqe:
                 raise ValueError(f"{self._mean.shape}, {self._spread.shape}")
         except (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile) as error:
             raise BadRunError(
-                f"{parameters}: found no NIQE model ({error}), expected mu_pris_param [36] and cov_pris_param [36, 36]"
+                f"found no NIQE model ({error})", "mu_pris_param [36] and cov_pris_param [36, 36]", where=parameters
             ) from error
 
     def __call__(self, pixels: Pixels) -> float:

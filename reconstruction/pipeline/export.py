@@ -21,5 +21,5 @@ def scene_of(run: RunFolder, recording: Recording, cloud: Model) -> Scene:
 def trained_scene(run: RunFolder) -> Scene:
     """What a run has learnt; raises BadRunError for one whose training has not ended."""
     if not run.has("train"):
-        raise BadRunError(f"{run.path}: found no finished train stage, expected a trained run; finish it first")
+        raise BadRunError("found no finished train stage", "a trained run", "finish it first", where=run.path)
     return scene_of(run, posed(run, Recording.open(run.recording), refined=True), load_cloud(run.checkpoint))

@@ -40,7 +40,7 @@ def initialise(
     Raises BadRunError for an unknown name, GeometryError where the cameras found cannot be trusted.
     """
     if name not in INITIALISERS:
-        raise BadRunError(f"found the initialiser {name!r}, expected one of {', '.join(INITIALISERS)}")
+        raise BadRunError(f"found the initialiser {name!r}", f"one of {', '.join(INITIALISERS)}")
     return INITIALISERS[name](recording, views, options, progress)
 
 

@@ -50,7 +50,7 @@ def reconstruct(
 
         def report(fraction: float, message: str) -> None:
             if should_stop():
-                raise StoppedError(f"{run.path}: stopped; the same command resumes it")
+                raise StoppedError("stopped", do="the same command resumes it", where=run.path)
             progress(fraction, message)
 
         return report
@@ -94,5 +94,5 @@ def _due(run: RunFolder, stage: str | None, last: str) -> list[str]:
         return [name for name in STAGES[: STAGES.index(last) + 1] if not run.has(name)]
     missing = [name for name in STAGES[: STAGES.index(stage)] if not run.has(name)]
     if missing:
-        raise BadRunError(f"{run.path}: found no finished stage {missing[0]}, expected it before {stage}; run it first")
+        raise BadRunError(f"found no finished stage {missing[0]}", f"it before {stage}", "run it first", where=run.path)
     return [] if run.has(stage) else [stage]

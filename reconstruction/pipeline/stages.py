@@ -186,8 +186,9 @@ def _write_bodies(run: RunFolder, bodies: Bodies, progress: Progress) -> None:
 def _write_points(run: RunFolder, kind: str, points: Points, share: float) -> None:
     if kind == "still" and (len(points) < LEAST_POINTS or share < LEAST_SHARE):
         raise StereoError(
-            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels, expected {LEAST_POINTS} "
-            f"and {LEAST_SHARE:.0%}; check the poses, and that the scene is lit and textured"
+            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels",
+            f"{LEAST_POINTS} and {LEAST_SHARE:.0%}",
+            "check the poses, and that the scene is lit and textured",
         )
     for f in fields(Points):
         run.write_array(f"points/{kind}_{f.name}", getattr(points, f.name))

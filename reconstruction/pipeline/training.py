@@ -67,7 +67,7 @@ def train_stage(
             progress(done, f"{figures}{watch.note}")
         if should_stop() and done < 1:
             saver.checkpoint()
-            raise StoppedError(f"{run.path}: stopped at step {trainer.steps}; the same command resumes it")
+            raise StoppedError(f"stopped at step {trainer.steps}", do="the same command resumes it", where=run.path)
 
     train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
     saver.checkpoint()
@@ -178,7 +178,7 @@ def _confirmed(run: RunFolder, view: str, source: CompositeSource) -> ConfirmedD
 def _given(sources: Mapping[str, CompositeSource], recording: Recording, images: str) -> dict[str, CompositeSource]:
     """The same sources with the clean or blurred truth of a simulated recording as their images."""
     if recording.truth is None:
-        raise BadRunError(f"{recording.path}: found no truth, expected a simulated recording for the images `{images}`")
+        raise BadRunError("found no truth", f"a simulated recording for the images `{images}`", where=recording.path)
     truth = Truth.open(recording.truth)
     found: dict[str, CompositeSource] = {}
     for view, source in sources.items():

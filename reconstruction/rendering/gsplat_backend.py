@@ -35,7 +35,7 @@ def why_unavailable() -> str | None:
 def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
     missing = why_unavailable()
     if missing:
-        raise ReconstructionError(f"found no gsplat backend: {missing}; or use the native backend")
+        raise ReconstructionError(f"found no gsplat backend: {missing}", do="or use the native backend")
     return importlib.import_module("gsplat").rasterization
 
 
@@ -55,10 +55,10 @@ def render_gsplat(
     is asked for, which gsplat does not have.
     """
     if median:
-        raise ReconstructionError("found a median depth asked of gsplat, expected the native or the reference backend")
+        raise ReconstructionError("found a median depth asked of gsplat", "the native or the reference backend")
     rasterization = _rasterization()
     if means.dtype != torch.float32 or means.device.type != DEVICE:
-        raise ReconstructionError(f"found {means.dtype} on {means.device}, expected float32 on a CUDA device")
+        raise ReconstructionError(f"found {means.dtype} on {means.device}", "float32 on a CUDA device")
     if len(means) == 0:
         nothing = intensities.new_zeros(camera.height, camera.width)
         dark = nothing[..., None].expand(-1, -1, intensities.shape[1]) + intensities.sum()

@@ -131,8 +131,9 @@ def render_native(
     """
     if means.dtype != torch.float32 or means.device.type != "cpu" or intensities.shape[1] == 0:
         raise ReconstructionError(
-            f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}, "
-            "expected float32 on the CPU; use the reference backend"
+            f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}",
+            "float32 on the CPU",
+            "use the reference backend",
         )
     geometry = (camera, median, means, quats_wxyz, log_scales, opacities)
     if intensities.shape[1] == 1:

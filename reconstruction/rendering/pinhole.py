@@ -22,13 +22,13 @@ class Pinhole:
 
     def __post_init__(self) -> None:
         if not self.near_m > 0:
-            raise ReconstructionError(f"found the near plane at {self.near_m} m, expected a positive depth")
+            raise ReconstructionError(f"found the near plane at {self.near_m} m", "a positive depth")
 
 
 def pinhole_of(camera: Camera, near_m: float) -> Pinhole:
     """`camera` as the renderers see it; raises ReconstructionError where its lens distorts."""
     if any(camera.distortion):
-        raise ReconstructionError(f"{camera.id}: found lens distortion, expected a pinhole; undistort its images first")
+        raise ReconstructionError("found lens distortion", "a pinhole", "undistort its images first", where=camera.id)
     return Pinhole(
         camera.width,
         camera.height,

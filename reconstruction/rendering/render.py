@@ -42,20 +42,20 @@ NAMES = ("means", "quats_wxyz", "log_scales", "opacities", "intensities")
 def _check(gaussians: tuple[Tensor, ...]) -> None:
     means, opacities, n = gaussians[0], gaussians[3].detach(), len(gaussians[0])
     if means.dtype not in (torch.float32, torch.float64):
-        raise ReconstructionError(f"found means of {means.dtype}, expected float32 or float64: covariances need them")
+        raise ReconstructionError(f"found means of {means.dtype}", "float32 or float64: covariances need them")
     shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, *gaussians[4].shape[1:2]))
     for name, shape, tensor in zip(NAMES, shapes, gaussians, strict=True):
         if tensor.shape != shape:
-            raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}, expected {shape}")
+            raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", f"{shape}")
         if tensor.dtype != means.dtype or tensor.device != means.device:
             found, expected = f"{tensor.dtype} on {tensor.device}", f"{means.dtype} on {means.device}"
-            raise ReconstructionError(f"found {name} as {found}, expected {expected} as the means are")
+            raise ReconstructionError(f"found {name} as {found}", f"{expected} as the means are")
         # A sum is finite where all are, unless it overflows, and much faster than isfinite.
         if not math.isfinite(tensor.detach().sum()) and not tensor.isfinite().all():
-            raise ReconstructionError(f"found NaN or infinity in {name}, expected finite numbers")
+            raise ReconstructionError(f"found NaN or infinity in {name}", "finite numbers")
     least, most = opacities.aminmax() if n else (0, 1)
     if not (least >= 0 and most <= 1):
-        raise ReconstructionError("found opacities beyond [0, 1], expected them after the sigmoid")
+        raise ReconstructionError("found opacities beyond [0, 1]", "them after the sigmoid")
 
 
 def render(

@@ -40,8 +40,9 @@ class Adam(torch.optim.Optimizer):
             for leaf in group["params"]:
                 if leaf.dtype != torch.float32 or leaf.device.type != "cpu" or not leaf.is_contiguous():
                     raise ReconstructionError(
-                        f"found a leaf of {leaf.dtype} on {leaf.device}, expected contiguous float32 on the CPU; "
-                        "use torch.optim.Adam"
+                        f"found a leaf of {leaf.dtype} on {leaf.device}",
+                        "contiguous float32 on the CPU",
+                        "use torch.optim.Adam",
                     )
 
     @torch.no_grad()

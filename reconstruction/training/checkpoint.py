@@ -26,9 +26,9 @@ def load_checkpoint(path: Path) -> dict:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
-        raise BadRunError(f"{path}: not found, expected a trained run; run the train stage first") from error
+        raise BadRunError("not found", "a trained run", "run the train stage first", where=path) from error
     except (RuntimeError, EOFError, pickle.UnpicklingError, ValueError) as error:
-        raise BadRunError(f"{path}: found a damaged checkpoint, expected one of this version; train again") from error
+        raise BadRunError("found a damaged checkpoint", "one of this version", "train again", where=path) from error
 
 
 def load_cloud(path: Path) -> Model:

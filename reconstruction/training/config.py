@@ -77,21 +77,21 @@ class ReconstructionConfig:
     def __post_init__(self) -> None:
         for name, names in CHOICES:
             if getattr(self, name) not in get_args(names):
-                raise BadRunError(f"found {name} {getattr(self, name)!r}, expected one of {', '.join(get_args(names))}")
+                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"one of {', '.join(get_args(names))}")
         if (self.budget_s is None) == (self.steps is None):
-            raise BadRunError(
-                "found both or neither of a budget in seconds and a number of steps, expected one of them"
-            )
+            raise BadRunError("found both or neither of a budget in seconds and a number of steps", "one of them")
         if self.budget_s is not None and not self.budget_s > 0:
-            raise BadRunError(f"found the budget {self.budget_s} s, expected a positive number")
+            raise BadRunError(f"found the budget {self.budget_s} s", "a positive number")
         if self.steps is not None and self.steps < 1:
-            raise BadRunError(f"found {self.steps} steps, expected at least 1")
+            raise BadRunError(f"found {self.steps} steps", "at least 1")
         if self.gaussians is not None and self.gaussians < 1:
-            raise BadRunError(f"found a cap of {self.gaussians} Gaussians, expected at least 1")
+            raise BadRunError(f"found a cap of {self.gaussians} Gaussians", "at least 1")
         if self.tick_stride < 1:
-            raise BadRunError(f"found a tick stride of {self.tick_stride}, expected at least 1")
+            raise BadRunError(f"found a tick stride of {self.tick_stride}", "at least 1")
         if self.holdout is not None and self.holdout in self.views:
-            raise BadRunError(f"found {self.holdout} both held out and among the training views; leave it out of one")
+            raise BadRunError(
+                f"found {self.holdout} both held out and among the training views", do="leave it out of one"
+            )
 
     def to_json(self) -> dict:
         """Plain values, as kept in `run.json`."""

@@ -111,11 +111,11 @@ def make_plan(
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
     """A radiance field learns from the spikes of single rays, whose cameras stand as they are."""
     if method.rays and config.refine == "on":
-        raise BadRunError(f"found --refine on with --model {method.name}, which cannot refine poses; leave it out")
+        raise BadRunError(f"found --refine on with --model {method.name}, which cannot refine poses", do="leave it out")
     if method.rays and config.supervision != "auto":
         raise BadRunError(
-            f"found --supervision {config.supervision} with --model {method.name}, which learns from spikes of single "
-            "rays; leave it out"
+            f"found --supervision {config.supervision} with --model {method.name}, which learns from single rays",
+            do="leave it out",
         )
 
 
@@ -215,7 +215,7 @@ def _training_views(
             lit.append(view)
     if len(lit) < LEAST_VIEWS:
         raise BadRunError(
-            f"found {len(lit)} training views with light, expected {LEAST_VIEWS} or more; record again or name others"
+            f"found {len(lit)} training views with light", f"{LEAST_VIEWS} or more", "record again or name others"
         )
     return tuple(lit)
 
@@ -229,7 +229,7 @@ def _refuse_twins(views: Sequence[str], streams: Mapping[str, SpikeStream]) -> N
             continue
         twin = seen.setdefault(planes.tobytes(), view)
         if twin != view:
-            raise BadRunError(f"found the same spikes in {twin} and {view}, expected one stream a camera; import again")
+            raise BadRunError(f"found the same spikes in {twin} and {view}", "one stream a camera", "import again")
 
 
 def _light(streams: Sequence[SpikeStream], decisions: list[Decision]) -> Light:

@@ -32,15 +32,16 @@ class RunFolder:
         if (path / "run.json").exists():
             run = cls.open(path)
             if run.document["status"] == "finished":
-                raise BadRunError(f"{path}: found a finished run, expected a new folder; give another --out")
+                raise BadRunError("found a finished run", "a new folder", "give another --out", where=path)
             if run.config != config or run.document["recording"] != str(recording.resolve()):
                 raise BadRunError(
-                    f"{path}: found an unfinished run with another configuration or recording; "
-                    "repeat its options to resume it, or give another --out"
+                    "found an unfinished run with another configuration or recording",
+                    do="repeat its options to resume it, or give another --out",
+                    where=path,
                 )
             return run
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise BadRunError(f"{path}: found something that is not a run, expected a new or empty folder")
+            raise BadRunError("found something that is not a run", "a new or empty folder", where=path)
         path.mkdir(parents=True, exist_ok=True)
         document = {
             "schema": SCHEMA,
@@ -62,9 +63,9 @@ class RunFolder:
         try:
             document = json.loads(file.read_text())
         except (OSError, ValueError) as error:
-            raise BadRunError(f"{path}: found no readable run.json, expected a run folder of `reconstruct`") from error
+            raise BadRunError("found no readable run.json", "a run folder of `reconstruct`", where=path) from error
         if document.get("schema") != SCHEMA:
-            raise BadRunError(f"{file}: found schema {document.get('schema')}, expected {SCHEMA}")
+            raise BadRunError(f"found schema {document.get('schema')}", f"{SCHEMA}", where=file)
         return cls(path, document)
 
     @property
@@ -81,7 +82,7 @@ class RunFolder:
     def plan(self) -> Plan:
         """The plan; raises BadRunError before the plan stage."""
         if "plan" not in self.document:
-            raise BadRunError(f"{self.path}: found no plan, expected the plan stage to have run first")
+            raise BadRunError("found no plan", "the plan stage to have run first", where=self.path)
         return Plan.from_json(self.document["plan"])
 
     @property
@@ -142,7 +143,7 @@ class RunFolder:
         """An array written by `write_array`; raises BadRunError where an earlier stage is missing."""
         file = self.path / f"{name}.npy"
         if not file.exists():
-            raise BadRunError(f"{file}: not found, expected the artefact of an earlier stage; run that stage first")
+            raise BadRunError("not found", "the artefact of an earlier stage", "run that stage first", where=file)
         return np.load(file)
 
     @contextmanager
@@ -153,6 +154,6 @@ class RunFolder:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise BadRunError(
-                    f"{self.path}: another process is at work in this run; wait for it or stop it"
+                    "another process is at work in this run", do="wait for it or stop it", where=self.path
                 ) from error
             yield

@@ -163,8 +163,9 @@ class Trainer:
         """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
         if not (self.cloud.opacity() >= DEAD).any():
             raise ReconstructionError(
-                f"found no {self.cloud.unit} of opacity {DEAD} or more after {self.steps} steps, expected some to "
-                "learn from; check that the recording is lit and the poses are its own, then start a new run"
+                f"found no {self.cloud.unit} of opacity {DEAD} or more after {self.steps} steps",
+                "some to learn from",
+                "check that the recording is lit and the poses are its own, then start a new run",
             )
 
     def done(self, share: float) -> float:

@@ -37,8 +37,10 @@ def load_cameras(
     for camera in cameras:
         if size and (camera.width, camera.height) != tuple(size):
             raise RigError(
-                f"{path}: {camera.id}: found the size {camera.width}x{camera.height}, "
-                f"expected {size[0]}x{size[1]}; give the size the cameras were stated for"
+                f"{camera.id}: found the size {camera.width}x{camera.height}",
+                f"{size[0]}x{size[1]}",
+                "give the size the cameras were stated for",
+                where=path,
             )
     cameras = _in_order(cameras, path, ids)
     with located(str(path)):
@@ -50,7 +52,7 @@ def _foreign_cameras(path: Path, size: Size | None, ids: Sequence[str] | None) -
         return load_model(path)
     if path.suffix == ".json":
         return load_transforms(path, size=size, ids=ids)
-    raise RigError(f"{path}: found no cameras, expected a transforms.json, a COLMAP model folder or a RIG.toml")
+    raise RigError("found no cameras", "a transforms.json, a COLMAP model folder or a RIG.toml", where=path)
 
 
 def _in_order(cameras: tuple[Camera, ...], path: Path, ids: Sequence[str] | None) -> tuple[Camera, ...]:

@@ -43,7 +43,7 @@ def load_model(folder: Path) -> tuple[Camera, ...]:
     lenses = _read(cameras_file, read_lenses)
     poses = _read(images_file, read_poses)
     if not poses:
-        raise RigError(f"{images_file}: found no images, expected one a camera")
+        raise RigError("found no images", "one a camera", where=images_file)
     return tuple(_camera(poses[number], lenses, folder) for number in sorted(poses))
 
 
@@ -71,11 +71,13 @@ def _read(path: Path, parse: Callable[[bytes], dict[int, Parsed]]) -> dict[int, 
     try:
         return parse(path.read_bytes())
     except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); give the folder of a COLMAP model") from error
+        raise RigError(
+            f"cannot be read ({error.strerror})", do="give the folder of a COLMAP model", where=path
+        ) from error
     except RigError as error:
         raise RigError(f"{path}: {error}") from error
     except (ValueError, IndexError, struct.error) as error:
-        raise RigError(f"{path}: found contents that do not parse ({error}), expected COLMAP's {path.name}") from error
+        raise RigError(f"found contents that do not parse ({error})", f"COLMAP's {path.name}", where=path) from error
 
 
 def _camera(pose: Pose, lenses: dict[int, Lens], folder: Path) -> Camera:
@@ -84,11 +86,11 @@ def _camera(pose: Pose, lenses: dict[int, Lens], folder: Path) -> Camera:
     camera_id = path.stem if path.suffix.lower() in (".png", ".jpg", ".jpeg", ".npy") else path.name
     where = f"{folder}: {camera_id}"
     if lens_number not in lenses:
-        raise RigError(f"{where}: found no camera {lens_number}, expected one of {', '.join(map(str, lenses))}")
+        raise RigError(f"found no camera {lens_number}", f"one of {', '.join(map(str, lenses))}", where=where)
     model, width, height, parameters = lenses[lens_number]
     fx, fy, cx, cy, k1, k2, p1, p2 = (0.0 if at is None else parameters[at] for at in MODELS[model][1])
     if not all(map(math.isfinite, numbers)):
-        raise RigError(f"{where}: found a pose with NaN or infinity, expected finite numbers; mend the pose")
+        raise RigError("found a pose with NaN or infinity", "finite numbers", "mend the pose", where=where)
     with located(where):
         cam_from_rig = Transform.from_quat_wxyz(numbers[:4], numbers[4:])
     with located(str(folder)):
@@ -97,9 +99,9 @@ def _camera(pose: Pose, lenses: dict[int, Lens], folder: Path) -> Camera:
 
 def _lens(model: str | int, width: int, height: int, parameters: Sequence[float]) -> Lens:
     if model not in MODELS:
-        raise RigError(f"found the camera model {model}, expected one of {', '.join(MODELS)}; undistort the pictures")
+        raise RigError(f"found the camera model {model}", f"one of {', '.join(MODELS)}", "undistort the pictures")
     if len(parameters) != PARAMETERS[model]:
-        raise RigError(f"found {len(parameters)} parameters of {model}, expected {PARAMETERS[model]}")
+        raise RigError(f"found {len(parameters)} parameters of {model}", f"{PARAMETERS[model]}")
     return model, width, height, tuple(parameters)
 
 
@@ -130,7 +132,7 @@ def _binary_lenses(data: bytes) -> dict[int, Lens]:
         number, model_number, width, height = struct.unpack_from("<IiQQ", data, at)
         model = NUMBERED_MODELS.get(model_number, "")
         if not model:
-            raise RigError(f"found the camera model number {model_number}, expected one of {', '.join(MODELS)}")
+            raise RigError(f"found the camera model number {model_number}", f"one of {', '.join(MODELS)}")
         parameters = struct.unpack_from(f"<{PARAMETERS[model]}d", data, at + 24)
         lenses[number] = _lens(model, width, height, parameters)
         at += 24 + 8 * len(parameters)
@@ -152,7 +154,7 @@ def _binary_poses(data: bytes) -> dict[int, Pose]:
 
 def _refuse_other_length(data: bytes, expected: int) -> None:
     if len(data) != expected:
-        raise RigError(f"found {len(data)} bytes, expected {expected}; the file is cut short or no COLMAP model")
+        raise RigError(f"found {len(data)} bytes", f"{expected}", "the file is cut short or no COLMAP model")
 
 
 def _digits(numbers: Sequence[float]) -> str:

@@ -39,7 +39,9 @@ def load_transforms(path: Path, *, size: Size | None = None, ids: Sequence[str] 
     cameras = []
     for number, frame in enumerate(frames):
         if "camera_id" not in frame.table and number >= len(names):
-            raise RigError(f"{frame.where}: found no camera_id for one of {len(frames)} frames; name every camera")
+            raise RigError(
+                f"found no camera_id for one of {len(frames)} frames", do="name every camera", where=frame.where
+            )
         default = names[number] if number < len(names) else None
         cameras.append(_camera(frame, frame.word("camera_id", default), path, size))
     return tuple(cameras)
@@ -78,11 +80,11 @@ def _frames(path: Path) -> list[Fields]:
     try:
         document = json.loads(path.read_bytes())
     except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); give an existing transforms.json") from error
-    except (ValueError, RecursionError) as error:
         raise RigError(
-            f"{path}: found text that is not JSON ({error}), expected nerfstudio's transforms.json"
+            f"cannot be read ({error.strerror})", do="give an existing transforms.json", where=path
         ) from error
+    except (ValueError, RecursionError) as error:
+        raise RigError(f"found text that is not JSON ({error})", "nerfstudio's transforms.json", where=path) from error
     top = Fields(document, str(path))
     entries = [Fields(entry, f"{path}: frame {number}") for number, entry in enumerate(top.list_at("frames"))]
     defaults = {key: value for key, value in top.table.items() if key not in ("frames", "camera_id", "time")}
@@ -100,9 +102,9 @@ def _camera(frame: Fields, camera_id: str, path: Path, size: Size | None) -> Cam
     fields = Fields(frame.table, f"{path}: {camera_id}")
     model = fields.word("camera_model", "OPENCV")
     if model not in MODELS:
-        raise RigError(f"{fields.where}: found camera_model {model!r}, expected one of {', '.join(MODELS)}")
+        raise RigError(f"found camera_model {model!r}", f"one of {', '.join(MODELS)}", where=fields.where)
     if fields.number("k3", 0.0) or fields.number("k4", 0.0):
-        raise RigError(f"{fields.where}: found a lens with k3 or k4, expected k1 k2 p1 p2 only; undistort the pictures")
+        raise RigError("found a lens with k3 or k4", "k1 k2 p1 p2 only", "undistort the pictures", where=fields.where)
     width, height = (fields.whole(key, size[axis] if size else None) for axis, key in enumerate("wh"))
     fx = fields.number("fl_x")
     matrix = fields.numbers("transform_matrix", (4, 4))

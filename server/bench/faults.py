@@ -51,7 +51,7 @@ class Client:
                 if answer.status_code != 503:
                     return answer
             time.sleep(0.2)
-        raise ServiceError(f"{method} {path}: found no answer for {_PATIENCE_S:g} s, expected one")
+        raise ServiceError(f"found no answer for {_PATIENCE_S:g} s", "one", where=f"{method} {path}")
 
     def probe(self) -> None:
         """Ask once, whatever the answer."""
@@ -100,7 +100,7 @@ class Campaign:
             if self._act(disturb=faults < self._jobs) and faults >= self._jobs and len(self.accepted) == self._jobs:
                 return
             time.sleep(self._rng.uniform(0.0, 0.6))
-        raise ServiceError(f"found jobs unfinished after {limit_s:g} s, expected all done")
+        raise ServiceError(f"found jobs unfinished after {limit_s:g} s", "all done")
 
     def _revive(self) -> None:
         now = time.monotonic()
@@ -163,7 +163,9 @@ class Campaign:
         answer = self._client.ask("POST", f"/jobs/{job_id}/{word}", body)
         self.acts[word] += answer.is_success
         if answer.is_error and answer.status_code not in _AGAIN:
-            raise ServiceError(f"{word} {job_id}: found {answer.status_code} {answer.text[:200]}, expected 202 or 409")
+            raise ServiceError(
+                f"found {answer.status_code} {answer.text[:200]}", "202 or 409", where=f"{word} {job_id}"
+            )
 
     def judge(self) -> tuple[list[dict[str, Any]], dict[str, float]]:
         """A row a job, and the counts; the workers are stopped in between, so that what is left has no excuse."""

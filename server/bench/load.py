@@ -149,7 +149,7 @@ def _listing_s(client: ServiceClient, jobs: int) -> float:
     took_s = time.perf_counter() - began
     found = len(answer.json()["items"])
     if found < min(jobs, 1000):
-        raise ServiceError(f"found {found} jobs listed, expected {min(jobs, 1000)}")
+        raise ServiceError(f"found {found} jobs listed", f"{min(jobs, 1000)}")
     return took_s
 
 
@@ -168,7 +168,7 @@ def _wait(condition: Callable[[], bool]) -> None:
         except (httpx.TransportError, RefusedError):
             pass
         time.sleep(0.1)
-    raise ServiceError(f"found the service not ready after {_READY_S:g} s, expected it ready")
+    raise ServiceError(f"found the service not ready after {_READY_S:g} s", "it ready")
 
 
 @click.command()

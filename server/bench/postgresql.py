@@ -26,7 +26,7 @@ class Postgresql:
     def __init__(self) -> None:
         found = sorted(Path("/usr/lib/postgresql").glob("*/bin/pg_ctl"))
         if not found:
-            raise PostgresqlMissingError("found no /usr/lib/postgresql/*/bin, expected it; apt-get install postgresql")
+            raise PostgresqlMissingError("found no /usr/lib/postgresql/*/bin", "it", "apt-get install postgresql")
         self._programs = found[-1].parent
         self.folder = Path(tempfile.mkdtemp(prefix="spike4dgs-postgresql-"))
         if os.geteuid() == 0:  # which it refuses to run as

@@ -234,7 +234,7 @@ def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) ->
     found = config.spike_w - TRAILING_COLUMNS.get(source_format, 0), config.spike_h
     if size and size != found:
         raise BadRecordingError(
-            f"{spikecv}: found {found[0]}x{found[1]} pixels, expected the --size {size[0]}x{size[1]}; leave one out"
+            f"found {found[0]}x{found[1]} pixels", f"the --size {size[0]}x{size[1]}", "leave one out", where=spikecv
         )
     return found
 

@@ -29,5 +29,5 @@ def recording(scene: str, seed: int, work: Path, ticks: int = TICKS, rig: str | 
         command = [sys.executable, "-m", "server.cli", "simulate"]
         command += [word for k, v in options.items() for word in (f"--{k}", str(v))]
         if subprocess.run(command, stdout=sys.stderr).returncode:
-            raise AcquisitionError(f"{path}: found that simulate failed, expected a recording; its reason is above")
+            raise AcquisitionError("found that simulate failed", "a recording", "its reason is above", where=path)
     return path

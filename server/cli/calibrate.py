@@ -44,7 +44,7 @@ def calibrate_command(
     if (pixels is not None) + (board is not None) + natural != 1:
         raise click.UsageError("give one of --pixels, --board and --natural")
     if out.exists():
-        raise BadRecordingError(f"{out}: exists already, expected a new file; choose another --out")
+        raise BadRecordingError("exists already", "a new file", "choose another --out", where=out)
     if pixels is not None:
         calibrate_pixels(recording, pixels, out, as_json=as_json)
         return

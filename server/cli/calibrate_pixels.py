@@ -52,7 +52,7 @@ def _estimate(camera_id: str, size: tuple[int, int], flat: Recording, dark: Reco
     found = streams[0].layout.width, streams[0].layout.height
     if found != size:
         raise BadRecordingError(
-            f"{flat.path}: {camera_id}: found {found[0]}x{found[1]} pixels, expected {size[0]}x{size[1]} as in REC"
+            f"{camera_id}: found {found[0]}x{found[1]} pixels", f"{size[0]}x{size[1]} as in REC", where=flat.path
         )
     try:
         return estimate_pixels(*streams)

@@ -145,7 +145,7 @@ def _await_worker(client: ServiceClient, log: Path) -> None:
         if client.checks()["worker"].ok:
             return
         time.sleep(_POLL_S)
-    raise DemoError(f"found no worker within {_START_S:g} s, expected one; {log} says why")
+    raise DemoError(f"found no worker within {_START_S:g} s", "one", f"{log} says why")
 
 
 def _new_folder(out: Path | None) -> Path:
@@ -154,7 +154,7 @@ def _new_folder(out: Path | None) -> Path:
             folder.mkdir(parents=True)
         except FileExistsError as error:
             if out is not None:
-                raise FolderError(f"found {out}, expected a new folder; give another --out") from error
+                raise FolderError(f"found {out}", "a new folder", "give another --out") from error
         else:
             return folder.absolute()
     raise AssertionError("the count does not end")

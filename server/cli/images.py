@@ -49,7 +49,7 @@ def images_command(
     shortest = min(len(stream) for stream in streams.values())
     planes = ticks if ticks is not None else range(0, shortest, 20)
     if planes[-1] >= shortest:
-        raise BadRecordingError(f"found the instant at plane {planes[-1]}, expected one inside 0:{shortest}")
+        raise BadRecordingError(f"found the instant at plane {planes[-1]}", f"one inside 0:{shortest}")
     progress, done = progress_of("images"), 0
     for folder, stream in streams.items():
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -68,7 +68,7 @@ def _streams(
         recording = Recording.open(source)
         return {c: recording.stream(c) for c in recording.camera_ids}
     if size is None or tick_rate is None:
-        raise BadRecordingError(f"{source}: found a bare file, expected its --size WxH and --tick-rate HZ beside it")
+        raise BadRecordingError("found a bare file", "its --size WxH and --tick-rate HZ beside it", where=source)
     stream = SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)
     doubt = suspected_bit_order(stream)
     if doubt:

@@ -24,7 +24,7 @@ _VERDICTS = {True: "pass", False: "FAIL", None: "-"}
 def preflight_command(rig: str, devices: str, out: Path, disk_seconds: float, as_json: bool) -> None:
     """Look at cameras, USB, clocks and disk and say what to change, changing nothing: exit 0 ready, 1 not."""
     if not out.is_dir():
-        raise BadRecordingError(f"{out}: found no folder, expected the one recordings will go to; make it")
+        raise BadRecordingError("found no folder", "the one recordings will go to", "make it", where=out)
     simulation = parse_devices(devices)
     around = Surroundings(
         lambda cameras: open_cameras(cameras, simulation, LATCH_PLANES),

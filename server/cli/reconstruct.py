@@ -116,7 +116,7 @@ def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> Non
     run = RunFolder.open(run_folder)
     if run.config.holdout is None:
         raise BadRunError(
-            f"{run_folder}: found a run without a held-out camera; reconstruct with --holdout to score it"
+            "found a run without a held-out camera", do="reconstruct with --holdout to score it", where=run_folder
         )
     known = Truth.open(truth) if truth else None
     metrics = evaluate_run(run, posed(run, Recording.open(run.recording), refined=True), known, progress_of("evaluate"))

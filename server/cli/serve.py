@@ -149,7 +149,7 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
             listener.bind((host, port))
         except OSError as error:
             reason = (error.strerror or "refused").lower()
-            raise PortError(f"found port {port} on {host}: {reason}; stop what uses it or pass --port") from error
+            raise PortError(f"found port {port} on {host}: {reason}", do="stop what uses it or pass --port") from error
         listener.listen(128)
         yield listener
 

@@ -104,7 +104,7 @@ class BodyLimit:
         length = Headers(scope=scope).get("content-length", "0")
         try:
             if length.isdecimal() and (len(length) > 20 or int(length) > self._most):
-                raise TooLargeError(f"found a body of {length[:20]} bytes, expected at most {self._most}")
+                raise TooLargeError(f"found a body of {length[:20]} bytes", f"at most {self._most}")
             async with asyncio.timeout(self._patience_s):
                 body = await _read(receive, self._most)
             if body and "json" in Headers(scope=scope).get("content-type", "").lower():
@@ -124,7 +124,7 @@ def is_streamed(scope: Scope) -> bool:
 
 
 def _slow(patience_s: float) -> SlowBodyError:
-    return SlowBodyError(f"found the body unfinished after {patience_s:g} s, expected all of it")
+    return SlowBodyError(f"found the body unfinished after {patience_s:g} s", "all of it")
 
 
 async def _read(receive: Receive, most: int) -> bytes | None:
@@ -136,7 +136,7 @@ async def _read(receive: Receive, most: int) -> bytes | None:
             return None
         body += message.get("body", b"")
         if len(body) > most:
-            raise TooLargeError(f"found a body of more than {most} bytes, expected at most {most}")
+            raise TooLargeError(f"found a body of more than {most} bytes", f"at most {most}")
         if not message.get("more_body", False):
             return bytes(body)
 

@@ -41,12 +41,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(made) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in made if names.count(name) > 1)
-        raise MalformedError(f"found the member {twice[:60]!r} twice, expected it once")
+        raise MalformedError(f"found the member {twice[:60]!r} twice", "it once")
     return made
 
 
 def _constant(name: str) -> float:
-    raise MalformedError(f"found {name}, expected a number: JSON has no other")
+    raise MalformedError(f"found {name}", "a number: JSON has no other")
 
 
 def _children(item: Any) -> list[Any]:
@@ -56,4 +56,4 @@ def _children(item: Any) -> list[Any]:
 
 
 def _too_deep() -> MalformedError:
-    return MalformedError(f"found values nested deeper than {_DEEPEST}, expected a flat document")
+    return MalformedError(f"found values nested deeper than {_DEEPEST}", "a flat document")

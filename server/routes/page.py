@@ -35,7 +35,7 @@ def index() -> FileResponse:
 def operator_file(name: str) -> FileResponse:
     """A module of its script; raises NotFoundError."""
     if name not in _OPERATOR_FILES:
-        raise NotFoundError(f"found no /operator/{name[:60]}, expected one of {', '.join(_OPERATOR_FILES)}")
+        raise NotFoundError(f"found no /operator/{name[:60]}", f"one of {', '.join(_OPERATOR_FILES)}")
     return FileResponse(_FOLDER / "operator" / name, headers=_HEADERS)
 
 
@@ -74,5 +74,5 @@ def viewer_file(name: str) -> FileResponse:
     """Its style and scripts; raises NotFoundError, for the renderer too where `make viewer` has not been run."""
     path = _FOLDER / "viewer" / name
     if name not in _VIEWER_FILES or not path.is_file():
-        raise NotFoundError(f"found no /viewer/{name[:60]}, expected one of {', '.join(_VIEWER_FILES)}")
+        raise NotFoundError(f"found no /viewer/{name[:60]}", f"one of {', '.join(_VIEWER_FILES)}")
     return FileResponse(path, headers=_VIEWER_HEADERS)

@@ -49,7 +49,7 @@ class AccessService:
             return None
         token = self._find(authorization or "")
         if token.role != "operator" and method not in _READS:
-            raise ForbiddenError(f"found the viewer {token.name}, expected an operator's token for {method[:20]}")
+            raise ForbiddenError(f"found the viewer {token.name}", f"an operator's token for {method[:20]}")
         return token
 
     def check_exposure(self) -> None:
@@ -57,8 +57,9 @@ class AccessService:
         self.refresh()
         if self._exposed and not self._known:
             raise ExposedError(
-                "found no token, expected one before the service is reached from elsewhere; "
-                "run spike4dgs token add NAME --role operator"
+                "found no token",
+                "one before the service is reached from elsewhere",
+                "run spike4dgs token add NAME --role operator",
             )
 
     def _find(self, authorization: str) -> Token:
@@ -67,5 +68,5 @@ class AccessService:
         found = [token for token in self._known if hmac.compare_digest(token.digest, given)]
         if not found:
             what = "another token" if given else "no token"
-            raise UnauthorizedError(f"found {what}, expected Authorization: Bearer and a token of this service")
+            raise UnauthorizedError(f"found {what}", "Authorization: Bearer and a token of this service")
         return found[0]

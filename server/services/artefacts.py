@@ -37,9 +37,7 @@ class ArtefactService:
         root = self._root(entry)
         found = [one for one in self._store.artefacts.of(entry.id) if one.name == name]
         if not found or not is_plain(root, name):
-            raise NotFoundError(
-                f"found no artefact {name[:60]}, expected one that GET /v1/jobs/{job_id}/artefacts lists"
-            )
+            raise NotFoundError(f"found no artefact {name[:60]}", f"one that GET /v1/jobs/{job_id}/artefacts lists")
         return root / name, described(entry.id, root / name, name, found[0])  # a job at work may have written it again
 
     def archive(self, job_id: str) -> tuple[int, Iterator[bytes]]:
@@ -50,7 +48,7 @@ class ArtefactService:
         entry = self._store.entries.get("job", job_id)
         status = self._engine.statuses([entry])[entry.id]
         if status in ACTIVE:
-            raise StateError(f"found {job_id} {status}, expected it ended; its artefacts may be had one by one")
+            raise StateError(f"found {job_id} {status}", "it ended", "its artefacts may be had one by one")
         root = self._root(entry)
         archive = ZipStream(sized=True)  # stored as they are: pictures, films and digits of noise do not shrink
         for one in self._store.artefacts.of(entry.id):
@@ -64,7 +62,7 @@ class ArtefactService:
         for one in self._store.artefacts.of(entry.id):
             if one.name.startswith("thumbnails/") and one.media_type.startswith("image/"):
                 return one.name
-        raise NotFoundError(f"found no thumbnail of {job_id}, expected a reconstruction that has its report")
+        raise NotFoundError(f"found no thumbnail of {job_id}", "a reconstruction that has its report")
 
     def _root(self, entry: Entry) -> Path:
         folder = self._store.folder

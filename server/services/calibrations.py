@@ -98,7 +98,7 @@ class CalibrationService:
         """The picture of a version's residuals; raises NotFoundError."""
         found = self._picture(self._version(rig_id, version))
         if found is None:
-            raise NotFoundError(f"found no picture of calibration {version}, expected one found from a scene or board")
+            raise NotFoundError(f"found no picture of calibration {version}", "one found from a scene or board")
         return found
 
     def current(self, rig_id: str) -> CurrentCalibration:
@@ -118,12 +118,13 @@ class CalibrationService:
         now, _ = self._store.calibrations.current(rig_id)
         if if_match is None:
             raise PreconditionRequiredError(
-                f"found no If-Match, expected the ETag of GET /v1/rigs/{rig_id}/calibration: it says what is changed"
+                "found no If-Match", f"the ETag of GET /v1/rigs/{rig_id}/calibration: it says what is changed"
             )
         if not matches(if_match, etag_of(rig_id, now)):
             raise PreconditionError(
-                f"found If-Match {if_match[:60]}, expected {etag_of(rig_id, now)}: the calibration has changed; look "
-                "at it again"
+                f"found If-Match {if_match[:60]}",
+                f"{etag_of(rig_id, now)}: the calibration has changed",
+                "look at it again",
             )
         expected = None if if_match.strip() == "*" else now.revision
         if choice.toml is not None:
@@ -182,12 +183,12 @@ def _nominal(rig_id: str, rig: Rig) -> StoredCalibration:
 
 def _uploaded(text: str, rig: Rig) -> Rig:
     if max(line.count(".") for line in text.split("\n")) > _MOST_DOTS:  # deep keys take the parser minutes
-        raise RigError(f"toml: found a line of more than {_MOST_DOTS} dots, expected a rig file; break the line")
+        raise RigError(f"found a line of more than {_MOST_DOTS} dots", "a rig file", "break the line", where="toml")
     try:
         found = parse_rig(text, "toml", None)
     except RigError as error:
         raise RigError(" ".join(str(error).split())[:_LONGEST]) from error
     for camera in found.cameras:
         if np.abs(camera.cam_from_rig.translation).max() > _FARTHEST_M:
-            raise RigError(f"{camera.id}: found it more than {_FARTHEST_M:g} m away, expected metres")
+            raise RigError(f"found it more than {_FARTHEST_M:g} m away", "metres", where=camera.id)
     return fitted(found, rig)

@@ -37,7 +37,7 @@ class RigService:
     def rig(self, rig_id: str) -> Rig:
         """A rig as it is described; raises NotFoundError."""
         if rig_id not in self.rigs:
-            raise NotFoundError(f"found no rig {rig_id[:60]}, expected one of {', '.join(self.rigs)}")
+            raise NotFoundError(f"found no rig {rig_id[:60]}", f"one of {', '.join(self.rigs)}")
         return self.rigs[rig_id]
 
     def get(self, rig_id: str) -> RigInfo:
@@ -79,7 +79,7 @@ class RigService:
         with self._one_at_a_time:
             busy = self._engine.active(capture_queue(rig_id))
             if busy is not None:
-                raise RigBusyError(f"found rig {rig_id} busy with {busy}, expected it idle; wait for that to end")
+                raise RigBusyError(f"found rig {rig_id} busy with {busy}", "it idle", "wait for that to end")
             self._queue.add(entry)
 
 
@@ -103,7 +103,7 @@ class CaptureService:
         """`stop` a capture, or `save` what its pre-trigger kept; raises NotFoundError, StateError."""
         capture = self.get(capture_id)
         if capture.status not in ACTIVE or capture.type != "record":
-            raise StateError(f"found {capture.id} {capture.status}, expected it recording")
+            raise StateError(f"found {capture.id} {capture.status}", "it recording")
         if capture.status == "queued" and word == "stop":
             self._engine.cancel(capture_id)
         else:
@@ -115,8 +115,9 @@ class CaptureService:
         capture = self.get(capture_id)
         if capture.status not in ACTIVE or capture.type != "import":
             raise StateError(
-                f"found {capture.id}, of type {capture.type}, {capture.status}, expected an import at work; "
-                "a recording is stopped"
+                f"found {capture.id}, of type {capture.type}, {capture.status}",
+                "an import at work",
+                "a recording is stopped",
             )
         self._engine.cancel(capture_id)
         return self.get(capture_id)
@@ -131,10 +132,10 @@ class CaptureService:
         capture = self.get(capture_id)
         folder = self._store.folder
         if capture.status in ACTIVE or is_locked(folder.entry(capture_id)):
-            raise StateError(f"found {capture.id} {capture.status}, expected it ended; stop it first")
+            raise StateError(f"found {capture.id} {capture.status}", "it ended", "stop it first")
         using = [e.id for e in self._queue.at_work() if e.kind == "job" and e.capture == capture_id]
         if using:
-            raise StateError(f"found {capture.id} in use by {using[0]}, expected no job at work on it; cancel it")
+            raise StateError(f"found {capture.id} in use by {using[0]}", "no job at work on it", "cancel it")
         self._store.entries.remove(capture_id)  # first: what is kept and not queued is queued again
         self._engine.forget(capture_id)
         folder.remove(folder.recording(capture_id))

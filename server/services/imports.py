@@ -45,7 +45,7 @@ class ImportService:
         for upload_id in ids:
             self._store.uploads.committed(upload_id)
         if len(set(ids)) < len(ids):
-            raise UnknownReferenceError("found an upload twice, expected one for each camera")
+            raise UnknownReferenceError("found an upload twice", "one for each camera")
         folder = self._store.folder.entry(capture_id)
         try:
             cameras = self._cameras(request, folder)
@@ -76,8 +76,8 @@ class ImportService:
             upload = self._store.uploads.committed(request.cameras)
             if upload.bytes > _MOST_CAMERA_BYTES:
                 raise UnknownReferenceError(
-                    f"found {upload.bytes} bytes of cameras, expected a transforms.json or a RIG.toml of at most "
-                    f"{_MOST_CAMERA_BYTES}"
+                    f"found {upload.bytes} bytes of cameras",
+                    f"a transforms.json or a RIG.toml of at most {_MOST_CAMERA_BYTES}",
                 )
             source = self._uploads.path(upload.id)
             with source.open("rb") as file:
@@ -89,7 +89,7 @@ class ImportService:
         except RigError as error:
             raise UnknownReferenceError(str(error).replace(str(path), said)) from error
         if not isinstance(request.cameras, OfRig) and any(camera.pixels for camera in rig.cameras):
-            raise UnknownReferenceError(f"{said}: found pixel calibrations, expected none in an upload; leave them out")
+            raise UnknownReferenceError("found pixel calibrations", "none in an upload", "leave them out", where=said)
         _refuse_others(rig, request)
         return path
 

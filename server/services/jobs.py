@@ -108,7 +108,7 @@ class JobService:
         begun = stages[: stages.index(reached) + 1] if reached in stages else ()
         if stage not in begun:
             raise UnknownReferenceError(
-                f"found the stage {stage}, expected one that {job_id} has begun: {', '.join(begun) or 'none yet'}"
+                f"found the stage {stage}", f"one that {job_id} has begun: {', '.join(begun) or 'none yet'}"
             )
         attempt = (entry.restart or {}).get("attempt", 0) + 1
         self._store.entries.change(job_id, restart={"stage": stage, "attempt": attempt})
@@ -130,7 +130,7 @@ class JobService:
         self._ended(job_id, "done", "failed", "cancelled")
         using = [entry.id for entry in self._queue.at_work() if entry.request.get("job") == job_id]
         if using:
-            raise StateError(f"found {job_id} in use by {using[0]}, expected no job at work on it; cancel it")
+            raise StateError(f"found {job_id} in use by {using[0]}", "no job at work on it", "cancel it")
         self._store.entries.remove(job_id)  # first: what is kept and not queued is queued again
         self._engine.forget(job_id)
         folder = self._store.folder
@@ -156,13 +156,13 @@ class JobService:
     def _ended(self, job_id: str, *states: Status) -> Entry:
         self._expect(self.get(job_id), *states)
         if is_locked(self._store.folder.entry(job_id)):
-            raise StateError(f"found {job_id} still stopping, expected it stopped; try again in a few seconds")
+            raise StateError(f"found {job_id} still stopping", "it stopped", "try again in a few seconds")
         return self._store.entries.get("job", job_id)
 
     @staticmethod
     def _expect(job: Job, *states: Status) -> None:
         if job.status not in states:
-            raise StateError(f"found {job.id} {job.status}, expected it {' or '.join(states)}")
+            raise StateError(f"found {job.id} {job.status}", f"it {' or '.join(states)}")
 
     def _entry(self, job_id: str, request: JobBase, waits: bool) -> Entry:
         target = self._target(request, waits)
@@ -186,9 +186,7 @@ class JobService:
             if isinstance(request, OfJob):
                 target = self._store.entries.get("job", request.job)
                 if target.type != "reconstruct":
-                    raise UnknownReferenceError(
-                        f"found the job {target.id} of type {target.type}, expected reconstruct"
-                    )
+                    raise UnknownReferenceError(f"found the job {target.id} of type {target.type}", "reconstruct")
             else:
                 assert isinstance(request, OfCapture)
                 target = self._store.entries.get("capture", request.capture)
@@ -205,7 +203,7 @@ class JobService:
     def _expect_done(self, target: Entry) -> None:
         status = self._engine.statuses([target])[target.id]
         if status != "done":
-            raise StateError(f"found {target.kind} {target.id} {status}, expected it done; wait for it")
+            raise StateError(f"found {target.kind} {target.id} {status}", "it done", "wait for it")
 
     def _check_rig(self, request: JobBase, target: Entry) -> None:
         """A rig is calibrated and checked with captures of its own cameras."""
@@ -223,7 +221,7 @@ class JobService:
             if rig is None:
                 continue
             if capture.rig not in (None, request.rig):
-                raise RigMismatchError(f"found {capture.id} of rig {capture.rig}, expected one of {request.rig}")
+                raise RigMismatchError(f"found {capture.id} of rig {capture.rig}", f"one of {request.rig}")
             fitted(load_rig(self._store.folder.recording(capture.id) / "rig.toml"), rig)
 
     def _check_cameras(self, request: JobBase, target: Entry) -> None:

@@ -72,7 +72,7 @@ class PreviewService:
         recording = self._recording(capture_id)
         if camera_id is not None and camera_id not in recording.camera_ids:
             known = ", ".join(recording.camera_ids)
-            raise NotFoundError(f"found no camera {camera_id[:60]} in {capture_id}, expected one of {known}")
+            raise NotFoundError(f"found no camera {camera_id[:60]} in {capture_id}", f"one of {known}")
         name = "preview.png" if camera_id is None else f"preview-{camera_id}.png"
         kept = self._store.folder.entry(capture_id) / name
         with self._one_at_a_time:  # several requests for a new one make it once
@@ -85,7 +85,7 @@ class PreviewService:
         path = self._store.folder.recording(entry.id)
         if not path.exists():
             status = self._engine.statuses([entry])[entry.id]
-            raise StateError(f"found {capture_id} {status} without a recording, expected it done")
+            raise StateError(f"found {capture_id} {status} without a recording", "it done")
         try:
             return Recording.open(path)
         except (BadRecordingError, RigError) as error:
@@ -113,7 +113,7 @@ def _made(recording: Recording, camera_id: str | None) -> bytes:
 
 def _damaged(capture_id: str, path: Path, error: Exception) -> StateError:
     reason = str(error).replace(f"{path}/", "").replace(f"{path}: ", "")
-    return StateError(f"found the recording of {capture_id} damaged ({reason}), expected it sound; verify it")
+    return StateError(f"found the recording of {capture_id} damaged ({reason})", "it sound", "verify it")
 
 
 def _described(camera: CameraFile) -> CameraFileInfo:

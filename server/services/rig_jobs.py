@@ -80,7 +80,7 @@ class RigJobService:
             return Picture.of(path.read_bytes())
         except FileNotFoundError as error:
             raise NotFoundError(
-                f"found no picture of rig {rig_id}, expected a look before; POST /v1/rigs/{rig_id}/look makes one"
+                f"found no picture of rig {rig_id}", "a look before", f"POST /v1/rigs/{rig_id}/look makes one"
             ) from error
 
     def status(self, rig_id: str) -> RigStatus:

@@ -43,7 +43,7 @@ def target_of(url: str) -> Target:
     except ValueError:
         parts, host, port = None, None, None
     if parts is None or not host or parts.scheme not in ("http", "https") or "@" in parts.netloc or parts.fragment:
-        raise TargetError(f"found the webhook {url[:80]!r}, expected http(s)://HOST[:PORT]/PATH without a user")
+        raise TargetError(f"found the webhook {url[:80]!r}", "http(s)://HOST[:PORT]/PATH without a user")
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     return Target(parts.scheme, host, port or {"http": 80, "https": 443}[parts.scheme], path)
 
@@ -53,7 +53,7 @@ def addresses_of(target: Target) -> list[str]:
     try:
         found = socket.getaddrinfo(target.host, target.port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
-        raise TargetError(f"found no address of {target.host[:80]}, expected a host that can be resolved") from error
+        raise TargetError(f"found no address of {target.host[:80]}", "a host that can be resolved") from error
     return [str(one[4][0]) for one in found]
 
 
@@ -63,8 +63,9 @@ def allowed_address(target: Target, addresses: list[str], hosts: Collection[str]
         for address in addresses:
             if not _is_public(address):
                 raise TargetError(
-                    f"found {target.host[:80]} at the private address {address}, expected a public one; "
-                    "name the host in SPIKE4DGS_WEBHOOK_HOSTS to allow it"
+                    f"found {target.host[:80]} at the private address {address}",
+                    "a public one",
+                    "name the host in SPIKE4DGS_WEBHOOK_HOSTS to allow it",
                 )
     return addresses[0]
 

@@ -33,7 +33,7 @@ class UploadService:
     def create(self, request: UploadRequest) -> Upload:
         """Begin an upload; raises UploadSizeError where it is too long, UploadDiskError where it has no room."""
         if request.bytes > self._most_bytes:
-            raise UploadSizeError(f"found {request.bytes} bytes, expected at most {self._most_bytes} of an upload")
+            raise UploadSizeError(f"found {request.bytes} bytes", f"at most {self._most_bytes} of an upload")
         free = shutil.disk_usage(self._store.folder.path).free - self._keep_free
         if request.bytes > free:
             raise UploadDiskError(f"{request.bytes} bytes asked for, {max(0, free)} free", 0)
@@ -88,7 +88,7 @@ class UploadService:
                 sha256 = digest_of(descriptor)
                 if upload.sha256 not in (None, sha256):
                     raise DigestError(
-                        f"found the SHA-256 {sha256}, expected {upload.sha256}; delete the upload and send it again"
+                        f"found the SHA-256 {sha256}", f"{upload.sha256}", "delete the upload and send it again"
                     )
                 self._store.uploads.commit(upload_id, sha256)
         return self.get(upload_id)
@@ -98,7 +98,7 @@ class UploadService:
         upload = self._store.uploads.get(upload_id)
         for entry in self._queue.at_work():
             if entry.type == "import" and upload_id in entry.request["dats"]:
-                raise StateError(f"found {upload_id} being imported by {entry.id}, expected it unused; wait for that")
+                raise StateError(f"found {upload_id} being imported by {entry.id}", "it unused", "wait for that")
         with held(self.path(upload_id)):
             self._store.uploads.remove(upload.id)
         self._store.folder.remove(self.path(upload_id).parent)
@@ -110,7 +110,7 @@ class UploadService:
     def _open(self, upload_id: str) -> StoredUpload:
         upload = self._store.uploads.get(upload_id)
         if upload.state != "open":
-            raise StateError(f"found {upload_id} committed, expected it open; begin another upload")
+            raise StateError(f"found {upload_id} committed", "it open", "begin another upload")
         return upload
 
     def _size(self, upload_id: str) -> int:

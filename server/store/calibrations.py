@@ -155,12 +155,13 @@ def _version(connection: sa.Connection, rig: str, version: int) -> StoredCalibra
 def _expect(rig: str, current: Current, expected: int | None) -> None:
     if expected is not None and current.revision != expected:
         raise PreconditionError(
-            f"found the calibration of {rig} at revision {current.revision}, expected {expected} as If-Match has it; "
-            "look at it again before it is changed"
+            f"found the calibration of {rig} at revision {current.revision}",
+            f"{expected} as If-Match has it",
+            "look at it again before it is changed",
         )
 
 
 def _unknown(rig: str, version: int) -> NotFoundError:
     return NotFoundError(
-        f"found no calibration {version} of rig {rig}, expected one that GET /v1/rigs/{rig}/calibrations lists"
+        f"found no calibration {version} of rig {rig}", f"one that GET /v1/rigs/{rig}/calibrations lists"
     )

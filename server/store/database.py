@@ -57,8 +57,10 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
                 continue
             engine.dispose()
             raise DatabaseError(
-                f"{settings.database_name}: found {reason}, expected the service's database; give another --data or "
-                "mend SPIKE4DGS_DATABASE"
+                f"found {reason}",
+                "the service's database",
+                "give another --data or mend SPIKE4DGS_DATABASE",
+                where=settings.database_name,
             ) from error
 
 

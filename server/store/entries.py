@@ -113,7 +113,7 @@ class Entries:
         known = _ID.fullmatch(entry_id) and entry_id[0] == kind[0]
         found = self.find([entry_id]) if known else []
         if not found:
-            raise NotFoundError(f"found no {kind} {entry_id[:60]}, expected one that GET /v1/{kind}s lists")
+            raise NotFoundError(f"found no {kind} {entry_id[:60]}", f"one that GET /v1/{kind}s lists")
         return found[0]
 
     def find(self, entry_ids: Sequence[str]) -> list[Entry]:

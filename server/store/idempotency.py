@@ -44,7 +44,8 @@ class Idempotency:
                 return ids
         if found["digest"] != digest:
             raise IdempotencyError(
-                f"found the Idempotency-Key {key[:60]} with another request than before, expected the same one; "
-                "choose a new key for a new request"
+                f"found the Idempotency-Key {key[:60]} with another request than before",
+                "the same one",
+                "choose a new key for a new request",
             )
         return found["entries"]

@@ -77,17 +77,15 @@ def fitted(found: Rig, rig: Rig) -> Rig:
     for camera_id in [*rig.ids, *found.ids]:
         has, wants = (size.get(camera_id, "none") for size in sizes)
         if has != wants:
-            raise RigMismatchError(
-                f"{camera_id}: found a camera of {has} pixels, expected {wants} as in rig {rig.name}"
-            )
+            raise RigMismatchError(f"found a camera of {has} pixels", f"{wants} as in rig {rig.name}", where=camera_id)
     for camera in rig.cameras:
         serial = found.camera(camera.id).serial
         if serial and camera.serial and serial != camera.serial:
             raise RigMismatchError(
-                f"{camera.id}: found the serial {serial[:40]!r}, expected {camera.serial!r} as in rig {rig.name}"
+                f"found the serial {serial[:40]!r}", f"{camera.serial!r} as in rig {rig.name}", where=camera.id
             )
     if found.tick_rate_hz != rig.tick_rate_hz:
-        raise RigMismatchError(f"found {found.tick_rate_hz:g} Hz, expected {rig.tick_rate_hz:g} as in rig {rig.name}")
+        raise RigMismatchError(f"found {found.tick_rate_hz:g} Hz", f"{rig.tick_rate_hz:g} as in rig {rig.name}")
     cameras = (dataclasses.replace(found.camera(c.id), serial=c.serial) for c in rig.cameras)
     return dataclasses.replace(found, name=rig.name, cameras=tuple(cameras))
 

@@ -43,7 +43,7 @@ class Tokens:
         with self._engine.begin() as connection:
             lock_writers(connection)
             if connection.scalar(sa.select(tokens.c.id).where(tokens.c.name == name)):
-                raise TokenError(f"found a token {name} already, expected a new name; remove it or choose another")
+                raise TokenError(f"found a token {name} already", "a new name", "remove it or choose another")
             connection.execute(tokens.insert(), vars(row))
         return secret
 
@@ -57,7 +57,7 @@ class Tokens:
         with self._engine.begin() as connection:
             lock_writers(connection)
             if not connection.execute(tokens.delete().where(tokens.c.name == name)).rowcount:
-                raise TokenError(f"found no token {name}, expected one that spike4dgs token list shows")
+                raise TokenError(f"found no token {name}", "one that spike4dgs token list shows")
 
 
 def digest_of(secret: str) -> str:

@@ -24,7 +24,7 @@ def held(path: Path) -> Iterator[int]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise StateError(
-                f"found another request at work on the upload {path.parent.name}, expected one at a time; try again"
+                f"found another request at work on the upload {path.parent.name}", "one at a time", "try again"
             ) from error
         yield descriptor
     finally:
@@ -59,7 +59,7 @@ class Appender:
         """Raise UploadSizeError where `length` more bytes are too many."""
         if self.offset + length > self._total:
             raise UploadSizeError(
-                f"found {self.offset + length} bytes, expected the {self._total} that the upload was made for"
+                f"found {self.offset + length} bytes", f"the {self._total} that the upload was made for"
             )
 
     def write(self, data: bytes) -> None:

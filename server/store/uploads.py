@@ -59,7 +59,7 @@ class Uploads:
         """One upload; raises NotFoundError."""
         found = self._select(uploads.c.id == upload_id) if _ID.fullmatch(upload_id) else []
         if not found:
-            raise NotFoundError(f"found no upload {upload_id[:60]}, expected one that GET /v1/uploads lists")
+            raise NotFoundError(f"found no upload {upload_id[:60]}", "one that GET /v1/uploads lists")
         return found[0]
 
     def committed(self, upload_id: str) -> StoredUpload:
@@ -69,7 +69,7 @@ class Uploads:
         except NotFoundError as error:
             raise UnknownReferenceError(str(error)) from error
         if upload.state != "committed":
-            raise StateError(f"found the upload {upload_id} {upload.state}, expected it committed")
+            raise StateError(f"found the upload {upload_id} {upload.state}", "it committed")
         return upload
 
     def page(self, before: str | None, limit: int) -> list[StoredUpload]:

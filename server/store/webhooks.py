@@ -48,7 +48,7 @@ class Webhooks:
         """One webhook; raises NotFoundError."""
         found = [one for one in self.all() if one.id == webhook_id]
         if not found:
-            raise NotFoundError(f"found no webhook {webhook_id[:60]}, expected one that GET /v1/webhooks lists")
+            raise NotFoundError(f"found no webhook {webhook_id[:60]}", "one that GET /v1/webhooks lists")
         return found[0]
 
     def remove(self, webhook_id: str) -> None:

@@ -55,8 +55,9 @@ class Workers:
             row = connection.execute(sa.select(workers).where(workers.c.id == worker_id)).mappings().first()
             if row is not None and self._alive(Worker(**row)):
                 raise WorkerRunningError(
-                    f"found another worker {worker_id} on {row['host']} (process {row['pid']}), expected none; "
-                    "stop it or choose another --name"
+                    f"found another worker {worker_id} on {row['host']} (process {row['pid']})",
+                    "none",
+                    "stop it or choose another --name",
                 )
             connection.execute(workers.delete().where(workers.c.beat < now - _FORGOTTEN_S))
             connection.execute(workers.delete().where(workers.c.id == worker_id))
@@ -69,8 +70,7 @@ class Workers:
             mine = sa.and_(workers.c.id == worker.id, workers.c.token == worker.token)
             if not connection.execute(workers.update().where(mine).values(beat=self._clock())).rowcount:
                 raise WorkerRunningError(
-                    f"found the worker {worker.id} declared dead, expected a beat every {self.beat_s:g} s; "
-                    "start it again"
+                    f"found the worker {worker.id} declared dead", f"a beat every {self.beat_s:g} s", "start it again"
                 )
 
     def leave(self, worker: Worker) -> None:

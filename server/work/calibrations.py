@@ -59,5 +59,5 @@ def nominal_rig(settings: ServiceSettings, rig_id: str) -> Rig:
     """The rig as it was drawn; raises StageError where this worker does not know it."""
     source = settings.rigs.get(rig_id)
     if source is None:
-        raise StageError(f"found no rig {rig_id} in this worker's settings, expected the service's own rigs")
+        raise StageError(f"found no rig {rig_id} in this worker's settings", "the service's own rigs")
     return source.load()

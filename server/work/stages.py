@@ -160,7 +160,7 @@ class Stages:
         """The rig's file or name, its devices, and the folder whose flock keeps others from its cameras."""
         source = self._settings.rigs.get(entry.rig or "")
         if source is None or entry.rig is None:
-            raise StageError(f"found no rig {entry.rig} in this worker's settings, expected the service's own rigs")
+            raise StageError(f"found no rig {entry.rig} in this worker's settings", "the service's own rigs")
         calibrated = self._store.rig_files.refresh(entry.rig)
         return rig_argument(source, calibrated), source.devices, self._folder.rig(entry.rig)
 
@@ -201,7 +201,7 @@ class Stages:
         folder, request = self._folder, entry.request
         recording = folder.recording(capture)
         if not recording.is_dir():  # the job waited for it, or it was deleted meanwhile
-            raise StageError(f"found no recording of {capture}, expected it made and kept; look at that capture")
+            raise StageError(f"found no recording of {capture}", "it made and kept", "look at that capture")
         run = folder.run(request["job"]) if "job" in request else None
         dark = folder.recording(request["dark"]) if request.get("dark") else None
         of_rig = entry.type == "check-rig" and request.get("rig")

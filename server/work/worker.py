@@ -152,7 +152,7 @@ def _exclusive(settings: ServiceSettings, name: str) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise WorkerRunningError(
-                f"found another worker {name} on {settings.data}, expected none; stop it or choose another --name"
+                f"found another worker {name} on {settings.data}", "none", "stop it or choose another --name"
             ) from error
         yield
     finally:

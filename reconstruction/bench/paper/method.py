@@ -144,14 +144,14 @@ class Protocol:
         """The tables of these names alone; raises BadRunError for a name that is none."""
         known = [table.name for table in self.tables]
         if not set(names) <= set(known):
-            raise BadRunError(f"found the tables {', '.join(names)}, expected some of {', '.join(known)}")
+            raise BadRunError(f"found the tables {', '.join(names)}", f"some of {', '.join(known)}")
         tables = tuple(t for t in self.tables if t.name in names)
         return Protocol(tables, tuple(b for b in self.batches if b.table in names))
 
     def on(self, scenes: tuple[str, ...]) -> Protocol:
         """The same on other scenes; raises BadRunError for one that is not there."""
         if not set(scenes) <= set(SCENES):
-            raise BadRunError(f"found the scenes {', '.join(scenes)}, expected some of {', '.join(SCENES)}")
+            raise BadRunError(f"found the scenes {', '.join(scenes)}", f"some of {', '.join(SCENES)}")
         return Protocol(self.tables, tuple(replace(b, scenes=scenes) for b in self.batches))
 
     @property

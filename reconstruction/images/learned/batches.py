@@ -63,7 +63,7 @@ class StreamPictures:
 
     def __init__(self, streams: Sequence[SpikeStream], model: Model, seed: int) -> None:
         if not streams or not min(len(stream) for stream in streams):
-            raise BadRunError("found no planes to train on, expected a recording with some")
+            raise BadRunError("found no planes to train on", "a recording with some")
         rng = np.random.default_rng([seed, 0xB1])
         self.smallest = min(min(stream.layout.width, stream.layout.height) for stream in streams)
         drawn = [(int(rng.integers(len(streams))), rng.random()) for _ in range(POOL)]
@@ -84,9 +84,7 @@ class Batches:
 
     def __init__(self, pictures: Pictures, model: Model, batch: int, crop: int, seed: int) -> None:
         if not 1 <= crop <= pictures.smallest or batch < 1:
-            raise BadRunError(
-                f"found batches of {batch} crops of {crop} px, expected crops up to {pictures.smallest} px"
-            )
+            raise BadRunError(f"found batches of {batch} crops of {crop} px", f"crops up to {pictures.smallest} px")
         self.pictures = pictures
         self._reverse = model.reverse
         self._batch, self._crop, self._seed = batch, crop, seed

@@ -43,9 +43,9 @@ class ClipSet:
 
     def __post_init__(self) -> None:
         if self.first_seed < 0 or self.count < 1 or self.size < 8 or self.planes < 1 or not self.instants:
-            raise BadRunError(f"found the clips {asdict(self)}, expected seeds from 0, 8 px or more, some instants")
+            raise BadRunError(f"found the clips {asdict(self)}", "seeds from 0, 8 px or more, some instants")
         if not 0 <= min(self.instants) <= max(self.instants) < self.planes:
-            raise BadRunError(f"found the instants {self.instants}, expected planes inside 0:{self.planes}")
+            raise BadRunError(f"found the instants {self.instants}", f"planes inside 0:{self.planes}")
 
     @property
     def seeds(self) -> range:
@@ -92,7 +92,7 @@ def fill_folder(
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / "clips.json").exists():
         if (found := read_document(folder)) != document:
-            raise BadRunError(f"{folder}: found clips {found}, expected {document}; give a new folder")
+            raise BadRunError(f"found clips {found}", f"{document}", "give a new folder", where=folder)
     else:
         write_json(folder / "clips.json", document)
     lacking = [seed for seed in seeds if not clip_path(folder, seed).exists()]
@@ -107,7 +107,7 @@ def require_whole(folder: Path, document: dict, schema: int, seeds: range) -> No
     """Raises BadRunError where `document` is of another schema or clips of `seeds` are missing."""
     lacking = sum(not clip_path(folder, seed).exists() for seed in seeds)
     if lacking or document.get("schema") != schema:
-        raise BadRunError(f"{folder}: found {lacking} clips missing of {len(seeds)}; run the generator again")
+        raise BadRunError(f"found {lacking} clips missing of {len(seeds)}", do="run the generator again", where=folder)
 
 
 def read_clip_set(folder: Path) -> ClipSet:
@@ -117,7 +117,7 @@ def read_clip_set(folder: Path) -> ClipSet:
         first_seed, count, size, planes = (int(found[name]) for name in ("first_seed", "count", "size", "planes"))
         wanted = ClipSet(first_seed, count, size, planes, tuple(found["instants"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise BadRunError(f"{folder}/clips.json: found {found}, expected a set of clips; make it again") from error
+        raise BadRunError(f"found {found}", "a set of clips", "make it again", where=f"{folder}/clips.json") from error
     require_whole(folder, found, SCHEMA, wanted.seeds)
     return wanted
 
@@ -139,4 +139,4 @@ def read_document(folder: Path) -> dict:
     try:
         return json.loads((folder / "clips.json").read_text())
     except (OSError, ValueError) as error:
-        raise BadRunError(f"{folder}: found no readable clips.json, expected a folder of clips; make them") from error
+        raise BadRunError("found no readable clips.json", "a folder of clips", "make them", where=folder) from error

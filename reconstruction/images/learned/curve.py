@@ -49,5 +49,5 @@ def _read(path: Path) -> dict:
         if not all(name in point for point in document["curve"] for name in (*LINES, "seconds")):
             raise ValueError("no scores")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadRunError(f"{path}: found no curve of a training ({error}), expected its training.json") from error
+        raise BadRunError(f"found no curve of a training ({error})", "its training.json", where=path) from error
     return document

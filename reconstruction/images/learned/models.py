@@ -50,7 +50,7 @@ def loss(model: Model, module: nn.Module, seen: Tensor, truth: Tensor | None) ->
     """
     target = model.interval(seen) if model.interval else truth
     if target is None:
-        raise BadRunError("found no true light to train this network on, expected clips that have it; use blindspot")
+        raise BadRunError("found no true light to train this network on", "clips that have it", "use blindspot")
     level = model.level(seen)
     light, sigma = module(seen, level)
     return light_loss(light, sigma, target, level, model.bend)
@@ -67,7 +67,7 @@ def light_loss(light: Tensor, sigma: Tensor, target: Tensor, level: Tensor, bend
 def model(name: str) -> Model:
     """The network called `name`; raises BadRunError listing the known ones."""
     if name not in MODELS:
-        raise BadRunError(f"found the network {name!r}, expected one of {', '.join(MODELS)}")
+        raise BadRunError(f"found the network {name!r}", f"one of {', '.join(MODELS)}")
     return MODELS[name]
 
 

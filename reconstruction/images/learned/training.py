@@ -48,7 +48,7 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         if self.steps < 1 or self.score_every < 1 or not self.learning_rate > 0 or not 0 <= self.averaged < 1:
-            raise BadRunError(f"found the training {asdict(self)}, expected 1 step or more and a positive rate")
+            raise BadRunError(f"found the training {asdict(self)}", "1 step or more and a positive rate")
 
     def rate(self, step: int) -> float:
         """The learning rate of `step`: a short rise, then half a cosine."""
@@ -138,7 +138,7 @@ class Loop:
             found.pop(changeable)
             expected.pop(changeable)
         if found != expected:
-            raise BadRunError(f"{self.folder}: found a training of {found}, expected {expected}; give a new folder")
+            raise BadRunError(f"found a training of {found}", f"{expected}", "give a new folder", where=self.folder)
         self.module.load_state_dict(state["module"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])

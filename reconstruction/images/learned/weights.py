@@ -25,7 +25,7 @@ def write_weights(path: Path, state: dict[str, Tensor]) -> None:
     arrays = {name: tensor.detach().half().cpu().numpy() for name, tensor in state.items()}
     spoilt = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if spoilt:
-        raise BadRunError(f"found weights that are not finite in half precision: {', '.join(spoilt)}; train again")
+        raise BadRunError(f"found weights that are not finite in half precision: {', '.join(spoilt)}", do="train again")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
     write_durably(path, buffer.getvalue())
@@ -38,10 +38,12 @@ def read_weights(path: Path, module: nn.Module) -> None:
             state = {name: torch.from_numpy(archive[name].astype(np.float32)) for name in archive.files}
         module.load_state_dict(state)
     except OSError as error:
-        raise BadRunError(f"{path}: found no weights ({error.strerror}); train this network first") from error
+        raise BadRunError(f"found no weights ({error.strerror})", do="train this network first", where=path) from error
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, BadZipFile, zlib.error) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BadRunError(f"{path}: found other or damaged weights ({reason}); train this network again") from error
+        raise BadRunError(
+            f"found other or damaged weights ({reason})", do="train this network again", where=path
+        ) from error
 
 
 def write_state(path: Path, state: dict) -> None:
@@ -56,4 +58,4 @@ def read_state(path: Path) -> dict:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except _UNREADABLE as error:
-        raise BadRunError(f"{path}: found a damaged checkpoint, expected one of this version; start afresh") from error
+        raise BadRunError("found a damaged checkpoint", "one of this version", "start afresh", where=path) from error

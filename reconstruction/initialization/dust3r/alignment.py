@@ -169,7 +169,7 @@ class _Problem:
         """The views as they stand."""
         turns, centers, depths, points = self._world()
         if not bool(torch.isfinite(points).all()):
-            raise GeometryError("found an alignment that ran away, expected finite poses; give clearer images")
+            raise GeometryError("found an alignment that ran away", "finite poses", "give clearer images")
         shares = self._apart(points).sqrt() / depths[self._sides]
         v, n = depths.shape
         weights = self._weights * (self._weights.numel() / self._weights.sum())

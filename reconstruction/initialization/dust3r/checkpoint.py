@@ -66,7 +66,7 @@ def load_network(path: Path) -> Dust3r:
             network = Dust3r(architecture)
         _check(state, network.state_dict())
     except BadRunError as error:
-        raise BadRunError(f"{path}: {error}; give a DUSt3R checkpoint") from None
+        raise BadRunError(f"{error}", do="give a DUSt3R checkpoint", where=path) from None
     network.load_state_dict(state, assign=True)
     return network.requires_grad_(False).eval()
 
@@ -76,12 +76,12 @@ def _read(path: Path) -> dict:
         with warnings.catch_warnings(action="ignore"), torch.serialization.safe_globals([argparse.Namespace]):
             stored = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
-        raise BadRunError(f"{path}: found no such file, expected a DUSt3R checkpoint") from None
+        raise BadRunError("found no such file", "a DUSt3R checkpoint", where=path) from None
     except _UNREADABLE as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise BadRunError(f"{path}: found no readable checkpoint ({reason}); download it again") from error
+        raise BadRunError(f"found no readable checkpoint ({reason})", do="download it again", where=path) from error
     if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping) or "args" not in stored:
-        raise BadRunError(f"{path}: found another kind of file, expected a DUSt3R checkpoint with 'args' and 'model'")
+        raise BadRunError("found another kind of file", "a DUSt3R checkpoint with 'args' and 'model'", where=path)
     return stored
 
 
@@ -94,7 +94,7 @@ def _state(stored: Mapping[object, object]) -> dict[str, Tensor]:
     state: dict[str, Tensor] = {}
     for name, tensor in stored.items():
         if not isinstance(name, str) or not _dense(tensor):
-            raise BadRunError(f"found {str(name)[:60]!r} in the model, expected names of floating point tensors")
+            raise BadRunError(f"found {str(name)[:60]!r} in the model", "names of floating point tensors")
         name = re.sub(r"\.scratch\.layer_rn\.([0-3])\.", lambda m: f".scratch.layer{int(m[1]) + 1}_rn.", name)
         if not name.startswith("prediction_head."):  # of the pretraining
             state[name] = tensor.float()
@@ -107,14 +107,14 @@ def _state(stored: Mapping[object, object]) -> dict[str, Tensor]:
 def _call(source: object) -> dict[str, object]:
     """Keyword arguments of the constructor call `source`, which is parsed and never run."""
     if not isinstance(source, str) or len(source) > LONGEST_CALL:
-        raise BadRunError(f"found args.model of type {type(source).__name__}, expected a short constructor call")
+        raise BadRunError(f"found args.model of type {type(source).__name__}", "a short constructor call")
     try:
         call = ast.parse(source.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise BadRunError(f"found args.model {source[:60]!r}, expected a constructor call") from None
+        raise BadRunError(f"found args.model {source[:60]!r}", "a constructor call") from None
     name = call.func.id if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) else source[:60]
     if not isinstance(call, ast.Call) or name != MODEL or call.args:
-        raise BadRunError(f"found the model {name!r}, expected {MODEL} with named values")
+        raise BadRunError(f"found the model {name!r}", f"{MODEL} with named values")
     return {str(keyword.arg): _literal(keyword.value, str(keyword.arg)) for keyword in call.keywords}
 
 
@@ -131,7 +131,7 @@ def _literal(node: ast.expr, name: str) -> object:
             return -math.inf
         case ast.Tuple(elts=[*parts]) | ast.List(elts=[*parts]):
             return tuple(_literal(part, name) for part in parts)
-    raise BadRunError(f"found code as the value of {name} in args.model, expected a literal")
+    raise BadRunError(f"found code as the value of {name} in args.model", "a literal")
 
 
 def _architecture(call: Mapping[str, object], state: Mapping[str, Tensor]) -> Architecture:
@@ -141,10 +141,10 @@ def _architecture(call: Mapping[str, object], state: Mapping[str, Tensor]) -> Ar
     for name, known in _ONLY.items():
         if name in call and call[name] not in known:
             expected = " or ".join(str(value) for value in known)
-            raise BadRunError(f"found {name}={str(call[name])[:60]} in args.model, expected {expected}")
+            raise BadRunError(f"found {name}={str(call[name])[:60]} in args.model", f"{expected}")
     rotary = re.fullmatch(r"RoPE(\d{1,6})", str(call.get("pos_embed", "cosine")))
     if not rotary:
-        raise BadRunError(f"found pos_embed={str(call.get('pos_embed', 'cosine'))[:60]}, expected RoPE and its base")
+        raise BadRunError(f"found pos_embed={str(call.get('pos_embed', 'cosine'))[:60]}", "RoPE and its base")
     sizes = {field: call.get(name, default) for name, (field, default) in _SIZES.items()}
     for field, blocks in (
         ("encoder_depth", "enc_blocks"),
@@ -154,7 +154,7 @@ def _architecture(call: Mapping[str, object], state: Mapping[str, Tensor]) -> Ar
         stored = {name.split(".")[1] for name in state if name.startswith(f"{blocks}.")}
         if len(stored) != sizes[field]:
             raise BadRunError(
-                f"found {len(stored)} {blocks} in the model, expected {str(sizes[field])[:20]} as args.model says"
+                f"found {len(stored)} {blocks} in the model", f"{str(sizes[field])[:20]} as args.model says"
             )
     head = "dpt" if call.get("head_type") == "dpt" else "linear"
     dpt = _dpt_sizes(state) if head == "dpt" else DptSizes()
@@ -175,10 +175,10 @@ def _check(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
     foreign = [name for name in found if name not in expected]
     if missing or foreign:
         odd = f"without {missing[0]}" if missing else f"with {foreign[0][:80]}"
-        raise BadRunError(f"found a model {odd}, expected the layout of DUSt3R")
+        raise BadRunError(f"found a model {odd}", "the layout of DUSt3R")
     for name, tensor in expected.items():
         if found[name].shape != tensor.shape:
             shapes = f"{tuple(found[name].shape)}, expected {tuple(tensor.shape)}"
             raise BadRunError(f"found {name} of shape {shapes} as args.model says")
         if not bool(torch.isfinite(found[name]).all()):
-            raise BadRunError(f"found NaN or infinity in {name}, expected finite weights")
+            raise BadRunError(f"found NaN or infinity in {name}", "finite weights")

@@ -47,7 +47,7 @@ class Dust3rOptions:
     def __post_init__(self) -> None:
         for name, values in {"pairs": ("complete", "neighbours"), "focal": ("estimated", "rig")}.items():
             if getattr(self, name) not in values:
-                raise BadRunError(f"found {name} {getattr(self, name)!r}, expected {' or '.join(values)}")
+                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"{' or '.join(values)}")
 
 
 def dust3r(
@@ -63,7 +63,7 @@ def dust3r(
     """
     if checkpoint is None:
         reason = "none is shipped, for its licence (CC BY-NC-SA) forbids it"
-        raise BadRunError(f"found no checkpoint for dust3r, expected --dust3r-checkpoint FILE; {reason}")
+        raise BadRunError("found no checkpoint for dust3r", "--dust3r-checkpoint FILE", f"{reason}")
     usable_views(rig, images)
     return dust3r_with(load_network(checkpoint), rig, images, options, progress)
 
@@ -112,7 +112,7 @@ def _common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
     for camera in cameras:
         if (camera.width, camera.height) != (first.width, first.height):
             sizes = f"{camera.width}x{camera.height}, expected {first.width}x{first.height} as of {first.id}"
-            raise BadRunError(f"{camera.id}: found the size {sizes}; dust3r takes images of one size")
+            raise BadRunError(f"found the size {sizes}", do="dust3r takes images of one size", where=camera.id)
     return first.height, first.width
 
 
@@ -158,7 +158,7 @@ def _on(network: Dust3r, device: str) -> Dust3r:
         return network.to(device)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise BadRunError(f"found no usable device {device!r} ({reason}), expected cpu or cuda") from error
+        raise BadRunError(f"found no usable device {device!r} ({reason})", "cpu or cuda") from error
 
 
 def _batches(count: int) -> Iterator[slice]:

@@ -51,15 +51,15 @@ class Architecture:
         for name, value in vars(self).items():
             sized = name.endswith(("_dim", "_depth", "_heads", "_px"))
             if sized and (type(value) is not int or not 1 <= value <= LARGEST):
-                raise BadRunError(f"found {name}={str(value)[:20]}, expected a whole number from 1 to {LARGEST}")
+                raise BadRunError(f"found {name}={str(value)[:20]}", f"a whole number from 1 to {LARGEST}")
         for dim, heads in ((self.encoder_dim, self.encoder_heads), (self.decoder_dim, self.decoder_heads)):
             if dim % (4 * heads):
-                raise BadRunError(f"found {dim} channels for {heads} heads, expected a multiple of {4 * heads}")
+                raise BadRunError(f"found {dim} channels for {heads} heads", f"a multiple of {4 * heads}")
         if not self.rope_base > 1:
-            raise BadRunError(f"found the rotary base {self.rope_base}, expected more than 1")
+            raise BadRunError(f"found the rotary base {self.rope_base}", "more than 1")
         if self.head == "dpt" and (self.decoder_depth < 4 or self.patch_px != DPT_PATCH_PX):
             found = f"{self.decoder_depth} decoder blocks and patches of {self.patch_px} pixels"
-            raise BadRunError(f"found {found}, expected at least 4 and {DPT_PATCH_PX} for a DPT head")
+            raise BadRunError(f"found {found}", f"at least 4 and {DPT_PATCH_PX} for a DPT head")
 
 
 class Dust3r(nn.Module):
@@ -84,7 +84,7 @@ class Dust3r(nn.Module):
         height, width = images.shape[-2:]
         patch = self.architecture.patch_px
         if height % patch or width % patch:
-            raise BadRunError(f"found images of {width}x{height}, expected multiples of {patch}; pad them")
+            raise BadRunError(f"found images of {width}x{height}", f"multiples of {patch}", "pad them")
         return height // patch, width // patch
 
     def encode(self, images: Tensor) -> Tensor:

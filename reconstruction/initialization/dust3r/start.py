@@ -62,13 +62,13 @@ def focal_factor(rays: Floats, pairs: Sequence[PairMaps]) -> float:
         weights.append(weight[usable])
     x, p, w = np.concatenate(seen), np.concatenate(made), np.concatenate(weights)
     if not (w.sum() > 0 and (p**2).sum() > 0):
-        raise GeometryError("found no point in front of its own camera, expected most; keep the rig's focal length")
+        raise GeometryError("found no point in front of its own camera", "most", "keep the rig's focal length")
     factor = float(np.median(np.linalg.norm(x, axis=1) / np.maximum(np.linalg.norm(p, axis=1), SMALL)))
     for _ in range(ROUNDS):
         near = w / np.maximum(np.linalg.norm(x - factor * p, axis=1), 1e-6)
         factor = float((near[:, None] * x * p).sum() / (near[:, None] * p**2).sum())
     if not 1 / MOST_FOCAL < factor < MOST_FOCAL:
-        raise GeometryError(f"found focal lengths {factor:.3g} times the rig's, expected about 1; keep the rig's")
+        raise GeometryError(f"found focal lengths {factor:.3g} times the rig's", "about 1", "keep the rig's")
     return factor
 
 
@@ -145,7 +145,7 @@ def _tree(names: Sequence[str], links: Sequence[Link]) -> list[Link]:
     lost = [name for v, name in enumerate(names) if v not in reached]
     if lost:
         advice = "leave it out" if len(lost) == 1 else "leave them out"
-        raise GeometryError(f"found no overlap of {', '.join(lost)} with the other views, expected some; {advice}")
+        raise GeometryError(f"found no overlap of {', '.join(lost)} with the other views", "some", f"{advice}")
     return best
 
 
@@ -171,7 +171,7 @@ def started(names: Sequence[str], rays: Floats, pairs: Sequence[PairMaps]) -> St
     ahead = [float((poses[v].apply(cloud[v])[:, 2] > 0).mean()) for v in numbers]
     behind = [name for name, share in zip(names, ahead, strict=True) if share < LEAST_INLIERS]
     if behind:
-        raise GeometryError(f"found the points of {', '.join(behind)} behind their camera, expected them ahead")
+        raise GeometryError(f"found the points of {', '.join(behind)} behind their camera", "them ahead")
     weight = np.stack([trust[v] for v in numbers])
     similarities = []
     for pair in pairs:

@@ -39,7 +39,7 @@ class MultiviewSet:
 
     def __post_init__(self) -> None:
         if self.first_seed < 0 or self.count < 1 or not 2 <= self.views <= 9 or min(self.width, self.height) < 32:
-            raise BadRunError(f"found the clips {asdict(self)}, expected seeds from 0, 2 to 9 views of 32 px or more")
+            raise BadRunError(f"found the clips {asdict(self)}", "seeds from 0, 2 to 9 views of 32 px or more")
 
     @property
     def seeds(self) -> range:
@@ -95,7 +95,9 @@ def read_clip_set(folder: Path) -> MultiviewSet:
         names = ("first_seed", "count", "views", "width", "height")
         wanted = MultiviewSet(*(int(found[name]) for name in names))
     except (KeyError, TypeError, ValueError) as error:
-        raise BadRunError(f"{folder}/clips.json: found {found}, expected clips of several views; make them") from error
+        raise BadRunError(
+            f"found {found}", "clips of several views", "make them", where=f"{folder}/clips.json"
+        ) from error
     require_whole(folder, found, SCHEMA, wanted.seeds)
     return wanted
 

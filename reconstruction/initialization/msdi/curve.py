@@ -48,5 +48,5 @@ def _read(path: Path) -> dict:
         if not document["curve"] or not all(f"random_{name}" in document["curve"][-1] for name in PANELS):
             raise ValueError("no scores")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadRunError(f"{path}: found no curve of a training ({error}), expected its training.json") from error
+        raise BadRunError(f"found no curve of a training ({error})", "its training.json", where=path) from error
     return document

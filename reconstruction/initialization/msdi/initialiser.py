@@ -85,13 +85,13 @@ def initialise(
 def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:
     unknown = sorted(set(streams) - set(rig.ids))
     if unknown:
-        raise BadRunError(f"found streams of {', '.join(unknown)}, expected cameras of rig {rig.name}")
+        raise BadRunError(f"found streams of {', '.join(unknown)}", f"cameras of rig {rig.name}")
     if not FEWEST_VIEWS <= len(streams) <= MOST_VIEWS:
-        raise BadRunError(f"found {len(streams)} views, expected {FEWEST_VIEWS} to {MOST_VIEWS} for msdi")
+        raise BadRunError(f"found {len(streams)} views", f"{FEWEST_VIEWS} to {MOST_VIEWS} for msdi")
     sizes = {(s.layout.width, s.layout.height) for s in streams.values()}
     sizes |= {(c.width, c.height) for c in rig.only(streams).cameras}
     if len(sizes) > 1:
-        raise BadRunError(f"found views of the sizes {sorted(sizes)}, expected one size for rig and streams")
+        raise BadRunError(f"found views of the sizes {sorted(sizes)}", "one size for rig and streams")
 
 
 def _spikes(stream: SpikeStream, plane: int) -> float:

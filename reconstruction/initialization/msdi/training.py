@@ -50,7 +50,7 @@ class MsdiConfig(LoopConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.largest_error <= 0 or min(self.image_from, self.pose_from) < 0:
-            raise BadRunError(f"found {self}, expected an error above 0 and steps from 0")
+            raise BadRunError(f"found {self}", "an error above 0 and steps from 0")
 
 
 class MsdiTraining(Loop):
@@ -82,9 +82,7 @@ class MsdiTraining(Loop):
 
 def _tier(name: str, backbone: Path | None) -> Msdi:
     if name not in TIERS or (backbone and name != "large"):
-        raise BadRunError(
-            f"found the tier {name!r} with the backbone {backbone}, expected small, or large with or without"
-        )
+        raise BadRunError(f"found the tier {name!r} with the backbone {backbone}", "small, or large with or without")
     return large_msdi(backbone=backbone) if name == "large" else small_msdi()
 
 

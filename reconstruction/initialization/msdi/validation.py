@@ -61,7 +61,7 @@ def recorded_views(folder: Path, plane: int | None = None) -> Scored:
     recording = Recording.open(folder)
     truth = folder / "truth"
     if not truth.is_dir():
-        raise BadRunError(f"{folder}: found no truth, expected a simulated recording to score on")
+        raise BadRunError("found no truth", "a simulated recording to score on", where=folder)
     nominal = recording.rig
     ids = [c for c in nominal.ids if c != HELD_OUT]
     streams = [recording.stream(c) for c in ids]

@@ -45,7 +45,7 @@ class Views:
         """The cameras of `rig` over pixels `factor` times as large; raises BadRunError for lens distortion."""
         bent = [camera.id for camera in rig.cameras if any(camera.distortion)]
         if bent:
-            raise BadRunError(f"found lens distortion in {', '.join(bent)}, expected none; msdi is for pinhole cameras")
+            raise BadRunError(f"found lens distortion in {', '.join(bent)}", "none", "msdi is for pinhole cameras")
         stacked = {
             "rotation": [c.cam_from_rig.rotation for c in rig.cameras],
             "center": [c.center for c in rig.cameras],
@@ -113,14 +113,14 @@ def object_distance(rig: Rig) -> float:
     middle, ahead = centers.mean(axis=0), axes.mean(axis=0)
     usual = USUAL_DISTANCE * float(np.sqrt(((centers - middle) ** 2).sum(axis=1).mean()))
     if usual < 1e-6:
-        raise BadRunError(f"rig {rig.name}: found cameras at one place, expected them apart")
+        raise BadRunError("found cameras at one place", "them apart", where=f"rig {rig.name}")
     across = (np.eye(3) - axes[:, :, None] * axes[:, None, :]) / (AXIS_SD_RAD * usual) ** 2
     firm = 1 / (USUAL_SPREAD * usual) ** 2
     right = (across @ centers[:, :, None]).sum(axis=0)[:, 0] + firm * (middle + usual * ahead)
     point = np.linalg.solve(across.sum(axis=0) + firm * np.eye(3), right)
     depths = ((point - centers) * axes).sum(axis=1)
     if depths.min() <= 0:
-        raise BadRunError(f"rig {rig.name}: found cameras turned away from one another, expected one object in view")
+        raise BadRunError("found cameras turned away from one another", "one object in view", where=f"rig {rig.name}")
     return float(np.linalg.norm(point - centers, axis=1).mean())
 
 
