@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from acquisition.errors import AcquisitionError
 
@@ -51,6 +54,47 @@ def load_library(package: str) -> ctypes.CDLL:
     if not code_paths():
         raise AcquisitionError(f"found no native library in {package}", f"lib{package}-*.so", "run `make install`")
     return _loaded(package, _chosen.get() or code_paths()[-1])
+
+
+class Address:
+    """Argument type of a kernel that takes the first element of a C-contiguous array or tensor, or None."""
+
+    @classmethod
+    def from_param(cls, value: Any) -> ctypes.c_void_p:
+        """Return the address; raises TypeError (a bug of the caller) for strided memory or another type."""
+        if value is None:
+            return ctypes.c_void_p(None)
+        if isinstance(value, np.ndarray):
+            contiguous, address = value.flags.c_contiguous, value.ctypes.data
+        elif hasattr(value, "data_ptr"):
+            contiguous, address = value.is_contiguous(), value.data_ptr()
+        else:
+            raise TypeError(f"found {type(value).__name__}, expected an array, a tensor or None")
+        if not contiguous:
+            raise TypeError(f"found strided memory of shape {tuple(value.shape)}, expected it C-contiguous")
+        return ctypes.c_void_p(address)
+
+
+class Kernel:
+    """One function of a package's native library, with declared argument types; call it like a function.
+
+    `argument_types` are `Address` for arrays and tensors, ctypes' types for numbers and structures.
+    """
+
+    def __init__(self, package: str, name: str, *argument_types: Any, returns: Any = None):
+        self.package, self.name = package, name
+        self.argument_types, self.returns = argument_types, returns
+        self._functions: dict[int, Any] = {}  # one a build of the library
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the kernel of this thread's build."""
+        library = load_library(self.package)
+        function = self._functions.get(id(library))
+        if function is None:
+            function = library[self.name]  # an object of its own, so that no other declaration changes it
+            function.argtypes, function.restype = self.argument_types, self.returns
+            self._functions[id(library)] = function
+        return function(*arguments)
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""How long work tells its caller how far it is."""
+"""Lets long work tell its caller how far it is."""
 
 from typing import Protocol
 
@@ -13,3 +13,8 @@ class Progress(Protocol):
 
 def silent(fraction: float, message: str) -> None:
     """Report nothing."""
+
+
+def part(progress: Progress, first: float, last: float) -> Progress:
+    """Return a progress whose fractions 0 to 1 are reported to `progress` as `first` to `last`."""
+    return lambda fraction, message: progress(first + (last - first) * fraction, message)

@@ -15,8 +15,8 @@ import tomli_w
 
 from rigs.camera import Camera
 from rigs.errors import RigError
-from rigs.fields import Fields, located
 from rigs.rig import Calibration, Poses, Rig
+from rigs.tables import Fields, located
 from rigs.transform import Transform
 
 RIG_FIELDS = ("name", "tick_rate_hz", "poses", "calibration", "camera")

@@ -15,8 +15,8 @@ from reconstruction.evaluation.truth import Truth as RunTruth
 from reconstruction.pipeline.image_methods import ALL_METHODS as METHODS
 from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_span_m, grey, write_png
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
-from reconstruction.training.run import RunFolder
 from rigs.errors import Spike4dgsError
 from rigs.exchange.nerfstudio import load_transforms
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from reconstruction.bench.variants import HOLDOUT
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 
 SIZE, TICKS = (200, 125), 200
 GAUSSIANS = 12_000

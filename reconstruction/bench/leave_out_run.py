@@ -23,14 +23,14 @@ from reconstruction.bench.variants import HOLDOUT
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
 from reconstruction.evaluation.truth import Truth
-from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.stages import composite_sources
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.render import Rendering
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from reconstruction.training.run import RunFolder
 from reconstruction.training.supervision import ImageTerm, TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings
 

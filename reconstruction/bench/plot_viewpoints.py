@@ -21,8 +21,8 @@ from reconstruction.bench.viewpoints import frames_at, viewpoints
 from reconstruction.rendering.view import look
 from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import depth_colours, depth_span_m, grey, write_png
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
-from reconstruction.training.run import RunFolder
 
 PANELS = (
     ("psnr_db", "PSNR / dB"),

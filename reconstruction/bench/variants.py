@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 
 BUDGETS_S = (30.0, 60.0, 120.0)
 SHORT_S, MIDDLE_S, _ = BUDGETS_S

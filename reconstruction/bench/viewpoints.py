@@ -20,10 +20,10 @@ from acquisition.scenes.scene import Scene
 from reconstruction.bench.training import Clip
 from reconstruction.evaluation.evaluate import score_view
 from reconstruction.evaluation.truth import TruthFrame
-from reconstruction.fields.model import Model
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.view import look
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
-from reconstruction.training.run import RunFolder
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform

@@ -13,10 +13,10 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.floors import depth_blend, nearest_view
 from reconstruction.evaluation.truth import Truth, TruthFrame, spread
-from reconstruction.fields.model import Model
 from reconstruction.images.composite import CompositeSource
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.view import View, look
 from rigs.camera import Camera
 from rigs.similarity import align

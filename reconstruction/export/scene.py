@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 
 from reconstruction.errors import BadRunError
-from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.reference import ALPHA_MIN, LOG_SCALE_MAX, LOG_SCALE_MIN, unit_quats
 from reconstruction.report.pictures import GAMMA
 from rigs.camera import Camera

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from reconstruction.initialization.points import Points
 
 if TYPE_CHECKING:
-    from reconstruction.fields.model import Model
     from reconstruction.gaussians.dynamic import Clip
     from reconstruction.initialization.bodies import Bodies
+    from reconstruction.radiance_fields.model import Model
     from rigs.camera import Camera
 
 

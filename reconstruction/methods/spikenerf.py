@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 from reconstruction.methods.method import Method, Seeds
 
 if TYPE_CHECKING:
-    from reconstruction.fields.field import RadianceField
+    from reconstruction.radiance_fields.field import RadianceField
 
 
 def _start(seeds: Seeds) -> RadianceField:
-    from reconstruction.fields.seeding import seed_field
+    from reconstruction.radiance_fields.seeding import seed_field
 
     still, moving = ((points.positions, points.intensities) for points in (seeds.still, seeds.moving))
     return seed_field(still, moving, seeds.clip, seeds.cameras)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.training.run import RunFolder
+from reconstruction.run.folder import RunFolder
 
 
 class StoppedError(ReconstructionError):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.export.scene import Scene
-from reconstruction.fields.model import Model
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
+from reconstruction.radiance_fields.model import Model
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
-from reconstruction.training.run import RunFolder
 
 
 def scene_of(run: RunFolder, recording: Recording, cloud: Model) -> Scene:

@@ -10,8 +10,8 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import GeometryError
 from reconstruction.pipeline.initialisers import InitOptions, initialise
-from reconstruction.training.plan import Decision, Plan
-from reconstruction.training.run import RunFolder
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import Decision, Plan
 from rigs.rig import Rig
 from rigs.toml import dump_rig, load_rig
 

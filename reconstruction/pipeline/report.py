@@ -14,20 +14,20 @@ from reconstruction.evaluation.evaluate import (
 )
 from reconstruction.evaluation.truth import Truth, spread
 from reconstruction.export.viewer import write_viewer
-from reconstruction.fields.model import Model, model_from_state
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.export import scene_of
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
+from reconstruction.radiance_fields.model import Model, model_from_state
 from reconstruction.rendering.view import look
 from reconstruction.report.curve import draw_curve
 from reconstruction.report.html import embed, report_html
 from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import depth_colours, depth_span_m, difference, encode_png, grey, write_png
 from reconstruction.report.table import score_table
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from reconstruction.training.run import RunFolder
 from rigs.rig import object_distance_m
 
 CURVE_INSTANTS = 4  # truth instants behind each point of the curve

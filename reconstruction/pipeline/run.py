@@ -13,8 +13,8 @@ from reconstruction.errors import BadRunError
 from reconstruction.pipeline.budget import Budget, StoppedError, process_budget
 from reconstruction.pipeline.poses import posed, poses_stage
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 
 STAGES = ("plan", "poses", "images", "points", "train", "report")
 

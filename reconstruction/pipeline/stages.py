@@ -36,8 +36,8 @@ from reconstruction.initialization.sweep import (
 )
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.image_methods import image_method_for
-from reconstruction.training.plan import INSTANTS, Plan, make_plan
-from reconstruction.training.run import RunFolder
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import INSTANTS, Plan, make_plan
 from rigs.camera import Camera
 
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once

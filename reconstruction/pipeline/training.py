@@ -13,7 +13,6 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
-from reconstruction.fields.model import Model
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.clean import GIVEN, CleanSource
 from reconstruction.images.composite import CompositeSource
@@ -25,14 +24,15 @@ from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.poses import write_refined
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.pipeline.watch import Watch
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.render import Backend
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import Decision, Plan
+from reconstruction.run.prices import Work
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.exposure import FROM, Exposure
-from reconstruction.training.plan import Decision, Plan
-from reconstruction.training.prices import Work
-from reconstruction.training.run import RunFolder
 from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
 from rigs.rig import Rig

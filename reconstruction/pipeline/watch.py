@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.stages import short_images
-from reconstruction.training.plan import Decision
-from reconstruction.training.run import RunFolder
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import Decision
 from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer
 from reconstruction.training.watch import look_again, unsettled

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from reconstruction.fields.field import RadianceField
-from reconstruction.fields.march import STEP, march
-from reconstruction.fields.model import Model
+from reconstruction.radiance_fields.field import RadianceField
+from reconstruction.radiance_fields.march import STEP, march
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.render import NEAR_M, render
 from rigs.camera import Camera

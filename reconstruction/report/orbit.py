@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.progress import Progress
-from reconstruction.fields.model import Model
+from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.view import look
 from reconstruction.report.pictures import Pixels, depth_colours, depth_span_m, grey
 from reconstruction.report.video import write_video

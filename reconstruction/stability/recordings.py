@@ -21,11 +21,11 @@ from reconstruction.calibration.verdict import refuse_blind
 from reconstruction.gaussians.dynamic import Clip
 from reconstruction.images.methods import METHODS
 from reconstruction.images.tfi import tfi
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.plan import make_plan
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.images import method_names
 from reconstruction.stability.models import models
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.plan import make_plan
 from rigs.clock import RigClock
 from rigs.errors import Spike4dgsError
 from rigs.rig import Rig

@@ -23,15 +23,15 @@ from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
 from reconstruction.evaluation.truth import Truth
-from reconstruction.fields.model import Model as Trainable
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
+from reconstruction.radiance_fields.model import Model as Trainable
+from reconstruction.run.configuration import Model, ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
-from reconstruction.training.config import Model, ReconstructionConfig
-from reconstruction.training.run import RunFolder
 from reconstruction.training.trainer import Trainer
 from rigs.toml import catalog_rig
 

@@ -10,7 +10,7 @@ import torch
 
 from acquisition.durable import write_durably
 from reconstruction.errors import BadRunError
-from reconstruction.fields.model import Model, model_from_state
+from reconstruction.radiance_fields.model import Model, model_from_state
 
 
 def save_checkpoint(path: Path, state: dict) -> None:

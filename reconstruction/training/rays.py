@@ -17,9 +17,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.fields.field import RadianceField
-from reconstruction.fields.march import STEP, march
 from reconstruction.losses.counts import robust_loss
+from reconstruction.radiance_fields.field import RadianceField
+from reconstruction.radiance_fields.march import STEP, march
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.supervision import TrainingView, quadrature
 from rigs.clock import RigClock

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.fields.model import Model, model_from_state
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.radiance_fields.model import Model, model_from_state
 from reconstruction.rendering.render import Backend
 from reconstruction.training.adam import BETAS, EPS, Adam
 from reconstruction.training.closeness import Closeness

@@ -9,8 +9,8 @@ from rigs.camera import Camera
 from rigs.errors import RigError
 from rigs.exchange.colmap import load_model
 from rigs.exchange.nerfstudio import Size, load_transforms
-from rigs.fields import located
 from rigs.rig import Poses, Rig
+from rigs.tables import located
 from rigs.toml import GRID_ID, load_rig, refuse_holes
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rigs.camera import Camera
 from rigs.errors import RigError
-from rigs.fields import located
+from rigs.tables import located
 from rigs.transform import Transform
 
 # model -> its number in binary files and where fx fy cx cy k1 k2 p1 p2 stand in its parameters (None: zero)

@@ -12,7 +12,7 @@ import numpy as np
 
 from rigs.camera import Camera
 from rigs.errors import RigError
-from rigs.fields import Fields, located
+from rigs.tables import Fields, located
 from rigs.transform import Floats, Transform
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])

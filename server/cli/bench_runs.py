@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
     from reconstruction.bench.paper.run import Laboratory
     from reconstruction.bench.training import Clip
-    from reconstruction.training.run import RunFolder
+    from reconstruction.run.folder import RunFolder
 
 _PARSED_BYTES = 10_000_000_000
 QUICK_TICKS, QUICK_RIG = 120, "ci3x3"
@@ -211,7 +211,7 @@ class Viewpoints(Bench):
         """A recording of each scene, and the run of it; made where there is none."""
         from reconstruction.bench.paper.protocol import LONG, OURS, QUICK
         from reconstruction.bench.training import Clip
-        from reconstruction.training.run import RunFolder
+        from reconstruction.run.folder import RunFolder
 
         method, effort = OURS.method, LONG
         scenes = self.asked.named(EVALUATION)

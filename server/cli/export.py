@@ -37,7 +37,7 @@ def export_command(
     from reconstruction.export.formats import check_target, checked_format, export_scene
     from reconstruction.export.scene import Choices
     from reconstruction.pipeline.export import trained_scene
-    from reconstruction.training.run import RunFolder
+    from reconstruction.run.folder import RunFolder
 
     choices = Choices(at_s, frames, camera)
     check_target(out, folder=checked_format(name, choices).folder, overwrite=overwrite)

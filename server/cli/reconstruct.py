@@ -13,8 +13,8 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.training.config import DEFAULT_BUDGET_S, ImageSource, Init, Model, ReconstructionConfig
-from reconstruction.training.run import RunFolder
+from reconstruction.run.configuration import DEFAULT_BUDGET_S, ImageSource, Init, Model, ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.progress import progress_of
 

@@ -17,7 +17,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.evaluation.truth import Truth
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.run import reconstruct
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 from rigs.rig import object_distance_m
 from server.app import create_app
 from server.client import ServiceClient

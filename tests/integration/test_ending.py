@@ -12,9 +12,9 @@ from acquisition.session.record import simulate
 from reconstruction.pipeline.budget import Budget
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import train_stage
+from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.training import ending
 from reconstruction.training.checkpoint import load_checkpoint
-from reconstruction.training.config import ReconstructionConfig
 from rigs.toml import catalog_rig
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from acquisition.progress import silent
 from acquisition.session.record import simulate
 from reconstruction.export.formats import FORMATS
 from reconstruction.pipeline.run import reconstruct
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 from rigs.exchange.nerfstudio import load_frames
 from rigs.toml import catalog_rig
 

@@ -6,8 +6,8 @@ import torch
 from acquisition.progress import silent
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import reconstruct
+from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from reconstruction.training.config import ReconstructionConfig
 
 pytestmark = pytest.mark.slow
 STEPS = 16

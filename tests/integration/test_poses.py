@@ -23,7 +23,7 @@ from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.initialisers import InitOptions, initialise
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 from rigs.rig import object_distance_m
 from rigs.similarity import Similarity
 from rigs.toml import catalog_rig

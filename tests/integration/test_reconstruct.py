@@ -18,8 +18,8 @@ from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.export import trained_scene
 from reconstruction.pipeline.run import STAGES, reconstruct
 from reconstruction.rendering.view import look
+from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from reconstruction.training.config import ReconstructionConfig
 from rigs.toml import catalog_rig
 
 pytestmark = pytest.mark.slow

@@ -50,7 +50,7 @@ def test_a_bench_scores_what_it_ran_and_runs_nothing_twice(clips, tmp_path, monk
 
 
 def config(variant):
-    from reconstruction.training.config import ReconstructionConfig
+    from reconstruction.run.configuration import ReconstructionConfig
 
     return ReconstructionConfig(holdout="cam11", budget_s=None, steps=40, **variant.choices)
 

@@ -13,9 +13,9 @@ from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
 from reconstruction.pipeline.watch import Watch
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder
 
 pytestmark = pytest.mark.slow
 STEPS, WATCHED = 24, 6

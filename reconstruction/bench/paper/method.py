@@ -9,7 +9,7 @@ from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATIO
 from reconstruction.bench.clips import Slowing
 from reconstruction.bench.variants import HOLDOUT
 from reconstruction.errors import BadRunError
-from reconstruction.training.config import ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 
 
 @dataclass(frozen=True)

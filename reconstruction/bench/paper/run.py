@@ -20,8 +20,8 @@ from reconstruction.bench.score_run import score_run
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.run import reconstruct
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 
 SCORES = "scores.json"
 QUIET, TRIES = 0.1, 2  # a run from which others took more time than this share is run again; the quietest counts

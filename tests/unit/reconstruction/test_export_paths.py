@@ -14,8 +14,8 @@ from reconstruction.export import formats
 from reconstruction.export.formats import FORMATS, export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.pipeline.export import trained_scene
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 from rigs.errors import RigError
 
 

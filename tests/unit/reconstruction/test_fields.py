@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.fields.field import REACH, RadianceField, grid_of
-from reconstruction.fields.frustum import Frustum
-from reconstruction.fields.march import march, march_reference
-from reconstruction.fields.model import model_from_state
-from reconstruction.fields.seeding import seed_field
 from reconstruction.gaussians.dynamic import Clip
+from reconstruction.radiance_fields.field import REACH, RadianceField, grid_of
+from reconstruction.radiance_fields.frustum import Frustum
+from reconstruction.radiance_fields.march import march, march_reference
+from reconstruction.radiance_fields.model import model_from_state
+from reconstruction.radiance_fields.seeding import seed_field
 from reconstruction.rendering.view import look
 from rigs.camera import Camera
 from rigs.transform import Transform

@@ -31,7 +31,7 @@ from reconstruction.bench.plot_leave_out import plot_leave_out
 from reconstruction.images.light import Light
 from reconstruction.images.motion import moving_pixels
 from reconstruction.rendering.render import Rendering
-from reconstruction.training.plan import STILL_SHARE
+from reconstruction.run.plan import STILL_SHARE
 from reconstruction.training.supervision import ImageTerm
 from reconstruction.training.watch import changed_pixels
 from rigs.clock import RigClock

@@ -9,8 +9,8 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.training.config import ImageSource, ReconstructionConfig
-from reconstruction.training.plan import Plan, make_plan
+from reconstruction.run.configuration import ImageSource, ReconstructionConfig
+from reconstruction.run.plan import Plan, make_plan
 from rigs.errors import RigError
 from rigs.toml import catalog_rig
 

@@ -6,9 +6,9 @@ import pytest
 from acquisition.durable import write_durably
 from acquisition.errors import DiskError
 from reconstruction.errors import BadRunError
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.run import RunFolder
 
 CONFIG = ReconstructionConfig(steps=5, budget_s=None)
 

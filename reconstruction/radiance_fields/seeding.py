@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.fields.field import RadianceField
-from reconstruction.fields.frustum import Frustum
-from reconstruction.fields.march import KNOT
 from reconstruction.gaussians.dynamic import Clip
+from reconstruction.radiance_fields.field import RadianceField
+from reconstruction.radiance_fields.frustum import Frustum
+from reconstruction.radiance_fields.march import KNOT
 from rigs.camera import Camera
 
 AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells

@@ -17,9 +17,9 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.fields.frustum import Frustum
-from reconstruction.fields.march import BLOCK, Grid
 from reconstruction.gaussians.dynamic import Clip
+from reconstruction.radiance_fields.frustum import Frustum
+from reconstruction.radiance_fields.march import BLOCK, Grid
 
 KIND = "field"
 REACH = (3, 3, 2)  # blocks around moving cells from which the deformation may lead to them

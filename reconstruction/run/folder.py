@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from acquisition.durable import write_array, write_json
 from reconstruction.errors import BadRunError
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.plan import Plan
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.plan import Plan
 
 SCHEMA = 1
 

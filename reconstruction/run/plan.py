@@ -15,8 +15,8 @@ from reconstruction.images.motion import moving_pixels
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.method import Method
 from reconstruction.methods.ours import BASES
-from reconstruction.training.config import ReconstructionConfig
-from reconstruction.training.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken
 from rigs.rig import Rig
 
 DARK_RATE = 1e-4  # spikes per pixel and tick; below it a view carries no picture

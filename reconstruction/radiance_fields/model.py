@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from reconstruction.fields.field import KIND, RadianceField
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.radiance_fields.field import KIND, RadianceField
 
 Model = DynamicCloud | RadianceField
 
