@@ -70,10 +70,10 @@ evidence: install
 	$(PY) -m reconstruction.bench.evidence
 
 faults: install
-	$(PY) -m server.bench.faults --jobs 50 --out tests/benchmarks/faults.json
+	PYTHONPATH=tests $(PY) -m maintenance.faults --jobs 50 --out tests/benchmarks/faults.json
 
 load: install
-	$(PY) -m server.bench.load --out tests/benchmarks/service_load.json
+	PYTHONPATH=tests $(PY) -m maintenance.load --out tests/benchmarks/service_load.json
 
 sheets: install
 	$(PY) -m reconstruction.bench.sheets --out runs/sheets

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import httpx
 import pytest
+from maintenance.deployment import Deployment
+from maintenance.postgresql import PostgresqlMissingError
+from maintenance.verdict import read_trace, torn
 
-from server.bench.deployment import Deployment
-from server.bench.postgresql import PostgresqlMissingError
-from server.bench.verdict import read_trace, torn
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import ReconstructRequest

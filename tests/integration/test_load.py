@@ -5,8 +5,8 @@ import socket
 from pathlib import Path
 
 import pytest
+from maintenance.load import run_load, summarise
 
-from server.bench.load import run_load, summarise
 from server.cli.serve import listening
 
 

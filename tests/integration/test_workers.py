@@ -11,11 +11,11 @@ from pathlib import Path
 
 import httpx
 import pytest
+from maintenance.deployment import Deployment
+from maintenance.faults import Campaign
+from maintenance.postgresql import PostgresqlMissingError
+from maintenance.verdict import STAGES, read_trace
 
-from server.bench.deployment import Deployment
-from server.bench.faults import Campaign
-from server.bench.postgresql import PostgresqlMissingError
-from server.bench.verdict import STAGES, read_trace
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import ReconstructRequest

@@ -11,10 +11,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from server.bench.postgresql import Postgresql
+from maintenance.postgresql import Postgresql
+
 from server.store.files import is_locked
 
-STAGE = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stage.py")))
+STAGE = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stand_in_stage.py")))
 
 
 class Deployment:

@@ -1,6 +1,6 @@
 """How fast a service answers many clients: each asks once a second for a while, on loopback only, and stops by itself.
 
-`python -m server.bench.load --clients 200 --seconds 60 --jobs 1000 --out service_load.json`
+`make load` runs it with 200 clients for a minute, beside 1000 queued jobs.
 
 A client draws what it asks for: a page of jobs, a job, a file to download, or the events of a job that has ended, as a
 stream (SSE). Every tenth also listens to the stream of all events. A stage keeps one core busy all the while.
@@ -19,10 +19,10 @@ from pathlib import Path
 
 import click
 import httpx
+from maintenance.deployment import Deployment
 
 from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
-from server.bench.deployment import Deployment
 from server.client import RefusedError, ServiceClient
 from server.errors import ServiceError
 from server.schemas.captures import CaptureRequest

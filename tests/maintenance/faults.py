@@ -1,6 +1,6 @@
 """Kills parts of a running service at random while clients use it, and counts what is lost, repeated or left behind.
 
-`python -m server.bench.faults --jobs 50 --seed 1 --out faults.json`, for the databases that `--database` names or both.
+`make faults` runs it on both databases; `--database` chooses one of them.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Any
 
 import click
 import httpx
+from maintenance.deployment import Deployment
+from maintenance.verdict import STAGES, read_trace, torn
 
 from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
-from server.bench.deployment import Deployment
-from server.bench.verdict import STAGES, read_trace, torn
 from server.client import ServiceClient
 from server.errors import ServiceError
 
