@@ -55,7 +55,7 @@ def test_code_refers_to_decisions_that_exist():
     assert {int(line.split()[1]) for line in found.stdout.splitlines()} <= numbers
 
 
-@pytest.mark.parametrize("name, lines", [("ARCHITECTURE.md", 110), ("README.md", 140)])
+@pytest.mark.parametrize(("name", "lines"), [("ARCHITECTURE.md", 110), ("README.md", 140)])
 def test_a_document_stays_short(name, lines):
     assert len((ROOT / name).read_text().splitlines()) <= lines
 
