@@ -1,4 +1,4 @@
-"""The web application: REST under /v1 and the pages. It queues work and never does any."""
+"""The web application: REST under /v1 and the pages. It queues work and does none itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from server.telemetry import trace_requests
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
-    """The application over a data folder. Raises RigError for a rig that cannot be loaded, and DatabaseError."""
+    """Return the application over a data folder.
+
+    Raises RigError for a rig that cannot be loaded, and DatabaseError.
+    """
     services = Services(settings)
 
     @asynccontextmanager
@@ -30,7 +33,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         yield
         services.close()
 
-    # The interactive pages of the framework load scripts from elsewhere; the document itself stays at /openapi.json.
+    # The framework's interactive pages load scripts from elsewhere, so only /openapi.json is offered.
     app = FastAPI(title="spike4dgs", version=version("spike4dgs"), docs_url=None, redoc_url=None, lifespan=lifespan)
     app.state.services = services
     for module in (system, rigs, calibrations, uploads, captures, jobs, events, webhooks):

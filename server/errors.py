@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from rigs.errors import Spike4dgsError
 
 
 class ServiceError(Spike4dgsError):
-    """Root of the errors raised by `server`."""
+    """Root of the errors raised by `server`; `headers` go into the answer that tells of it."""
+
+    headers: Mapping[str, str] = MappingProxyType({})
 
 
 class NotFoundError(ServiceError):
@@ -72,17 +77,19 @@ class DigestError(ServiceError):
 class UnauthorizedError(ServiceError):
     """The request carries no token of this service, which needs one."""
 
+    headers = MappingProxyType({"WWW-Authenticate": 'Bearer realm="spike4dgs"'})
+
 
 class ForbiddenError(ServiceError):
     """The request's token does not allow this."""
 
 
 class BusyClientError(ServiceError):
-    """The client asks too often; it may ask again in `wait_s` seconds."""
+    """The client asks too often; it may ask again when `headers` say."""
 
     def __init__(self, wait_s: int) -> None:
         super().__init__(f"found too many requests of one client, expected fewer; ask again in {wait_s} s")
-        self.wait_s = wait_s
+        self.headers = {"Retry-After": str(wait_s)}
 
 
 class TooLargeError(ServiceError):

@@ -1,1 +1,1 @@
-"""What every request passes before a route, and every answer on its way out."""
+"""The layers that every request passes on its way to a route, and every answer on its way out."""

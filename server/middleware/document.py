@@ -1,14 +1,18 @@
-"""The OpenAPI document: what the framework derives from the routes, and what it cannot know of tokens and refusals."""
+"""The OpenAPI document: the framework derives it from the routes; tokens and refusals are added here."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from sqlalchemy.exc import SQLAlchemyError
 
+from server import errors
 from server.middleware.gate import is_guarded
+from server.middleware.problems import problem_of
 
 _MEDIA_TYPE = "application/problem+json"
 _METHODS = ("get", "head", "put", "post", "patch", "delete")
@@ -25,7 +29,7 @@ PROBLEM: dict[str, Any] = {
         "detail": {"type": "string"},
         "errors": {
             "type": "array",
-            "description": "Every fault of a request that does not fit.",
+            "description": "Every fault of a request that does not fit the schema.",
             "items": {
                 "type": "object",
                 "required": ["where", "found", "message"],
@@ -35,76 +39,47 @@ PROBLEM: dict[str, Any] = {
     },
 }
 
-# status: (when, type, title, detail)
-REFUSALS: dict[int, tuple[str, str, str, str]] = {
-    400: ("The body cannot be read.", "malformed", "Bad Request", "found NaN, expected a number: JSON has no other"),
-    401: (
+# What may go wrong with a request: when it does, and one such error.
+REFUSALS: tuple[tuple[str, Exception], ...] = (
+    ("The body cannot be read.", errors.MalformedError("found NaN", "a number: JSON has no other")),
+    (
         "The service has tokens and the request has none of them.",
-        "unauthorized",
-        "Unauthorized",
-        "found no token, expected Authorization: Bearer and a token of this service",
+        errors.UnauthorizedError("found no token", "Authorization: Bearer and a token of this service"),
     ),
-    403: (
+    (
         "The token does not allow this, or the request came through another name or page.",
-        "forbidden",
-        "Forbidden",
-        "found the viewer wall-screen, expected an operator's token for POST",
+        errors.ForbiddenError("found the viewer wall-screen", "an operator's token for POST"),
     ),
-    404: (
+    (
         "Nothing has this id or name.",
-        "not-found",
-        "Not Found",
-        "found no job j20260101-000000-00000000, expected one that GET /v1/jobs lists",
+        errors.NotFoundError("found no job j20260101-000000-00000000", "one that GET /v1/jobs lists"),
     ),
-    408: ("The body does not come.", "slow-body", "Request Timeout", "found the body unfinished after 30 s"),
-    409: (
+    ("The body does not arrive.", errors.SlowBodyError("found the body unfinished after 30 s", "all of it")),
+    (
         "Its state does not allow this.",
-        "state",
-        "Conflict",
-        "found j20260101-000000-00000000 done, expected it queued or running",
+        errors.StateError("found j20260101-000000-00000000 done", "it queued or running"),
     ),
-    412: (
+    (
         "It is no longer what the client saw.",
-        "precondition",
-        "Precondition Failed",
-        'found the version "lab3x3-4" in use, expected "lab3x3-3"; look again before you change it',
+        errors.PreconditionError('found version "lab3x3-4" in use', '"lab3x3-3"', "look again before you change it"),
     ),
-    413: (
-        "The body is too long.",
-        "too-large",
-        "Content Too Large",
-        "found a body of 2000000 bytes, expected at most 1048576",
-    ),
-    422: (
+    ("The body is too long.", errors.TooLargeError("found a body of 2000000 bytes", "at most 1048576")),
+    (
         "The request does not fit.",
-        "invalid-request",
-        "Unprocessable Content",
-        "query.limit: found '0'; Input should be greater than or equal to 1",
+        errors.UnknownReferenceError("found the camera cam99", "one of cam00, cam01, cam02"),
     ),
-    428: (
+    (
         "The request does not say what it changes.",
-        "precondition-required",
-        "Precondition Required",
-        "found no If-Match, expected the ETag of what is to be changed",
+        errors.PreconditionRequiredError("found no If-Match", "the ETag of what is to be changed"),
     ),
-    429: (
-        "The client asks too often; Retry-After says when it may again.",
-        "busy-client",
-        "Too Many Requests",
-        "found too many requests of one client, expected fewer; ask again in 1 s",
-    ),
-    503: (
-        "The service cannot work now.",
-        "database",
-        "Service Unavailable",
-        "the database refused: database is locked",
-    ),
-    507: ("The disk is full.", "disk-full", "Insufficient Storage", "No space left for the database; free some"),
-}
+    ("The client asks too often; Retry-After says when it may ask again.", errors.BusyClientError(1)),
+    ("The service cannot work now.", SQLAlchemyError("database is locked")),
+    ("The disk is full.", errors.UploadDiskError("No space left on device", 0)),
+)
 
 
 def describe(app: FastAPI) -> None:
-    """Let `app` answer /openapi.json with the whole contract; the document is made once, on the first request."""
+    """Let `app` answer /openapi.json with the whole contract, made once, on the first request."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -129,20 +104,16 @@ def _complete(document: dict[str, Any]) -> None:
             "description": "Of `spike4dgs token add`, where the service has tokens. Viewers read, operators do all.",
         }
     }
+    refusals = _refusals()
     for path, item in document["paths"].items():
-        for method in _METHODS:
-            if method in item:
-                _operation(path, method, item[method])
-
-
-def _operation(path: str, method: str, operation: dict[str, Any]) -> None:
-    if is_guarded(path):
-        operation["security"] = [{"token": []}, {}]
-    for status in _statuses(path, method, operation):
-        known = operation["responses"].get(str(status), {}).get("content", {})
-        if status != 422 and known:
-            continue
-        operation["responses"][str(status)] = _refusal(status)
+        for method in set(_METHODS) & set(item):
+            operation = item[method]
+            if is_guarded(path):
+                operation["security"] = [{"token": []}, {}]
+            for status in _statuses(path, method, operation):
+                known = operation["responses"].get(str(status), {}).get("content", {})
+                if status == 422 or not known:
+                    operation["responses"][str(status)] = refusals[status]
 
 
 def _statuses(path: str, method: str, operation: dict[str, Any]) -> Iterator[int]:
@@ -159,13 +130,14 @@ def _statuses(path: str, method: str, operation: dict[str, Any]) -> Iterator[int
         yield from (400, 408, 409, 413, 507)
 
 
-def _refusal(status: int) -> dict[str, Any]:
-    when, kind, title, detail = REFUSALS[status]
-    example = {"type": f"urn:spike4dgs:{kind}", "title": title, "status": status, "detail": detail}
-    content = {_MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}, "example": example}}
-    described: dict[str, Any] = {"description": when, "content": content}
-    if status == 429:
-        described["headers"] = {"Retry-After": {"schema": {"type": "integer", "minimum": 1}}}
-    if status == 401:
-        described["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}}}
+def _refusals() -> dict[int, dict[str, Any]]:
+    """Return the description of each refusal by its HTTP status, with the problem document of its error."""
+    described = {}
+    for when, error in REFUSALS:
+        answer = problem_of(error)
+        schema = {"$ref": "#/components/schemas/Problem"}
+        content = {_MEDIA_TYPE: {"schema": schema, "example": json.loads(bytes(answer.body))}}
+        described[answer.status_code] = {"description": when, "content": content}
+    described[429]["headers"] = {"Retry-After": {"schema": {"type": "integer", "minimum": 1}}}
+    described[401]["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}}}
     return described

@@ -1,4 +1,4 @@
-"""What browsers are told about every answer."""
+"""Security headers: what a browser may do with an answer."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ ALWAYS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",  # another site's page cannot show our pictures
 }
-# A browser that is led to an answer that is no page shows it and does nothing with it.
+# For an answer that is no page: a browser shows it and runs nothing.
 INERT = "default-src 'none'; img-src 'self'; media-src 'self'; style-src 'unsafe-inline'; frame-ancestors 'self'"
-# A report is a page that we did not write: it stands alone, has an origin of its own, and runs nothing.
+# For a report, a page that this service did not write: it gets an origin of its own and runs nothing.
 FOREIGN = (
     "sandbox; default-src 'none'; img-src data:; media-src data:; font-src data:; style-src 'unsafe-inline'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
@@ -22,7 +22,10 @@ _PLAIN_KINDS = ("image/", "video/", "audio/", "model/", "text/plain", "text/even
 
 
 class SecurityHeaders:
-    """Middleware: sets what a route did not, and answers of the interface never act as the service's own page."""
+    """Middleware: adds the security headers that a route did not set.
+
+    No answer of the interface can act as a page of the service.
+    """
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -42,9 +45,8 @@ class SecurityHeaders:
 
 
 def protect(headers: MutableHeaders, path: str, secret: bool) -> None:
-    """Set the headers of the answer to a path; `secret` where the request carried a token."""
-    for name, value in ALWAYS.items():
-        headers[name] = value
+    """Set the security headers of the answer to a request for `path`; a `secret` one carried a token."""
+    headers.update(ALWAYS)
     if secret:
         headers["Cache-Control"] = "no-store"
     if not path.startswith("/v1"):
@@ -55,7 +57,7 @@ def protect(headers: MutableHeaders, path: str, secret: bool) -> None:
     headers["Content-Security-Policy"] = INERT if _is_plain(media_type) else FOREIGN
     headers["X-Frame-Options"] = "SAMEORIGIN"
     if "javascript" in media_type or "ecmascript" in media_type:
-        headers["Content-Type"] = "text/plain; charset=utf-8"  # no page, not even ours, takes a script from here
+        headers["Content-Type"] = "text/plain; charset=utf-8"  # so that no page runs it as a script
 
 
 def _is_plain(media_type: str) -> bool:

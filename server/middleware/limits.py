@@ -1,4 +1,4 @@
-"""What one client may send: how many requests, how large, how slowly."""
+"""Limits on one client: how many requests, how large, how slow."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class _Bucket:
 
 
 class Rates:
-    """A token bucket a client: `burst` requests at once, then `rate` a second.
+    """Keeps a token bucket for each client: `burst` requests at once, then `rate` a second.
 
-    The least recent clients are forgotten first: memory is bounded whoever comes.
+    Memory is bounded: the client that has been quiet longest is forgotten first.
     """
 
     def __init__(self, rate: float, burst: int, clock: Callable[[], float] = time.monotonic) -> None:
@@ -41,7 +41,7 @@ class Rates:
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
 
     def wait_s(self, client: str) -> float:
-        """0 and one request less, or the seconds until the client may ask again."""
+        """Count a request and return 0, or return the seconds until the client may ask again."""
         now = self._clock()
         bucket = self._buckets.setdefault(client, _Bucket(self._burst, now))
         self._buckets.move_to_end(client)
@@ -56,21 +56,21 @@ class Rates:
 
 
 class ClientRates:
-    """What a client may ask for in a second, reads and writes apart."""
+    """Limits the rates of each client, reads and writes apart."""
 
     def __init__(self, settings: ServiceSettings) -> None:
         self._reads = Rates(settings.read_rate, settings.read_burst)
         self._writes = Rates(settings.write_rate, settings.write_burst)
 
     def check(self, client: str, method: str) -> None:
-        """Count a request; raises BusyClientError where it is one too many."""
+        """Count a request. Raises BusyClientError if it is one too many."""
         wait_s = (self._reads if method in _READS else self._writes).wait_s(client)
         if wait_s:
             raise BusyClientError(math.ceil(wait_s))
 
 
 def address_of(scope: Scope) -> str:
-    """Who counts as one client: an IPv4 address, or the /64 that an IPv6 host has to itself."""
+    """Return who counts as one client: an IPv4 address, or the /64 network of an IPv6 host."""
     host = (scope.get("client") or ("unknown", 0))[0]
     try:
         address = ipaddress.ip_address(host)
@@ -80,10 +80,10 @@ def address_of(scope: Scope) -> str:
 
 
 class BodyLimit:
-    """Middleware: a body is taken whole before anything is done with it, unless it is too long or too slow.
+    """Middleware: reads each body whole before the request goes on, and refuses one that is too long or too slow.
 
-    One that says it is too long is refused before any of it is read. What is streamed is left to its route, each piece
-    within the time that a whole body has.
+    A body whose Content-Length is too large is refused unread. A streamed body is left to its route, which may wait for
+    each piece as long as for a whole body.
     """
 
     def __init__(self, app: ASGIApp, settings: ServiceSettings) -> None:
@@ -92,7 +92,7 @@ class BodyLimit:
         self._patience_s = settings.body_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on, or answer 400, 408 or 413."""
+        """Pass the request on, or refuse it with 400, 408 or 413."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
         elif is_streamed(scope):
@@ -119,7 +119,7 @@ class BodyLimit:
 
 
 def is_streamed(scope: Scope) -> bool:
-    """Whether the body is a part of an upload, which is written to disk as it comes."""
+    """Tell whether the body is a piece of an upload, which is written to disk as it arrives."""
     return scope["method"] == "PATCH" and scope["path"].startswith("/v1/uploads/")
 
 
@@ -128,7 +128,7 @@ def _slow(patience_s: float) -> SlowBodyError:
 
 
 async def _read(receive: Receive, most: int) -> bytes | None:
-    """The whole body; None where the client went away."""
+    """Return the whole body, or None if the client went away."""
     body = bytearray()
     while True:
         message = await receive()
@@ -142,7 +142,7 @@ async def _read(receive: Receive, most: int) -> bytes | None:
 
 
 def _again(body: bytes, receive: Receive) -> Receive:
-    """A `receive` that gives the body that was read, then what comes after it."""
+    """Return a `receive` that gives the body that was read, then what follows it."""
     kept: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def replay() -> Message:
@@ -152,7 +152,7 @@ def _again(body: bytes, receive: Receive) -> Receive:
 
 
 def _impatient(receive: Receive, patience_s: float) -> Receive:
-    """A `receive` whose client has `patience_s` for each piece of a body; raises SlowBodyError."""
+    """Return a `receive` that waits `patience_s` for each piece of a body and then raises SlowBodyError."""
     whole = False
 
     async def hurried() -> Message:

@@ -1,4 +1,4 @@
-"""Measures every request."""
+"""Counts and times every request."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from server.services.metrics import Metrics
 
 
 class Measured:
-    """Middleware: counts requests by method, route and status, with the seconds to the head of the answer."""
+    """Middleware: counts requests by method, route and status, and times them up to the head of the answer."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
         self._app = app
         self._metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on and look at the answer."""
+        """Pass the request on and note its answer."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -25,7 +25,7 @@ class Measured:
 
         async def watched(message: Message) -> None:
             if message["type"] == "http.response.start":
-                # Never the path itself: what anyone may ask for would become a series each.
+                # Never the path itself: each path that anyone asks for would become a series of its own.
                 route = getattr(scope.get("route"), "path", "none")
                 if scope["path"].startswith("/v1/") and route.startswith("/") and not route.startswith("/v1/"):
                     route = f"/v1{route}"  # the framework leaves out the prefix of the routers

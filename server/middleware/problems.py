@@ -1,4 +1,4 @@
-"""Problem documents (RFC 9457), and the one table from error types to HTTP."""
+"""Problem documents (RFC 9457), and the one table from error types to HTTP statuses."""
 
 from __future__ import annotations
 
@@ -16,57 +16,33 @@ from starlette.exceptions import HTTPException
 
 from acquisition.errors import DiskError
 from rigs.errors import RigError, Spike4dgsError
-from server.errors import (
-    BusyClientError,
-    DigestError,
-    ForbiddenError,
-    ForeignRequestError,
-    IdempotencyError,
-    MalformedError,
-    NotFoundError,
-    OffsetError,
-    PreconditionError,
-    PreconditionRequiredError,
-    RigBusyError,
-    RigMismatchError,
-    SlowBodyError,
-    StateError,
-    TargetError,
-    TooLargeError,
-    UnauthorizedError,
-    UnknownReferenceError,
-    UploadDiskError,
-    UploadSizeError,
-)
+from server import errors
 from server.middleware.headers import protect
 
-_MOST_FAULTS = 20  # of one request; an answer stays short whatever came
-
-STATUS: dict[type[Exception], int] = {
-    NotFoundError: 404,
-    RigBusyError: 409,
-    StateError: 409,
-    UnknownReferenceError: 422,
-    IdempotencyError: 422,
-    TargetError: 422,
-    PreconditionError: 412,
-    PreconditionRequiredError: 428,
-    RigMismatchError: 422,
-    RigError: 422,
-    ForeignRequestError: 403,
-    OffsetError: 409,
-    UploadSizeError: 413,
-    DigestError: 422,
-    UploadDiskError: 507,
-    UnauthorizedError: 401,
-    ForbiddenError: 403,
-    BusyClientError: 429,
-    TooLargeError: 413,
-    SlowBodyError: 408,
-    MalformedError: 400,
-    DiskError: 507,
-    Spike4dgsError: 500,
+_MOST_FAULTS = 20  # of one request, so that an answer stays short
+_STATUS: dict[int, tuple[type[Exception], ...]] = {
+    400: (errors.MalformedError,),
+    401: (errors.UnauthorizedError,),
+    403: (errors.ForbiddenError, errors.ForeignRequestError),
+    404: (errors.NotFoundError,),
+    408: (errors.SlowBodyError,),
+    409: (errors.OffsetError, errors.RigBusyError, errors.StateError),
+    412: (errors.PreconditionError,),
+    413: (errors.TooLargeError, errors.UploadSizeError),
+    422: (
+        errors.DigestError,
+        errors.IdempotencyError,
+        errors.RigMismatchError,
+        errors.TargetError,
+        errors.UnknownReferenceError,
+        RigError,
+    ),
+    428: (errors.PreconditionRequiredError,),
+    429: (errors.BusyClientError,),
+    500: (Spike4dgsError,),
+    507: (errors.UploadDiskError, DiskError),
 }
+STATUS = {kind: status for status, kinds in _STATUS.items() for kind in kinds}
 
 
 class ProblemResponse(JSONResponse):
@@ -75,12 +51,12 @@ class ProblemResponse(JSONResponse):
     media_type = "application/problem+json"
 
     def render(self, content: Any) -> bytes:
-        """In ASCII, so that whatever was found can be said, halves of surrogate pairs included."""
+        """Encode in ASCII, so that any input can be quoted, halves of surrogate pairs included."""
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode("ascii")
 
 
 def problem(status: int, detail: str, kind: str = "", **members: Any) -> JSONResponse:
-    """An RFC 9457 problem document; `kind` becomes its type, a URN."""
+    """Return an RFC 9457 problem document; `kind` becomes its type, a URN."""
     body = {
         "type": f"urn:spike4dgs:{kind}" if kind else "about:blank",
         "title": HTTPStatus(status).phrase,
@@ -92,7 +68,9 @@ def problem(status: int, detail: str, kind: str = "", **members: Any) -> JSONRes
 
 
 def problem_of(error: Exception) -> JSONResponse:
-    """The problem document of an error this project raises on purpose."""
+    """Return the problem document of an error of this project or of the database."""
+    if isinstance(error, SQLAlchemyError):
+        return _refused_by_database(error)
     status = next(STATUS[kind] for kind in type(error).__mro__ if kind in STATUS)
     name = type(error).__name__.removesuffix("Error")
     response = problem(status, str(error), re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower())
@@ -100,11 +78,19 @@ def problem_of(error: Exception) -> JSONResponse:
     return response
 
 
+def _refused_by_database(error: SQLAlchemyError) -> JSONResponse:
+    reason = str(getattr(error, "orig", error)).splitlines()[0]
+    if "disk is full" in reason:
+        return problem(507, "No space left for the database; free some", "disk-full")
+    return problem(503, f"the database refused: {reason[:200]}", "database")
+
+
 def install(app: FastAPI) -> None:
-    """Answer every error of `app` with a problem document."""
+    """Let `app` answer every error with a problem document."""
 
     @app.exception_handler(Spike4dgsError)
-    def expected(request: Request, error: Spike4dgsError) -> JSONResponse:
+    @app.exception_handler(SQLAlchemyError)
+    def expected(request: Request, error: Exception) -> JSONResponse:
         return problem_of(error)
 
     @app.exception_handler(HTTPException)
@@ -126,13 +112,6 @@ def install(app: FastAPI) -> None:
         first = faults[0]
         detail = f"{first['where']}: found {first['found']}; {first['message']}"
         return problem(422, detail, "invalid-request", errors=faults)
-
-    @app.exception_handler(SQLAlchemyError)
-    def database(request: Request, error: SQLAlchemyError) -> JSONResponse:
-        reason = str(getattr(error, "orig", error)).splitlines()[0]
-        if "disk is full" in reason:
-            return problem(507, "No space left for the database; free some", "disk-full")
-        return problem(503, f"the database refused: {reason[:200]}", "database")
 
     @app.exception_handler(OSError)
     def system(request: Request, error: OSError) -> JSONResponse:

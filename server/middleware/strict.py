@@ -1,4 +1,4 @@
-"""JSON that everybody reads alike: each name once, no NaN, a modest depth."""
+"""Strict JSON, which every reader understands alike: each name once, no NaN, a modest depth."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from starlette.concurrency import run_in_threadpool
 
 from server.errors import MalformedError
 
-_DEEPEST = 32
-_LONG = 2**14  # bytes that take longer than a switch of threads
+_DEEPEST = 32  # levels of nesting
+_LONG = 2**14  # bytes; a longer body is worth a thread of its own
 
 
 async def check_json(body: bytes) -> None:
-    """Raises MalformedError for what readers differ about; what is no JSON at all is left to the framework."""
+    """Raise MalformedError for JSON that readers understand differently.
+
+    Text that is no JSON at all is left to the framework, whose answer tells the line and column.
+    """
     if len(body) < _LONG:
         _check(body)
     else:
@@ -26,7 +29,7 @@ def _check(body: bytes) -> None:
         document = json.loads(body, object_pairs_hook=_object, parse_constant=_constant)
     except RecursionError as error:
         raise _too_deep() from error
-    except ValueError:  # its line and column are the framework's to tell
+    except ValueError:
         return
     level = [document]
     for _ in range(_DEEPEST):

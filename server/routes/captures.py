@@ -1,10 +1,10 @@
 """Captures, made or in the making."""
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
+from server.routes.parameters import Cursor, IdempotencyKey, IfNoneMatch, Limit, Named, TheServices, Word, located
 from server.routes.pictures import PNG, answer
-from server.routes.services import Cursor, IdempotencyKey, Limit, Named, TheServices, Word
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -21,14 +21,14 @@ def captures(
     cursor: Cursor = None,
     limit: Limit = 100,
 ) -> Response:
-    """Captures, newest first."""
+    """List captures, newest first."""
     page = services.captures.page(Filter("capture", rig=rig, name=name, before=cursor), status, limit)
     return Response(page, media_type="application/json")
 
 
 @router.get("/captures/{capture_id}")
 def capture(capture_id: str, services: TheServices) -> Capture:
-    """One capture."""
+    """Return one capture."""
     return services.captures.get(capture_id)
 
 
@@ -37,42 +37,42 @@ def import_capture(
     request: ImportRequest, response: Response, services: TheServices, key: IdempotencyKey = None
 ) -> Capture:
     """Make a capture of committed uploads, one `.dat` a camera."""
-    capture = services.captures.get(services.imports.start(request, key))
-    response.headers["Location"] = f"/v1/captures/{capture.id}"
-    return capture
+    return located(response, "captures", services.captures.get(services.imports.start(request, key)))
 
 
 @router.get("/captures/{capture_id}/manifest")
 def manifest(capture_id: str, services: TheServices) -> ManifestInfo:
-    """What a capture holds and lacks: planes, drops by layer, gaps, skew, and whether it was verified."""
+    """Tell what a capture holds and lacks: planes, drops by layer, gaps, skew, and whether it was verified."""
     return services.previews.manifest(capture_id)
 
 
 @router.get("/captures/{capture_id}/preview", responses=PNG, response_class=Response)
-def preview(capture_id: str, request: Request, services: TheServices) -> Response:
-    """All cameras as one PNG: the mean of planes in the middle, as bright as a person wants to see it."""
-    return answer(request, services.previews.sheet(capture_id))
+def preview(capture_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
+    """Show all cameras in one PNG: the mean of planes from the middle, brightened for the eye."""
+    return answer(if_none_match, services.previews.sheet(capture_id))
 
 
 @router.get("/captures/{capture_id}/preview/{camera_id}", responses=PNG, response_class=Response)
-def camera_preview(capture_id: str, camera_id: str, request: Request, services: TheServices) -> Response:
-    """One camera as a PNG in its own size."""
-    return answer(request, services.previews.camera(capture_id, camera_id))
+def camera_preview(
+    capture_id: str, camera_id: str, services: TheServices, if_none_match: IfNoneMatch = None
+) -> Response:
+    """Show one camera as a PNG in its own size."""
+    return answer(if_none_match, services.previews.camera(capture_id, camera_id))
 
 
 @router.get("/captures/{capture_id}/log", response_class=PlainTextResponse)
 def log(capture_id: str, services: TheServices) -> str:
-    """What making a capture said, as text: an import's doubts are here."""
+    """Return the log of making a capture, as text; it has the warnings of an import."""
     return services.captures.log(capture_id)
 
 
 @router.post("/captures/{capture_id}/cancel")
 def cancel(capture_id: str, services: TheServices) -> Capture:
-    """Give up an import; a recording is stopped, which keeps what it has."""
+    """Give up an import, or stop a recording and keep what it has."""
     return services.captures.cancel(capture_id)
 
 
 @router.delete("/captures/{capture_id}", status_code=204)
 def delete_capture(capture_id: str, services: TheServices) -> None:
-    """Delete a capture with its recording; 409 while it is being made or a job works on it."""
+    """Delete a capture with its recording; 409 while it is being made or a job uses it."""
     services.captures.delete(capture_id)

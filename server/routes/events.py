@@ -1,4 +1,4 @@
-"""What happens to captures and jobs, as it happens: Server-Sent Events."""
+"""Events of captures and jobs as they happen (Server-Sent Events)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from starlette.types import Message, Send
 
-from server.routes.services import TheServices
+from server.routes.parameters import TheServices
 from server.services.hub import Hub
 
 router = APIRouter(tags=["events"])
-_SEND_S = 10.0  # a reader who takes longer for one event is gone
+_SEND_S = 10.0  # seconds for one event; a reader who takes longer is gone
 _SHOWN: dict[int | str, dict[str, Any]] = {
     200: {"content": {"text/event-stream": {}}, "description": "`id` is the number, `data` an Event as JSON."},
-    204: {"description": "It has ended, and the client has seen all of it: an EventSource does not come again."},
+    204: {"description": "It has ended and the client has seen every event: an EventSource does not reconnect."},
 }
 
 LastEventId = Annotated[
@@ -29,7 +29,7 @@ After = Annotated[int | None, Query(ge=0, lt=2**63, description="The same, for a
 
 
 class EventStream(StreamingResponse):
-    """A stream that gives up on a reader who does not read."""
+    """Streams events, and gives up on a reader who does not read."""
 
     media_type = "text/event-stream"
 
@@ -38,7 +38,7 @@ class EventStream(StreamingResponse):
         self._content = content
 
     async def stream_response(self, send: Send) -> None:
-        """Send, each piece in its time."""
+        """Send the pieces, each within its time."""
 
         async def in_time(message: Message) -> None:
             with anyio.fail_after(_SEND_S):
@@ -53,7 +53,7 @@ class EventStream(StreamingResponse):
 
 @router.get("/events", status_code=200, response_class=EventStream, responses={200: _SHOWN[200]})
 async def events(services: TheServices, last: LastEventId = None, after: After = None) -> Response:
-    """What happens to all captures and jobs: from a number on or, without one, from now on."""
+    """Stream the events of all captures and jobs, from a number on or, without one, from now on."""
     seq = last if last is not None else after
     if seq is None:
         seq = await run_in_threadpool(services.hub.newest)
@@ -62,7 +62,7 @@ async def events(services: TheServices, last: LastEventId = None, after: After =
 
 @router.get("/jobs/{job_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
 async def job_events(job_id: str, services: TheServices, last: LastEventId = None, after: After = None) -> Response:
-    """What happens to one job, from its beginning or from a number on, until it ends."""
+    """Stream the events of one job, from its beginning or from a number on, until it ends."""
     return await _of_entry(services.hub, services.jobs.get, last or after or 0, job_id)
 
 
@@ -70,7 +70,7 @@ async def job_events(job_id: str, services: TheServices, last: LastEventId = Non
 async def capture_events(
     capture_id: str, services: TheServices, last: LastEventId = None, after: After = None
 ) -> Response:
-    """What happens to one capture, from its beginning or from a number on, until it ends."""
+    """Stream the events of one capture, from its beginning or from a number on, until it ends."""
     return await _of_entry(services.hub, services.captures.get, last or after or 0, capture_id)
 
 

@@ -1,9 +1,10 @@
-"""How a picture is answered: once, and then by its tag."""
+"""Pictures: sent once, and afterwards only confirmed by their tag."""
 
 from typing import Any
 
-from fastapi import Request, Response
+from fastapi import Response
 
+from server.routes.parameters import not_modified
 from server.services.previews import Picture
 
 PNG: dict[int | str, dict[str, Any]] = {
@@ -12,10 +13,7 @@ PNG: dict[int | str, dict[str, Any]] = {
 }
 
 
-def answer(request: Request, picture: Picture) -> Response:
-    """The picture, or 304 where the client has it already."""
-    headers = {"ETag": picture.etag, "Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
-    known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    if picture.etag in known or known == ["*"]:
-        return Response(status_code=304, headers=headers)
-    return Response(picture.png, media_type="image/png", headers=headers)
+def answer(if_none_match: str | None, picture: Picture) -> Response:
+    """Return the picture, or 304 if the client already has it."""
+    headers = {"ETag": picture.etag, "Cache-Control": "no-cache"}
+    return not_modified(if_none_match, headers) or Response(picture.png, media_type="image/png", headers=headers)

@@ -1,9 +1,9 @@
 """Rigs, and the captures they are told to make."""
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Response
 
+from server.routes.parameters import IdempotencyKey, IfNoneMatch, TheServices, located
 from server.routes.pictures import PNG, answer
-from server.routes.services import IdempotencyKey, TheServices
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.jobs import Job
@@ -14,13 +14,13 @@ router = APIRouter(prefix="/rigs", tags=["rigs"])
 
 @router.get("")
 def rigs(services: TheServices) -> Rigs:
-    """All rigs."""
+    """List all rigs."""
     return services.rigs.list()
 
 
 @router.get("/{rig_id}")
 def rig(rig_id: str, services: TheServices) -> RigInfo:
-    """One rig: its cameras, its devices, and whether it is recording."""
+    """Return one rig: its cameras, its devices, and whether it is recording."""
     return services.rigs.get(rig_id)
 
 
@@ -29,14 +29,12 @@ def start_capture(
     rig_id: str, request: CaptureRequest, response: Response, services: TheServices, key: IdempotencyKey = None
 ) -> Capture:
     """Record; 409 while the rig is recording already."""
-    capture = services.captures.get(services.rigs.start(rig_id, request, key))
-    response.headers["Location"] = f"/v1/captures/{capture.id}"
-    return capture
+    return located(response, "captures", services.captures.get(services.rigs.start(rig_id, request, key)))
 
 
 @router.post("/{rig_id}/captures/{capture_id}/stop")
 def stop_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
-    """End a recording; what it has is kept."""
+    """End a recording and keep what it has."""
     return services.captures.tell(capture_id, "stop")
 
 
@@ -48,7 +46,7 @@ def save_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture
 
 @router.get("/{rig_id}/status")
 def status(rig_id: str, services: TheServices) -> RigStatus:
-    """How a rig is: what it is doing, room on the disk, its calibration, and what the last preflight found."""
+    """Tell what a rig is doing, its room on the disk, its calibration, and what the last preflight found."""
     return services.rig_jobs.status(rig_id)
 
 
@@ -60,8 +58,9 @@ def preflight(
     request: PreflightRequest | None = None,
     key: IdempotencyKey = None,
 ) -> Job:
-    """Look at everything that would spoil a recording; 409 while the rig is busy."""
-    return _queued(services, rig_id, request or PreflightRequest(), key, response)
+    """Check everything that could spoil a recording; 409 while the rig is busy."""
+    job_id = services.rig_jobs.start(rig_id, request or PreflightRequest(), key)
+    return located(response, "jobs", services.jobs.get(job_id))
 
 
 @router.post("/{rig_id}/look", status_code=202)
@@ -73,18 +72,10 @@ def look(
     key: IdempotencyKey = None,
 ) -> Job:
     """Take a picture with all cameras, and keep nothing else; 409 while the rig is busy."""
-    return _queued(services, rig_id, request or LookRequest(), key, response)
+    return located(response, "jobs", services.jobs.get(services.rig_jobs.start(rig_id, request or LookRequest(), key)))
 
 
 @router.get("/{rig_id}/look.png", responses=PNG, response_class=Response)
-def look_picture(rig_id: str, request: Request, services: TheServices) -> Response:
-    """What the cameras saw at the last look."""
-    return answer(request, services.rig_jobs.picture(rig_id))
-
-
-def _queued(
-    services: TheServices, rig_id: str, request: PreflightRequest | LookRequest, key: str | None, response: Response
-) -> Job:
-    job = services.jobs.get(services.rig_jobs.start(rig_id, request, key))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job
+def look_picture(rig_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
+    """Show what the cameras saw at the last look."""
+    return answer(if_none_match, services.rig_jobs.picture(rig_id))

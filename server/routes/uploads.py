@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 
-from server.routes.services import Cursor, Limit, TheServices
+from server.routes.parameters import Cursor, Limit, TheServices, located
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 
 router = APIRouter(prefix="/uploads", tags=["uploads"])
@@ -15,22 +15,21 @@ _BODY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"ty
 
 @router.post("", status_code=201)
 def create(request: UploadRequest, response: Response, services: TheServices) -> Upload:
-    """Begin an upload; 413 where it is longer than uploads may be, 507 where the disk has no room for it."""
+    """Begin an upload; 413 if it is longer than uploads may be, 507 if the disk has no room for it."""
     upload = services.uploads.create(request)
     _tell(response, upload)
-    response.headers["Location"] = f"/v1/uploads/{upload.id}"
-    return upload
+    return located(response, "uploads", upload)
 
 
 @router.get("")
 def uploads(services: TheServices, cursor: Cursor = None, limit: Limit = 100) -> Uploads:
-    """Uploads, newest first."""
+    """List uploads, newest first."""
     return services.uploads.list(cursor, limit)
 
 
 @router.get("/{upload_id}")
 def upload(upload_id: str, response: Response, services: TheServices) -> Upload:
-    """One upload and how much of it has come."""
+    """Return one upload and how much of it has arrived."""
     found = services.uploads.get(upload_id)
     _tell(response, found)
     return found
@@ -38,7 +37,7 @@ def upload(upload_id: str, response: Response, services: TheServices) -> Upload:
 
 @router.head("/{upload_id}")
 def offset(upload_id: str, services: TheServices) -> Response:
-    """How much of an upload has come, as the header Upload-Offset."""
+    """Tell how much of an upload has arrived, as the header Upload-Offset."""
     response = Response(headers={"Cache-Control": "no-store"})
     _tell(response, services.uploads.get(upload_id))
     return response
@@ -48,7 +47,7 @@ def offset(upload_id: str, services: TheServices) -> Response:
 async def append(
     upload_id: str, request: Request, response: Response, services: TheServices, at: Offset, length: Length = None
 ) -> Upload:
-    """Append the body; 409, with the right Upload-Offset, where it does not begin where the last one ended."""
+    """Append the body; 409, with the right Upload-Offset, if it does not begin at the end of the last piece."""
     upload = await services.uploads.receive(upload_id, at, length, request.stream())
     _tell(response, upload)
     return upload
@@ -56,13 +55,13 @@ async def append(
 
 @router.post("/{upload_id}/commit")
 def commit(upload_id: str, services: TheServices) -> Upload:
-    """The upload is whole: its size and SHA-256 are checked, and it can be imported."""
+    """Finish an upload: check its size and SHA-256, and let it be imported."""
     return services.uploads.commit(upload_id)
 
 
 @router.delete("/{upload_id}", status_code=204)
 def delete(upload_id: str, services: TheServices) -> None:
-    """Forget an upload, committed or not; 409 while it is written or imported."""
+    """Delete an upload, committed or not; 409 while it is written or imported."""
     services.uploads.delete(upload_id)
 
 

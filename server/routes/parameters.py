@@ -1,0 +1,50 @@
+"""The parameters that several routes take, and how they reach the services."""
+
+from typing import Annotated, Protocol, TypeVar
+
+from fastapi import Depends, Header, Query, Request, Response
+
+from server.etags import matches
+from server.schemas.captures import SHOWN
+from server.services.services import Services
+
+
+async def _services(request: Request) -> Services:  # a plain function would cost every request a turn of a thread
+    return request.app.state.services
+
+
+TheServices = Annotated[Services, Depends(_services)]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=200,
+        pattern="^[!-~]+$",
+        description="Sent again, it makes nothing twice.",
+    ),
+]
+IfNoneMatch = Annotated[str | None, Header(alias="If-None-Match", max_length=4000)]
+Limit = Annotated[int, Query(ge=1, le=1000, description="Entries of a page.")]
+Cursor = Annotated[str | None, Query(pattern="^[!-~]{1,40}$", description="`next` of the page before.")]
+Word = Annotated[str | None, Query(pattern="^[!-~]{1,80}$")]  # an id or a type, to list what has it
+Named = Annotated[str | None, Query(min_length=1, max_length=80, pattern=SHOWN)]
+
+
+class _HasId(Protocol):
+    id: str
+
+
+_E = TypeVar("_E", bound=_HasId)
+
+
+def located(response: Response, kind: str, entry: _E) -> _E:
+    """Return `entry`, one of the `kind` (jobs, captures ...), and put its address into the answer's Location."""
+    response.headers["Location"] = f"/v1/{kind}/{entry.id}"
+    return entry
+
+
+def not_modified(if_none_match: str | None, headers: dict[str, str]) -> Response | None:
+    """Return the answer 304 if the client already has what the ETag of `headers` names, else None."""
+    known = matches(if_none_match or "", headers["ETag"], weak=True)
+    return Response(status_code=304, headers=headers) if known else None
