@@ -21,7 +21,7 @@ INSTANTS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.1])
 
 def scene_digest(scene: Scene) -> str:
     """SHA-256 of all that decides what a camera sees, in hexadecimal digits."""
-    geometry, placed = scene.geometry, scene.placements(INSTANTS_S)
+    geometry, placed = scene.arrays, scene.placements(INSTANTS_S)
     light = (scene.white, scene.ambient, scene.background, geometry.uneven.offset, geometry.uneven.least)
     found = hashlib.sha256()
     for numbers in (geometry.shapes, geometry.sun, light, geometry.uneven.slope, *placed):

@@ -1,4 +1,4 @@
-"""The native ray caster: linear light, depth and object of every pixel of one camera at any instants.
+"""Casts rays natively: the linear light, depth and object of every pixel of one camera at any instants.
 
 Letters: n instants, P shapes, K textures of S x S texels, H rows, W columns, s samples a side of a pixel.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
-from acquisition.native import load_library
+from acquisition.native import Address, Kernel
 from acquisition.scenes.light import EVEN, Uneven
 from rigs.camera import Camera
 
@@ -24,10 +24,11 @@ MOST_SHAPES = 64  # the native code keeps sets of shapes in one word
 
 @dataclass(frozen=True)
 class Frames:
-    """What a camera sees at n instants, pixel (0, 0) at the top left.
+    """Images of one camera at n instants, pixel (0, 0) at the top left.
 
-    `intensity` float32 [n, H, W], linear, spikes per tick, mean over s x s rays a pixel; from the pixel's centre ray
-    `depth` float32 [n, H, W] along z in metres (NaN where nothing is) and `ids` int8 [n, H, W] (0 where nothing is).
+    `intensity` [n, H, W] is linear light in spikes per tick, the mean over s x s rays a pixel. `depth` [n, H, W] is the
+    distance along z in metres of the pixel's centre ray (NaN where nothing is), `ids` [n, H, W] the object that this
+    ray meets (0 where nothing is).
     """
 
     intensity: NDArray[np.float32]
@@ -36,10 +37,11 @@ class Frames:
 
 
 @dataclass(frozen=True, eq=False)
-class Geometry:
+class SceneArrays:
     """A scene as arrays. A surface of albedo 1 that faces the sun emits `white` spikes per tick.
 
-    With `mipmapped` textures are averaged as far as the rays lie apart, so that detail finer than those does not alias.
+    With `mipmapped`, textures are averaged over the distance between rays, so that finer detail does not alias.
+    Raises AcquisitionError for too many shapes, or for textures that are not square or not there.
     """
 
     shapes: Floats  # [P, 10], see bodies.Shape.row
@@ -64,7 +66,7 @@ class Geometry:
 
     @functools.cached_property
     def pyramid(self) -> tuple[NDArray[np.float32], ...]:
-        """The textures [K, S, S], then, where `mipmapped`, means of 2 x 2 texels again and again down to [K, 2, 2]."""
+        """The textures [K, S, S]; where `mipmapped`, then means of 2 x 2 texels of each level down to [K, 2, 2]."""
         levels = [np.ascontiguousarray(self.textures, dtype=np.float32)]
         while self.mipmapped and levels[-1].shape[1] > 2:
             count, size, _ = levels[-1].shape
@@ -97,15 +99,23 @@ class _Still(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("depth", "lit", "unlit", "foot", "middle", "mean", "middle_id")]
 
 
+_SEEN = (ctypes.POINTER(_Scene), ctypes.POINTER(_View))
+_raycast_still = Kernel("acquisition", "raycast_still", *_SEEN, Address, Address, ctypes.POINTER(_Still))
+_raycast_frames = Kernel(
+    "acquisition", "raycast_frames", *_SEEN, ctypes.POINTER(_Still), ctypes.c_int64, *(Address,) * 6
+)
+
+
 class Raycaster:
     """One camera in one scene: traces what stands still once, then only what moves.
 
-    `rotations` [P, 3, 3] and `positions` [P, 3] are world_from_shape of the shapes; those of still shapes hold for
-    good. `threads` 0 takes every core. Raises AcquisitionError for a camera with lens distortion.
+    `placement` are world_from_shape of the shapes, rotations [P, 3, 3] and positions [P, 3] in metres; those of still
+    shapes hold for good. A pixel is the mean of `samples` x `samples` rays; `threads` 0 takes every core.
+    Raises AcquisitionError for a camera with lens distortion.
     """
 
     def __init__(
-        self, geometry: Geometry, camera: Camera, placement: tuple[Floats, Floats], *, samples: int, threads: int = 0
+        self, scene: SceneArrays, camera: Camera, placement: tuple[Floats, Floats], *, samples: int, threads: int = 0
     ):
         if any(camera.distortion):
             raise AcquisitionError(
@@ -114,84 +124,26 @@ class Raycaster:
         if samples < 1:
             raise AcquisitionError(f"found {samples} samples a side of a pixel", "at least 1")
         self._size = (camera.height, camera.width)
-        self._scene = self._native_scene(geometry)
-        self._view = _View(
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
-            (ctypes.c_double * 9)(*camera.cam_from_rig.rotation.ravel()),
-            (ctypes.c_double * 3)(*camera.center),
-            camera.width,
-            camera.height,
-            samples,
-            threads or len(os.sched_getaffinity(0)),
-        )
-        self._trace_still(placement, samples)
-
-    def _native_scene(self, geometry: Geometry) -> _Scene:
-        levels = np.concatenate([level.ravel() for level in geometry.pyramid])
-        arrays = (geometry.shapes, geometry.moving, geometry.ids, levels)
-        kinds = (np.float64, np.uint8, np.int8, np.float32)
-        # Kept, for the structure holds their addresses only.
-        self._arrays = [np.ascontiguousarray(a, dtype=kind) for a, kind in zip(arrays, kinds, strict=True)]
-        return _Scene(
-            *(a.ctypes.data for a in self._arrays),
-            (ctypes.c_double * 3)(*geometry.sun),
-            geometry.white,
-            geometry.ambient,
-            geometry.background,
-            (ctypes.c_double * 3)(*geometry.uneven.slope),
-            geometry.uneven.offset,
-            geometry.uneven.least,
-            len(geometry.shapes),
-            geometry.textures.shape[1],
-            len(geometry.textures),
-            len(geometry.pyramid),
-        )
-
-    def _trace_still(self, placement: tuple[Floats, Floats], samples: int) -> None:
-        sampled = (*self._size, samples * samples)
-        self._still_arrays = [
-            *(np.empty(sampled) for _ in range(3)),
-            np.empty((*self._size, 3)),
-            np.empty(self._size),
-            np.empty(self._size, dtype=np.float32),
-            np.empty(self._size, dtype=np.int8),
-        ]
+        self._scene, self._kept = _native_scene(scene)
+        self._view = _native_view(camera, samples, threads)
+        sampled, kinds = (*self._size, samples * samples), (np.float64,) * 5 + (np.float32, np.int8)
+        shapes = (sampled, sampled, sampled, (*self._size, 3), *(self._size,) * 3)
+        self._still_arrays = [np.empty(shape, kind) for shape, kind in zip(shapes, kinds, strict=True)]
         self._still = _Still(*(a.ctypes.data for a in self._still_arrays))
         rotations, positions = self._checked(placement[0][None], placement[1][None])
-        load_library("acquisition").raycast_still(
-            ctypes.byref(self._scene),
-            ctypes.byref(self._view),
-            ctypes.c_void_p(rotations.ctypes.data),
-            ctypes.c_void_p(positions.ctypes.data),
-            ctypes.byref(self._still),
-        )
-
-    def _checked(self, rotations: Floats, positions: Floats) -> tuple[Floats, Floats]:
-        count = (len(rotations), self._scene.count)
-        if rotations.shape != (*count, 3, 3) or positions.shape != (*count, 3):
-            raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}", f"{count} of them")
-        return np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(positions, np.float64)
-
-    @property
-    def still_depth(self) -> Floats:
-        """The depth of what stands still, of each pixel's centre ray in double precision [H, W]; NaN: nothing."""
-        middle = self._still_arrays[4]
-        return np.where(np.isfinite(middle), middle, np.nan)
+        _raycast_still(self._scene, self._view, rotations, positions, self._still)
 
     def intensity(self, rotations: Floats, positions: Floats, gains: Floats | None = None) -> NDArray[np.float32]:
-        """Light alone [n, H, W] with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3].
+        """Trace light alone [n, H, W] with the shapes at `rotations` [n, P, 3, 3] and `positions` [n, P, 3] in metres.
 
-        The light of each instant is times its `gains` [n]; None: 1.
+        The light of each instant is multiplied by its `gains` [n]; None means 1.
         """
         intensity = np.empty((len(rotations), *self._size), dtype=np.float32)
         self._trace((rotations, positions, gains), intensity, None, None)
         return intensity
 
     def frames(self, rotations: Floats, positions: Floats, gains: Floats | None = None) -> Frames:
-        """Light, depth and objects with the shapes at `rotations` [n, P, 3, 3], `positions` [n, P, 3]."""
+        """Trace light, depth and objects; the arguments are those of `intensity`."""
         shape = (len(rotations), *self._size)
         frames = Frames(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int8))
         self._trace((rotations, positions, gains), frames.intensity, frames.depth, frames.ids)
@@ -210,10 +162,31 @@ class Raycaster:
             raise AcquisitionError(f"found gains {gains.shape}", f"one for each of {len(rotations)} instants")
         gains = np.ascontiguousarray(gains, dtype=np.float64)
         arrays = (rotations, positions, gains, intensity, depth, ids)
-        load_library("acquisition").raycast_frames(
-            ctypes.byref(self._scene),
-            ctypes.byref(self._view),
-            ctypes.byref(self._still),
-            ctypes.c_int64(len(rotations)),
-            *(ctypes.c_void_p(None if a is None else a.ctypes.data) for a in arrays),
-        )
+        _raycast_frames(self._scene, self._view, self._still, len(rotations), *arrays)
+
+    def _checked(self, rotations: Floats, positions: Floats) -> tuple[Floats, Floats]:
+        count = (len(rotations), self._scene.count)
+        if rotations.shape != (*count, 3, 3) or positions.shape != (*count, 3):
+            raise AcquisitionError(f"found poses {rotations.shape} and {positions.shape}", f"{count} of them")
+        return np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(positions, np.float64)
+
+
+def _native_scene(scene: SceneArrays) -> tuple[_Scene, list[NDArray]]:
+    """Return the scene as the kernels take it, and the arrays whose addresses it holds, which must be kept."""
+    levels = np.concatenate([level.ravel() for level in scene.pyramid])
+    typed = (scene.shapes, np.float64), (scene.moving, np.uint8), (scene.ids, np.int8), (levels, np.float32)
+    kept = [np.ascontiguousarray(array, dtype=kind) for array, kind in typed]
+    return _Scene(
+        *(array.ctypes.data for array in kept),
+        tuple(scene.sun),
+        *(scene.white, scene.ambient, scene.background),
+        scene.uneven.slope,
+        *(scene.uneven.offset, scene.uneven.least),
+        *(len(scene.shapes), scene.textures.shape[1], len(scene.textures), len(scene.pyramid)),
+    ), kept
+
+
+def _native_view(camera: Camera, samples: int, threads: int) -> _View:
+    lens, pose = (camera.fx, camera.fy, camera.cx, camera.cy), camera.cam_from_rig
+    size = (camera.width, camera.height, samples, threads or len(os.sched_getaffinity(0)))
+    return _View(*lens, tuple(pose.rotation.ravel()), tuple(pose.center), *size)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from acquisition.errors import AcquisitionError
 from acquisition.scenes.bodies import Body
 from acquisition.scenes.light import EVEN, Flicker, Uneven
-from acquisition.scenes.raycast import Floats, Frames, Geometry, Raycaster
+from acquisition.scenes.raycast import Floats, Frames, Raycaster, SceneArrays
 from rigs.camera import Camera
 
 NOWHERE_M = (0.0, 1e9, -1e9)  # below and behind
@@ -58,7 +58,7 @@ class Scene:
             raise AcquisitionError(
                 "expected white > 0, ambient in 0..1, a direction to the sun", where=f"scene {self.name}"
             )
-        _ = self.geometry  # refuses too many shapes or a texture that is not there
+        _ = self.arrays  # refuses too many shapes or a texture that is not there
 
     @property
     def object_ids(self) -> dict[str, int]:
@@ -71,10 +71,10 @@ class Scene:
         return {body.name: self.object_ids[body.name] for body in self.bodies if body.moving}
 
     @functools.cached_property
-    def geometry(self) -> Geometry:
+    def arrays(self) -> SceneArrays:
         """The scene as the ray caster's arrays, shapes in the order of the bodies."""
         owners = [(i, shape) for i, body in enumerate(self.bodies) for shape in body.shapes]
-        return Geometry(
+        return SceneArrays(
             shapes=np.array([shape.row() for _, shape in owners], dtype=np.float64),
             moving=np.array(
                 [not body.lasting or motion.moving for body in self.bodies for motion in body.motions], dtype=bool
@@ -107,7 +107,7 @@ class Scene:
     def raycaster(self, camera: Camera, samples: int, threads: int = 0) -> Raycaster:
         """A ray caster that has already traced what stands still; feed it `placements`."""
         rotations, positions, _ = self.placements(np.zeros(1))
-        return Raycaster(self.geometry, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
+        return Raycaster(self.arrays, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
 
     def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:
         """What `camera` (poses in the rig frame) sees at `instants_s` [n] with samples x samples rays a pixel."""

@@ -1,4 +1,4 @@
-"""Intervals and weighted sums of spikes, straight from packed planes: native kernels and their readable twins.
+"""Finds intervals and weighted sums of spikes straight from packed planes, with native kernels.
 
 Letters: T planes, N instants, K kernels, H rows (row 0 at the top), W columns, B bytes of a plane.
 """
@@ -13,19 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
-from acquisition.native import load_library
+from acquisition.native import Address, Kernel
 from acquisition.spikes.layout import PlaneLayout
-from acquisition.spikes.packing import Bytes, native_arguments, pointer, unpack_reference
+from acquisition.spikes.packing import PLANES, Bytes, plane_arguments, without_trailing
 
 FARTHEST = 32766  # planes of reach whose intervals still fit in 16 bits
+_spike_intervals = Kernel(
+    "acquisition",
+    "spike_intervals",
+    *(*PLANES, Address, Address, ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, Address, Address, Address),
+)
+_weigh_planes = Kernel("acquisition", "weigh_planes", *PLANES, Address, ctypes.c_int64, ctypes.c_int32, Address)
 
 
 class Intervals(NamedTuple):
-    """The interval that holds an instant: `ticks` [N, H, W] from the spike before it to the spike after it.
+    """The interval that holds an instant, of every pixel: from the spike before the instant to the spike after it.
 
-    `since` [N, H, W]: silent planes up to and with the instant's since the spike before it. `before` and `after`
-    [N, H, W]: there is such a spike. A side without one counts with all the planes searched, so that 1 / ticks is the
-    most light that the silence allows.
+    `ticks` [N, H, W] is its length. `since` [N, H, W] counts the silent planes after its first spike, up to and with
+    the instant's own. `before` and `after` [N, H, W] say whether there is such a spike. A side without one counts with
+    all the planes searched, so that 1 / ticks is the most light that the silence allows.
     """
 
     ticks: NDArray[np.uint16]
@@ -43,77 +49,36 @@ def intervals(
     wanted: Bytes | None = None,
     threads: int = 1,
 ) -> Intervals:
-    """The last spike at or before each of `planes` [N] to the first after it, at most `reach` planes away.
+    """Find the last spike at or before each of `planes` [N] and the first after it, at most `reach` planes away.
 
-    Native twin of `intervals_reference`. `wanted` is a packed plane [B] of the only pixels to look at; elsewhere the
-    result is 1 tick or what a neighbour needed. Raises BadRecordingError for a plane outside the planes [T, B].
+    `packed` [T, B] are the planes searched. `wanted` is a packed plane [B] of the only pixels to look at; elsewhere the
+    result is 1 tick or what a neighbour needed. Raises BadRecordingError for an instant outside the planes.
     """
-    instants = _checked(packed, planes, reach)
-    shape = (len(instants), layout.height, layout.stored_width)
-    ticks, since, sides = np.ones(shape, np.uint16), np.zeros(shape, np.uint16), np.zeros(shape, np.uint8)
-    work = (pointer(instants), *(ctypes.c_int64(n) for n in (len(instants), reach)), ctypes.c_int32(threads))
-    load_library("acquisition").spike_intervals(
-        *native_arguments(packed, layout),
-        None if wanted is None else pointer(wanted),
-        *work,
-        *(pointer(out) for out in (ticks, since, sides)),
-    )
-    ticks, since, sides = (np.ascontiguousarray(out[:, :, : layout.width]) for out in (ticks, since, sides))
-    return Intervals(ticks, since, (sides & 1).view(bool), (sides >> 1).view(bool))
-
-
-def intervals_reference(packed: Bytes, layout: PlaneLayout, planes: Sequence[int], reach: int) -> Intervals:
-    """The readable twin of `intervals`: unpacks every plane within reach, in NumPy."""
-    found = []
-    for plane in _checked(packed, planes, reach):
-        first = max(0, plane - reach)
-        spikes = unpack_reference(packed[first : plane + reach + 1], layout)
-        back, before = _first_spike(spikes[: plane - first + 1][::-1])
-        ahead, after = _first_spike(spikes[plane - first + 1 :])
-        found.append(((back + ahead + 1).astype(np.uint16), back.astype(np.uint16), before, after))
-    return Intervals(*(np.stack(part) for part in zip(*found, strict=True)))
-
-
-def weighted_counts(packed: Bytes, layout: PlaneLayout, weights: NDArray, *, threads: int = 1) -> NDArray[np.uint32]:
-    """Sums of weights [K, T] over the spikes of each pixel [K, H, W]; native twin of `weighted_counts_reference`.
-
-    Raises BadRecordingError unless every kernel is a row of whole numbers from 0, one a plane, that adds up to less
-    than 2^32.
-    """
-    kernels = _checked_weights(weights, len(packed))
-    out = np.empty((len(kernels), layout.height, layout.stored_width), dtype=np.uint32)
-    work = (pointer(kernels), ctypes.c_int64(len(kernels)), ctypes.c_int32(threads))
-    load_library("acquisition").weigh_planes(*native_arguments(packed, layout), *work, pointer(out))
-    return np.ascontiguousarray(out[:, :, : layout.width])
-
-
-def weighted_counts_reference(packed: Bytes, layout: PlaneLayout, weights: NDArray) -> NDArray[np.uint32]:
-    """The readable twin of `weighted_counts`, in NumPy."""
-    sums = np.tensordot(_checked_weights(weights, len(packed)), unpack_reference(packed, layout), axes=1)
-    return sums.astype(np.uint32)
-
-
-def _first_spike(planes: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Planes [T, H, W] -> silent planes before the first spike (T where none) and whether there is one, [H, W]."""
-    if len(planes) == 0:
-        return np.zeros(planes.shape[1:], dtype=np.int64), np.zeros(planes.shape[1:], dtype=bool)
-    fired = np.asarray(planes.any(axis=0))
-    return np.where(fired, planes.argmax(axis=0), len(planes)), fired
-
-
-def _checked(packed: Bytes, planes: Sequence[int], reach: int) -> NDArray[np.int64]:
     instants = np.asarray(planes, dtype=np.int64)
     outside = instants[(instants < 0) | (instants >= len(packed))]
     if len(outside):
         raise BadRecordingError(f"found the instant at plane {outside[0]}", f"one inside 0:{len(packed)}")
     if not 1 <= reach <= FARTHEST:
         raise BadRecordingError(f"found a reach of {reach} planes", f"1 to {FARTHEST}")
-    return np.ascontiguousarray(instants)
+    shape = (len(instants), layout.height, layout.stored_width)
+    stored = np.ones(shape, np.uint16), np.zeros(shape, np.uint16), np.zeros(shape, np.uint8)
+    work = (np.ascontiguousarray(instants), len(instants), reach, threads)
+    _spike_intervals(*plane_arguments(packed, layout), wanted, *work, *stored)
+    ticks, since, sides = (without_trailing(out, layout) for out in stored)
+    return Intervals(ticks, since, (sides & 1).view(bool), (sides >> 1).view(bool))
 
 
-def _checked_weights(weights: NDArray, planes: int) -> NDArray[np.uint32]:
-    if weights.ndim != 2 or weights.shape[1] != planes or not np.issubdtype(weights.dtype, np.integer):
-        raise BadRecordingError(f"found weights {weights.shape} of {weights.dtype}", f"(K, {planes}) integers")
+def weighted_counts(packed: Bytes, layout: PlaneLayout, weights: NDArray, *, threads: int = 1) -> NDArray[np.uint32]:
+    """Sum `weights` [K, T] over the spikes of each pixel of `packed` [T, B]; returns [K, H, W].
+
+    Raises BadRecordingError unless every kernel is a row of whole numbers from 0, one a plane, that adds up to less
+    than 2^32.
+    """
+    if weights.ndim != 2 or weights.shape[1] != len(packed) or not np.issubdtype(weights.dtype, np.integer):
+        raise BadRecordingError(f"found weights {weights.shape} of {weights.dtype}", f"(K, {len(packed)}) integers")
     if weights.size and (weights.min() < 0 or weights.sum(axis=1, dtype=np.uint64).max() >= 2**32):
         raise BadRecordingError("found weights below 0 or adding up to 2^32 or more", "fewer planes")
-    return np.ascontiguousarray(weights, dtype=np.uint32)
+    kernels = np.ascontiguousarray(weights, dtype=np.uint32)
+    out = np.empty((len(kernels), layout.height, layout.stored_width), dtype=np.uint32)
+    _weigh_planes(*plane_arguments(packed, layout), kernels, len(kernels), threads, out)
+    return without_trailing(out, layout)

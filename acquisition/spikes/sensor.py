@@ -1,4 +1,4 @@
-"""The integrate-and-fire sensor: linear light in, spike planes out.
+"""Simulates the integrate-and-fire sensor, which turns linear light into spike planes.
 
 Letters: n planes, H rows, W columns. A pixel adds the light of each tick to its charge, fires at the threshold, keeps
 what is above it, and fires at most once a tick; light above one spike per tick saturates. Charge is kept in units of
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
-from acquisition.native import load_library
+from acquisition.native import Address, Kernel
 
 SensorKind = Literal["ideal", "real"]
 SENSOR_KINDS: tuple[SensorKind, ...] = ("ideal", "real")
@@ -36,10 +36,15 @@ HOT_LEVELS = (0.2, 0.6)  # spikes per tick in the dark
 _TICK_STEP = np.uint64(0x9E3779B97F4A7C15)
 _RESET_SALT = np.uint64(0xD6E8FEB86659FD93)
 _NORMAL_SCALE = 2.6428997921e-5  # 1 / standard deviation of the sum of four uniform 16-bit numbers
+_EXPOSURE = (Address, ctypes.c_int64, ctypes.c_int64, Address, Address, ctypes.c_int32)
+_sensor_ideal = Kernel("acquisition", "sensor_ideal", *_EXPOSURE)
+_sensor_real = Kernel(
+    "acquisition", "sensor_real", *_EXPOSURE, *(Address,) * 5, ctypes.c_double, ctypes.c_double, ctypes.c_int64
+)
 
 
 def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The finaliser of SplitMix64: a hash of 64 bits to 64 bits."""
+    """Hash 64 bits to 64 bits by the finaliser of SplitMix64."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return x ^ (x >> np.uint64(31))
@@ -74,37 +79,24 @@ class Sensor:
         self._limit = self._full.copy()
 
     def expose(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """The planes [n, H, W] of 0 and 1 that light [n, H, W] in spikes per tick gives; the charge carries on.
+        """Return the planes [n, H, W] of 0 and 1 that light [n, H, W] in spikes per tick makes.
 
-        Negative light counts as none. Raises BadRecordingError for NaN or another shape.
+        The charge carries on to the next call. Negative light counts as none.
+        Raises BadRecordingError for NaN or another shape.
         """
         light = self._checked(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
-        arguments = [
-            ctypes.c_void_p(light.ctypes.data),
-            ctypes.c_int64(len(light)),
-            ctypes.c_int64(self._charge.size),
-            ctypes.c_void_p(self._charge.ctypes.data),
-            ctypes.c_void_p(spikes.ctypes.data),
-            ctypes.c_int32(self._threads),
-        ]
-        library = load_library("acquisition")
+        exposure = (light, len(light), self._charge.size, self._charge, spikes, self._threads)
         if self.kind == "ideal":
-            library.sensor_ideal(*arguments)
+            _sensor_ideal(*exposure)
         else:
             pattern = (self._keys, self._gain, self._dark, self._full, self._limit)
-            noise = (ELECTRONS_PER_SPIKE, THERMAL_NOISE * 2.0**FRACTION_BITS)
-            library.sensor_real(
-                *arguments,
-                *(ctypes.c_void_p(array.ctypes.data) for array in pattern),
-                *(ctypes.c_double(value) for value in noise),
-                ctypes.c_int64(self.tick),
-            )
+            _sensor_real(*exposure, *pattern, ELECTRONS_PER_SPIKE, THERMAL_NOISE * 2.0**FRACTION_BITS, self.tick)
         self.tick += len(light)
         return spikes
 
     def expose_reference(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """The readable twin of `expose`, in NumPy, bit for bit the same."""
+        """Do what `expose` does, bit for bit, in readable NumPy."""
         light = self._checked(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
         for plane, seen in zip(spikes, light, strict=True):
@@ -121,12 +113,12 @@ class Sensor:
         return spikes
 
     def _noise_bits(self) -> NDArray[np.uint64]:
-        """The random bits of this tick [H * W]."""
+        """Return the random bits of this tick [H * W]."""
         with np.errstate(over="ignore"):
             return _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
 
     def _collected(self, light: NDArray[np.float64], bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-        """Units of charge of this tick [H * W]."""
+        """Return the units of charge [H * W] that `light` [H * W] adds in a tick with these random `bits` [H * W]."""
         if self.kind == "real":
             mean = np.clip(light, 0, 1e6) * self._gain + self._dark
             light = mean + np.sqrt(mean / ELECTRONS_PER_SPIKE) * _normal(bits)
@@ -142,7 +134,7 @@ class Sensor:
 
 
 def _normal(bits: NDArray[np.uint64]) -> NDArray[np.float64]:
-    """About normal numbers, mean 0 and variance 1: sums of four 16-bit uniform ones."""
+    """Return about normal numbers of mean 0 and variance 1, each the sum of four uniform ones of 16 bits."""
     parts = [(bits >> np.uint64(16 * i)) & np.uint64(65535) for i in range(4)]
     return (np.sum(parts, axis=0).astype(np.float64) - 131070.0) * _NORMAL_SCALE
 
@@ -150,7 +142,10 @@ def _normal(bits: NDArray[np.uint64]) -> NDArray[np.float64]:
 def _fixed_pattern(
     rng: np.random.Generator, pixels: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint64]]:
-    """Gain, dark current in spikes per tick and threshold in units of each pixel; dead ones gain and leak nothing."""
+    """Draw gain, dark current (spikes per tick) and threshold (units of charge) of each pixel.
+
+    Dead pixels neither gain nor leak anything.
+    """
     gain = 1 + GAIN_SPREAD * rng.standard_normal(pixels)
     dark = DARK_LEVEL * np.maximum(0, 1 + DARK_SPREAD * rng.standard_normal(pixels))
     chance = rng.random(pixels)

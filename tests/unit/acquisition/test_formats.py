@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from references.spikes import counts_reference
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes import m1k40
 from acquisition.spikes.layout import PlaneLayout
-from acquisition.spikes.packing import counts, counts_reference, pack, unpack, unpack_reference
+from acquisition.spikes.packing import counts, pack, unpack, unpack_reference
 
 SEGMENT, PLANE = m1k40.SEGMENT_BYTES, m1k40.SEGMENTS * m1k40.SEGMENT_BYTES
 

@@ -5,20 +5,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from references.spikes import counts_reference, intervals_reference, weighted_counts_reference
 
 from acquisition import native
 from acquisition.errors import BadRecordingError
-from acquisition.spikes.intervals import (
-    FARTHEST,
-    intervals,
-    intervals_reference,
-    weighted_counts,
-    weighted_counts_reference,
-)
+from acquisition.spikes.intervals import FARTHEST, intervals, weighted_counts
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import (
     counts,
-    counts_reference,
     pack,
     unpack,
     unpack_reference,
@@ -145,8 +139,7 @@ def test_every_build_this_processor_runs_gives_the_same(level, build: Path, monk
     if level != "plain" and int(level[1:]) > best:
         pytest.skip(f"this processor is level {best}, the build needs {level}")
     library = ctypes.CDLL(str(build))
-    for module in ("packing", "intervals"):
-        monkeypatch.setattr(f"acquisition.spikes.{module}.load_library", lambda _: library)
+    monkeypatch.setattr(native, "load_library", lambda _: library)
     for bit_order, row_order in ORDERS:
         layout = PlaneLayout(77, 19, bit_order, row_order)
         packed = spikes_of(300, layout, 0.1)

@@ -16,7 +16,7 @@ def test_the_same_seed_is_the_same_rig_and_scene():
     )
     assert a.cameras[0].fx != b.cameras[0].fx
     one, two = multiview_scene(5, 170.0), multiview_scene(5, 170.0)
-    assert np.array_equal(one.geometry.shapes, two.geometry.shapes)
+    assert np.array_equal(one.arrays.shapes, two.arrays.shapes)
     assert np.array_equal(one.textures, two.textures)
 
 

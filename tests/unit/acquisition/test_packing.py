@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from references.spikes import counts_reference
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes.layout import PlaneLayout
-from acquisition.spikes.packing import counts, counts_reference, pack, unpack, unpack_reference
+from acquisition.spikes.packing import counts, pack, unpack, unpack_reference
 
 ORDERS = [(bit, row) for bit in ("lsb", "msb") for row in ("bottom", "top")]
 

@@ -14,11 +14,9 @@ def scenes():
 
 def test_the_same_seed_is_the_same_scene_and_another_is_not():
     a, again, b = random_scene(5), random_scene(5), random_scene(6)
-    assert np.array_equal(a.geometry.shapes, again.geometry.shapes)
+    assert np.array_equal(a.arrays.shapes, again.arrays.shapes)
     assert np.array_equal(a.textures, again.textures)
-    assert a.geometry.shapes.shape != b.geometry.shapes.shape or not np.array_equal(
-        a.geometry.shapes, b.geometry.shapes
-    )
+    assert a.arrays.shapes.shape != b.arrays.shapes.shape or not np.array_equal(a.arrays.shapes, b.arrays.shapes)
 
 
 def test_light_goes_from_dim_to_bright(scenes):

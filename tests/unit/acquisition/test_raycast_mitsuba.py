@@ -21,7 +21,7 @@ STRATA = 8  # rays a side of a pixel, in both
 def plain(name: str) -> Scene:
     """The scene's shapes in plain colours of their own and without the ambient light, which Mitsuba has not."""
     scene = build_scene(name, 1)
-    shades = iter(np.linspace(0.2, 0.9, len(scene.geometry.shapes)))
+    shades = iter(np.linspace(0.2, 0.9, len(scene.arrays.shapes)))
     bodies = []
     for body in scene.bodies:
         painted = [replace(s, finish=replace(s.finish, texture=0, albedo=(a, a))) for s, a in zip(body.shapes, shades)]  # noqa: B905
@@ -31,7 +31,7 @@ def plain(name: str) -> Scene:
 
 
 def mitsuba_scene(scene: Scene):
-    geometry, placed = scene.geometry, scene.placements(INSTANT_S)
+    geometry, placed = scene.arrays, scene.placements(INSTANT_S)
     irradiance = {"type": "rgb", "value": float(np.pi * scene.white)}
     described = {
         "type": "scene",

@@ -76,7 +76,7 @@ def test_movers_move_fast_and_slowly():
     scene = build_scene("fan_and_ball", 0)
     assert set(scene.movers) == {"fan", "ball"}
     places = scene.placements(np.array([0.0, 1e-4])).positions
-    speeds = dict(zip(scene.geometry.ids, np.linalg.norm(places[1] - places[0], axis=-1) / 1e-4, strict=True))
+    speeds = dict(zip(scene.arrays.ids, np.linalg.norm(places[1] - places[0], axis=-1) / 1e-4, strict=True))
     assert speeds[scene.movers["ball"]] == pytest.approx(1.2, rel=0.01)
     fastest = max(np.linalg.norm(places[1] - places[0], axis=-1) / 1e-4)
     assert fastest == pytest.approx(40 * 0.205, rel=0.01)  # blade centres

@@ -104,7 +104,7 @@ def test_the_spectrum_falls_like_that_of_photographs_up_to_the_pixel(quick):
     assert (slopes > SLOPES[0]).all()  # the last of them reaches half a cycle a pixel
     assert (slopes < SLOPES[1]).all()
     texels_m = {number: [] for number in scene.object_ids.values()}
-    for number, texel_m in zip(scene.geometry.ids, 1 / scene.geometry.shapes[:, 5], strict=True):
+    for number, texel_m in zip(scene.arrays.ids, 1 / scene.arrays.shapes[:, 5], strict=True):
         texels_m[int(number)].append(texel_m)
     coarsest = np.vectorize({n: max(found) for n, found in texels_m.items()}.get)(frames.ids[0])
     assert np.median(coarsest * CENTER.fx / frames.depth[0]) < 1.1  # texels are no wider than pixels
@@ -119,7 +119,7 @@ def test_what_moves_does_2_to_8_m_s_or_40_to_150_rad_s(quick):
         speed = np.linalg.norm(positions[1] - positions[0], axis=-1) / step_s
         turned = rotations[1] @ rotations[0].transpose(0, 2, 1)
         rate = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)) / step_s
-        movers = np.isin(scene.geometry.ids, list(scene.movers.values()))
+        movers = np.isin(scene.arrays.ids, list(scene.movers.values()))
         good = ((speed >= 2) & (speed <= 8)) | ((rate >= 40 - 1e-6) & (rate <= 150))
         fine, total = fine + (good & movers).sum(), total + movers.sum()
         assert (speed[~movers] == 0).all()

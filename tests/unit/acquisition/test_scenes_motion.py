@@ -174,7 +174,7 @@ def test_stress_scenes_have_the_one_difficulty_they_are_named_for():
     assert not build_scene("static", 1).movers
     stiff = build_scene("stiff", 1)
     positions = stiff.placements(np.array([0.005, 0.005001])).positions
-    fast, slow = (stiff.geometry.ids == stiff.object_ids[name] for name in ("fast_ball", "slow_ball"))
+    fast, slow = (stiff.arrays.ids == stiff.object_ids[name] for name in ("fast_ball", "slow_ball"))
     pixels_per_ms = 350 * np.linalg.norm(positions[1] - positions[0], axis=-1) / 1e-6 / positions[0, :, 2] / 1000
     assert pixels_per_ms[fast].item() > 10
     assert 0 < pixels_per_ms[slow].item() < 0.1

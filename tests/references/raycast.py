@@ -1,4 +1,4 @@
-"""The readable twin of the native ray caster: every ray against every shape, in NumPy, nothing left out.
+"""Readable twin of the native ray caster: every ray against every shape, in NumPy, nothing left out.
 
 Letters: N rays. A ray is o + t d with d's z equal to 1 in the camera, so t is the depth. Shapes are convex and seen
 from outside, so the entry point is all there is to find.
@@ -8,25 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.scenes.bodies import KINDS
-from acquisition.scenes.raycast import Floats, Frames, Geometry
+from acquisition.scenes.raycast import Floats, Frames, SceneArrays
 from rigs.camera import Camera
 
 NEAR_M = 1e-4
 
 
 def trace_reference(
-    geometry: Geometry, camera: Camera, rotations: Floats, positions: Floats, samples: int, *, gain: float = 1.0
+    scene: SceneArrays, camera: Camera, rotations: Floats, positions: Floats, samples: int, *, gain: float = 1.0
 ) -> Frames:
     """One instant [1, H, W] with the shapes at world_from_shape `rotations` [P, 3, 3], `positions` [P, 3]."""
     steps = (np.arange(samples) + 0.5) / samples
-    rays = _Rays(geometry, camera, rotations, positions, _pixels(camera, steps))
+    rays = _Rays(scene, camera, rotations, positions, _pixels(camera, steps))
     light = gain * rays.light(spacing=1 / (camera.fx * samples))
-    middle = _Rays(geometry, camera, rotations, positions, _pixels(camera, np.array([0.5])))
+    middle = _Rays(scene, camera, rotations, positions, _pixels(camera, np.array([0.5])))
     shape = (1, camera.height, camera.width)
     return Frames(
         light.reshape(*shape, -1).mean(axis=-1).astype(np.float32),
         np.where(middle.shape < 0, np.nan, middle.depth).reshape(shape).astype(np.float32),
-        np.where(middle.shape < 0, 0, geometry.ids[middle.shape]).reshape(shape).astype(np.int8),
+        np.where(middle.shape < 0, 0, scene.ids[middle.shape]).reshape(shape).astype(np.int8),
     )
 
 
@@ -40,13 +40,13 @@ def _pixels(camera: Camera, steps: Floats) -> Floats:
 class _Rays:
     """Rays [N] of one camera and what they hit first: `shape` [N] (-1: nothing) at `depth` [N]."""
 
-    def __init__(self, geometry: Geometry, camera: Camera, rotations: Floats, positions: Floats, pixels: Floats):
-        self.geometry, self.rotations, self.positions = geometry, rotations, positions
+    def __init__(self, scene: SceneArrays, camera: Camera, rotations: Floats, positions: Floats, pixels: Floats):
+        self.scene, self.rotations, self.positions = scene, rotations, positions
         u, v = pixels.T
         in_camera = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
         self.origin = camera.center
         self.direction = in_camera @ camera.cam_from_rig.rotation
-        entries = [self._entry(k, self.origin, self.direction, NEAR_M) for k in range(len(geometry.shapes))]
+        entries = [self._entry(k, self.origin, self.direction, NEAR_M) for k in range(len(scene.shapes))]
         self.depth = np.min(entries, axis=0)
         self.shape = np.where(np.isfinite(self.depth), np.argmin(entries, axis=0), -1)
 
@@ -54,12 +54,12 @@ class _Rays:
         o = (origin - self.positions[k]) @ self.rotations[k]
         d = direction @ self.rotations[k]
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = _ENTRIES[KINDS[int(self.geometry.shapes[k, 0])]](self.geometry.shapes[k, 1:4], o, d)
+            t = _ENTRIES[KINDS[int(self.scene.shapes[k, 0])]](self.scene.shapes[k, 1:4], o, d)
             return np.where(t > least, t, np.inf)
 
     def light(self, spacing: float) -> Floats:
         """Spikes per tick of each ray [N], at one metre's distance `spacing` metres from the next."""
-        scene, uneven = self.geometry, self.geometry.uneven
+        scene, uneven = self.scene, self.scene.uneven
         out = np.full(len(self.depth), scene.background)
         for k in range(len(scene.shapes)):
             hit = self.shape == k
@@ -81,8 +81,8 @@ class _Rays:
         return out
 
     def _shaded(self, own: int, point: Floats) -> NDArray[np.bool_]:
-        sun = np.broadcast_to(self.geometry.sun, point.shape)
-        others = (k for k in range(len(self.geometry.shapes)) if k != own)
+        sun = np.broadcast_to(self.scene.sun, point.shape)
+        others = (k for k in range(len(self.scene.shapes)) if k != own)
         return np.any([np.isfinite(self._entry(k, point, sun, 0.0)) for k in others] or [np.zeros(len(point))], axis=0)
 
 
@@ -142,7 +142,7 @@ def _surface(row: Floats, at: Floats) -> tuple[Floats, NDArray[np.int64], Floats
     return normal, 2 * axis + (sign < 0), np.take_along_axis(at, others, axis=-1)
 
 
-def _texel(scene: Geometry, row: Floats, face: NDArray[np.int64], uv: Floats, spacing_m: Floats) -> Floats:
+def _texel(scene: SceneArrays, row: Floats, face: NDArray[np.int64], uv: Floats, spacing_m: Floats) -> Floats:
     """The texture, bilinear and periodic, between the two levels whose texels are about as wide as `spacing_m` [N].
 
     Faces show parts 0.37 of the texture apart.
