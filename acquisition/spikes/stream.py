@@ -59,6 +59,12 @@ class SpikeStream:
             raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(self)}")
         return self.packed[first:last]
 
+    def around(self, plane: int, reach: int) -> tuple[int, int]:
+        """Return the planes [first, last) within `reach` of `plane`, cut at the ends; refuse a plane outside."""
+        if not 0 <= plane < len(self):
+            raise BadRecordingError(f"found the instant at plane {plane}", f"one inside 0:{len(self)}")
+        return max(0, plane - reach), min(len(self), plane + reach + 1)
+
     def planes(self, first: int, last: int) -> NDArray[np.uint8]:
         """Unpacked planes [last - first, H, W] of 0 and 1, row 0 at the top."""
         return packing.unpack(self.window(first, last), self.layout)

@@ -12,7 +12,7 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.clips import Truth
 from reconstruction.evaluation.truth import Truth as RunTruth
-from reconstruction.pipeline.image_methods import ALL_METHODS as METHODS
+from reconstruction.images.catalogue import methods
 from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_span_m, grey, write_png
 from reconstruction.run.folder import RunFolder
@@ -27,7 +27,7 @@ GAP_PX = 4
 def write_strip(path: Path, scene: str, stream: SpikeStream, plane: int, truth: Truth) -> None:
     """One row: the true light, then each method's image at `plane`, all with the scene's white; grey where refused."""
     tiles = [_tile(f"{scene}: truth", grey(truth.light, truth.white))]
-    for name, method in METHODS.items():
+    for name, method in methods().items():
         try:
             pixels = grey(method(stream, plane).intensity, truth.white)
         except Spike4dgsError:

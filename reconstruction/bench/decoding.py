@@ -18,8 +18,8 @@ from acquisition.bench_document import BenchDocument, fastest_s
 from acquisition.spikes import packing
 from acquisition.spikes.packing import unpack_reference
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.tfi import REACH, tfi_images, tfi_intensities
-from reconstruction.images.tfp import HALF_WINDOW, tfp_intensities
+from reconstruction.images.methods.tfi import REACH, tfi_images, tfi_intensities
+from reconstruction.images.methods.tfp import HALF_WINDOW, tfp_intensities
 
 IMAGES, CAMERAS = 20, 9
 

@@ -26,8 +26,8 @@ from reconstruction.bench.plot_leave_out import plot_leave_out
 from reconstruction.bench.plot_poses import plot_poses
 from reconstruction.bench.plot_viewpoints import plot_viewpoints
 from reconstruction.errors import BadRunError
-from reconstruction.images.learned.curve import plot_curves as plot_learned
-from reconstruction.initialization.msdi.curve import plot_curves as plot_msdi
+from reconstruction.networks.training.curve import plot_curves as plot_learned
+from reconstruction.networks.training.msdi_curve import plot_curves as plot_msdi
 
 LINK = re.compile(r"\(tests/benchmarks/([\w-]+)\.json\)")
 FIGURE = re.compile(r"^\| `([^`]+)` \| ([-+.\deE]+) \|$", re.MULTILINE)
@@ -91,9 +91,9 @@ def main(folder: Path, text: Path) -> None:
         others = open_others(folder)
         write_tables(folder / "paper.md", documents["paper"], PROTOCOL, others)
         write_diagrams(folder, documents["paper"], others)
-    weights = Path("reconstruction") / "images" / "learned" / "weights"
+    weights = Path("reconstruction") / "networks" / "weights"
     plot_learned([weights / name for name in IMAGE_NETWORKS], folder / "learned.png")
-    plot_msdi([Path("reconstruction") / "initialization" / "msdi" / "weights" / "small.json"], folder / "msdi.png")
+    plot_msdi([Path("reconstruction") / "networks" / "msdi" / "weights" / "small.json"], folder / "msdi.png")
     filled = figures_filled(text.read_text(), documents)
     write_durably(text, filled.encode())
     whole = hours({name: found for name, found in documents.items() if name != "paper"}) + PROTOCOL.hours

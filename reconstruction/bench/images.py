@@ -32,9 +32,8 @@ from reconstruction.bench.recordings import (
     spikedata_folder,
 )
 from reconstruction.bench.scores import DEFINITIONS, Scorer
+from reconstruction.images.catalogue import ImageMethod, methods
 from reconstruction.images.estimate import Estimate
-from reconstruction.images.methods import Method
-from reconstruction.pipeline.image_methods import ALL_METHODS as METHODS
 from rigs.errors import Spike4dgsError
 from rigs.toml import catalog_rig
 
@@ -44,6 +43,7 @@ MIDDLE = 200
 LEVELS = (0.03, 0.1, 0.3, 1.6)  # times the scene's own light
 SLOWER = (2, 4, 10, 20, 40, 100, 200)  # 20 kHz down to 100 Hz
 WAYS: tuple[Slowing, ...] = ("drop", "reintegrate")
+METHODS = methods()
 SLOW_S = 1.0  # an image; a slower method is not run at other lights and rates but in the first scene
 AVERAGED = ("psnr_db", "ssim", "dynamic_psnr_db", "static_psnr_db", "edge_sharpness", "lpips", "brisque", "niqe")
 
@@ -190,7 +190,7 @@ class ImageBench:
             document.rows.append({**row, "valid": float(estimate.valid.mean()), "seconds": seconds})
 
 
-def timed(method: Method, stream: SpikeStream, plane: int) -> tuple[Estimate, float]:
+def timed(method: ImageMethod, stream: SpikeStream, plane: int) -> tuple[Estimate, float]:
     """The image and its seconds: the fastest of up to five calls, as many as fit into a quarter of a second."""
     best, spent, calls = float("inf"), 0.0, 0
     while True:

@@ -14,9 +14,9 @@ from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.features import MOST_PLANES, long_image
 from reconstruction.calibration.natural import calibrate_natural
-from reconstruction.images.tfi import tfi
+from reconstruction.images.methods.msdi import msdi
+from reconstruction.images.methods.tfi import tfi
 from reconstruction.initialization.geometry import Geometry
-from reconstruction.initialization.msdi.image import msdi
 from reconstruction.initialization.sfm import sfm
 from reconstruction.pipeline.initialisers import InitOptions, initialise, msdi_alone
 from rigs.rig import Rig

@@ -19,7 +19,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.board_corners import Image, Sighting, find_board, find_tags
 from reconstruction.calibration.board_spec import DICTIONARIES, BoardSpec, predefined
 from reconstruction.errors import BadRunError, GeometryError
-from reconstruction.images.interpolated import interpolated
+from reconstruction.images.methods.interpolated import interpolated
 from reconstruction.images.pixels import PixelCalibration, read_pixels
 from rigs.transform import Floats
 

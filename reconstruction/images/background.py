@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.light import Light
+from reconstruction.images.flicker import Light
 
 WINDOWS = 20  # equal parts of the clip
 SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background

@@ -1,5 +1,6 @@
 """The best statistic for each pixel: everything recorded where nothing moves, a short image where something does."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import cv2
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import Background, mended
-from reconstruction.images.light import Light
-from reconstruction.images.methods import Method
+from reconstruction.images.catalogue import ImageMethod
+from reconstruction.images.flicker import Light
 
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
@@ -26,7 +27,7 @@ class CompositeSource:
     stream: SpikeStream
     background: Background
     moving: NDArray[np.bool_]
-    method: Method
+    method: ImageMethod
     light: Light
     kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
@@ -61,3 +62,18 @@ class CompositeSource:
         gap = cv2.blur(image - self.background.image * self.light.gains[plane], (3, 3))
         unlike = cv2.dilate((np.abs(gap) > DIFFERENT).astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
         return self.moving & ((unlike > 0) | ~self.background.trusted)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenSource(CompositeSource):
+    """One camera's given images by plane, in spikes per tick; masks and counts are still those of its spikes."""
+
+    frames: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
+
+    def at(self, plane: int) -> NDArray[np.float32]:
+        """Return the given image [H, W] at `plane`; KeyError where there is none."""
+        return self.frames[plane]
+
+    def instants(self, stride: int) -> NDArray[np.int64]:
+        """Return the planes that have an image, whatever the stride."""
+        return np.array(sorted(self.frames), dtype=np.int64)

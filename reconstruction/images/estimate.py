@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.errors import BadRecordingError
-from acquisition.spikes.stream import SpikeStream
 from rigs.camera import Camera
 
 
@@ -22,13 +20,6 @@ class Estimate:
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]
     sigma: NDArray[np.float32]
-
-
-def window_around(stream: SpikeStream, plane: int, half_window: int) -> tuple[int, int]:
-    """Planes [first, last) within `half_window` of `plane`, clipped to the stream; refuses a plane outside it."""
-    if not 0 <= plane < len(stream):
-        raise BadRecordingError(f"found the instant at plane {plane}", f"one inside 0:{len(stream)}")
-    return max(0, plane - half_window), min(len(stream), plane + half_window + 1)
 
 
 def shrunk(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.estimate import window_around
 
 HISTORY = 64  # planes before the instant that are played
 AHEAD = 24  # planes behind it in which a pixel may close the interval that holds the instant
@@ -22,8 +21,8 @@ class Replay:
     """
 
     def __init__(self, stream: SpikeStream, plane: int):
-        self._first, _ = window_around(stream, plane, HISTORY)
-        _, last = window_around(stream, plane, AHEAD)
+        self._first, _ = stream.around(plane, HISTORY)
+        _, last = stream.around(plane, AHEAD)
         self._planes = stream.planes(self._first, last).view(bool)
         self._instant = plane
         shape = self._planes.shape[1:]

@@ -91,7 +91,7 @@ def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, prog
 
 def msdi_alone(recording: Recording, views: Sequence[str], progress: Progress = silent) -> Geometry:
     """What MSDI's network alone finds at the middle of the recording; raises GeometryError where it is refused."""
-    from reconstruction.initialization.msdi.initialiser import initialise as look
+    from reconstruction.initialization.msdi import initialise as look
 
     middle = recording.rig.clock.instant_s(recording.planes // 2)
     found = look({view: recording.stream(view) for view in views}, recording.rig, middle, progress)

@@ -19,11 +19,10 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import StereoError
 from reconstruction.images.background import Background, background
-from reconstruction.images.clean import GIVEN
+from reconstruction.images.catalogue import GIVEN, ImageMethod, method_for
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
-from reconstruction.images.light import Light
-from reconstruction.images.methods import Method
+from reconstruction.images.flicker import Light
 from reconstruction.initialization.consistency import consistent
 from reconstruction.initialization.holes import filled
 from reconstruction.initialization.points import Points, sample_points
@@ -35,7 +34,6 @@ from reconstruction.initialization.sweep import (
     sweep_view,
 )
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.pipeline.image_methods import image_method_for
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import INSTANTS, Plan, make_plan
 from rigs.camera import Camera
@@ -84,9 +82,9 @@ def composite_sources(run: RunFolder, recording: Recording) -> dict[str, Composi
     return sources
 
 
-def short_images(plan: Plan, stream: SpikeStream, moving: NDArray[np.bool_]) -> Method:
+def short_images(plan: Plan, stream: SpikeStream, moving: NDArray[np.bool_]) -> ImageMethod:
     """How the plan sees what moves; where the targets are given, how points are found."""
-    return image_method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)
+    return method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:

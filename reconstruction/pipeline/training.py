@@ -14,10 +14,10 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud
-from reconstruction.images.clean import GIVEN, CleanSource
-from reconstruction.images.composite import CompositeSource
-from reconstruction.images.interpolated import PLANES
-from reconstruction.images.light import Light
+from reconstruction.images.catalogue import GIVEN
+from reconstruction.images.composite import CompositeSource, GivenSource
+from reconstruction.images.flicker import Light
+from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.method import Seeds
 from reconstruction.pipeline.budget import Budget, StoppedError
@@ -186,7 +186,7 @@ def _given(sources: Mapping[str, CompositeSource], recording: Recording, images:
             plane: truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity
             for plane in truth.planes(view)
         }
-        found[view] = CleanSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)
+        found[view] = GivenSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)
     return found
 
 

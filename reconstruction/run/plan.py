@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.light import Light, estimate_light
-from reconstruction.images.motion import moving_pixels
+from reconstruction.images.flicker import Light, estimate_light
+from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.method import Method
 from reconstruction.methods.ours import BASES

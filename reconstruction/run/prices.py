@@ -5,7 +5,7 @@ machine: the development recording `fan_and_ball` seed 1 (eight training views o
 moving), kernels of level v3. They say which work is dear, not how long another machine takes.
 - SWEEP_S, SWEEP_MOVERS_S: `sweep_view` of one view against four, 128 hypotheses; 64 at half the width and height.
 - BACKGROUND_S: `background` of one view with moving pixels.
-- IMAGE_S: the image method at one plane of one view; `interpolated` looks at the moving pixels alone.
+- `ImageMethod.price_s`: one plane of one view; `interpolated` looks at the moving pixels alone.
 - STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians.
 - POSES_S: `natural` on nine views, a fourfold of the pixels taking twice as long (1.8 to 3.0 s at 200x125).
 - VARIATION_STEP_S: a step with `variation`, which renders three instants.
@@ -17,25 +17,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from reconstruction.images.catalogue import price_s
+
 MEASURED_PX = 400 * 250
 MEASURED_GAUSSIANS = 24_000
 SWEEP_S = 0.28
 SWEEP_MOVERS_S = 0.041
 BACKGROUND_S = 0.048
-IMAGE_S = {
-    "tfi": 0.0012,
-    "tfp": 0.0005,
-    "tfstp": 0.13,
-    "tvs": 0.19,
-    "slope": 0.0019,
-    "adaptive": 0.031,
-    "interpolated": 0.0030,
-    "spk2imgnet": 0.48,
-    "msdi": 0.48,
-    "blindspot": 0.72,
-    "clean": 0.0,  # read once
-    "blurred": 0.0,
-}
 POSES_S = 5.0
 STEP_S = 0.0225
 VARIATION_STEP_S = 0.0424
@@ -109,7 +97,7 @@ class Work:
 
     def image_s(self, method: str) -> float:
         """Seconds of one target image."""
-        return IMAGE_S[method] * self.scale
+        return price_s(method) * self.scale
 
     def colour_bytes(self) -> int:
         """Bytes of colours that depend on the viewing direction, with their moments."""

@@ -16,8 +16,8 @@ from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import mended, stuck_pixels
+from reconstruction.images.catalogue import methods
 from reconstruction.images.estimate import Estimate
-from reconstruction.images.methods import LEARNED, METHODS
 from reconstruction.images.pixels import estimate_pixels
 from reconstruction.stability.case import Case, Observation
 
@@ -31,7 +31,7 @@ ORDERS: tuple[tuple[BitOrder, RowOrder], ...] = (("lsb", "bottom"), ("msb", "top
 
 def method_names() -> tuple[str, ...]:
     """The methods that need no weights."""
-    return tuple(name for name in METHODS if name not in LEARNED)
+    return tuple(m.name for m in methods().values() if not m.learned)
 
 
 def _periods() -> NDArray[np.int64]:
@@ -55,7 +55,7 @@ def _image(name: str, stream: SpikeStream, plane: int = MIDDLE) -> Estimate:
     found = []
     for path in code_paths():
         with code_path(path):
-            found.append(METHODS[name](stream, plane))
+            found.append(methods()[name](stream, plane))
     alike = all(np.array_equal(e.intensity, found[0].intensity) for e in found)
     return found[0] if alike else Estimate(found[0].intensity * np.nan, found[0].valid, found[0].sigma)
 

@@ -19,8 +19,8 @@ from acquisition.spikes.packing import pack, window_means
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.verdict import refuse_blind
 from reconstruction.gaussians.dynamic import Clip
-from reconstruction.images.methods import METHODS
-from reconstruction.images.tfi import tfi
+from reconstruction.images.catalogue import methods
+from reconstruction.images.methods.tfi import tfi
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.plan import make_plan
 from reconstruction.stability.case import Case, Observation
@@ -82,7 +82,7 @@ def _long_images(name: str) -> Observation:
             first = plane - 700
             last = min(PLANES, plane + 700)
             short = SpikeStream(np.array(stream.window(first, last)), ROW, 20000.0)
-            long, own = METHODS[name](stream, plane), METHODS[name](short, 700)
+            long, own = methods()[name](stream, plane), methods()[name](short, 700)
             differing += int((long.intensity != own.intensity).sum() + (long.valid != own.valid).sum())
         del stream
     return Observation(f"{differing} pixels differ from those of a short clip", float(differing))

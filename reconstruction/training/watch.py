@@ -20,7 +20,7 @@ from torch import Tensor
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.images.light import Light
+from reconstruction.images.flicker import Light
 from reconstruction.methods.seeding import LONG_LIFE
 from reconstruction.training.supervision import TrainingView
 from rigs.camera import Camera

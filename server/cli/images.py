@@ -11,9 +11,8 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.stream import SpikeStream
 from acquisition.spikes.suspicion import suspected_bit_order
-from reconstruction.images.methods import Method
+from reconstruction.images.catalogue import ImageMethod, method, names
 from reconstruction.images.pixels import PixelCalibration, read_pixels
-from reconstruction.pipeline.image_methods import ALL_METHODS, image_method
 from reconstruction.report.pictures import grey, write_png
 from server.cli.options import PLANES, SIZE
 from server.cli.progress import progress_of
@@ -23,7 +22,7 @@ FOLDER = click.Path(path_type=Path)
 
 @click.command("images")
 @click.argument("source", type=FOLDER)
-@click.option("--method", "name", required=True, help=f"One of: {', '.join(ALL_METHODS)}.")
+@click.option("--method", "name", required=True, help=f"One of: {', '.join(names())}.")
 @click.option("--weights", type=FOLDER, help="Weights trained on your own recording, for a learned method.")
 @click.option("--size", type=SIZE, help="WxH of a bare .dat.")
 @click.option("--tick-rate", type=float, help="Planes per second of a bare .dat.")
@@ -44,7 +43,7 @@ def images_command(
 
     Pixels are evened out where the rig of REC has their calibration.
     """
-    estimate = image_method(name, weights)
+    estimate = method(name, weights)
     streams, pixels = _streams(source, size, tick_rate, allow_partial), _pixels(source)
     shortest = min(len(stream) for stream in streams.values())
     planes = ticks if ticks is not None else range(0, shortest, 20)
@@ -83,7 +82,7 @@ def _pixels(source: Path) -> dict[str, PixelCalibration]:
 
 
 def _write_image(
-    folder: Path, stream: SpikeStream, plane: int, estimate: Method, pixels: PixelCalibration | None
+    folder: Path, stream: SpikeStream, plane: int, estimate: ImageMethod, pixels: PixelCalibration | None
 ) -> None:
     image = estimate(stream, plane)
     intensity = pixels.corrected(image.intensity) if pixels else image.intensity.astype(np.float32)

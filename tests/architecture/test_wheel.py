@@ -52,7 +52,7 @@ def test_wheel_holds_the_libraries_the_catalog_and_no_sources(wheel):
     for package in ("acquisition", "reconstruction"):
         assert [n for n in names if n.startswith(f"{package}/lib{package}-") and n.endswith(".so")]
     assert {"rigs/catalog/lab3x3.toml", "rigs/catalog/ci3x3.toml"} <= set(names)
-    assert {f"reconstruction/images/learned/weights/{n}.npz" for n in ("small", "blindspot")} <= set(names)
+    assert {f"reconstruction/networks/weights/{n}.npz" for n in ("small", "blindspot")} <= set(names)
     for source in ROOT.glob("server/page/*.*"):
         assert f"server/page/{source.name}" in names
     assert not [n for n in names if n.endswith((".cpp", ".h")) or n.startswith(("tests/", "docker/"))]

@@ -1,4 +1,4 @@
-"""`python -m reconstruction.images.learned.train`, from clips to images by weights of one's own."""
+"""`python -m reconstruction.networks.train`, from clips to images by weights of one's own."""
 
 import json
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from reconstruction.images.learned import train
-from reconstruction.images.learned.clips import Clip, ClipSet, make_clip
-from reconstruction.images.learned.validation import Scored
+from reconstruction.networks import train
+from reconstruction.networks.training.image_clips import Clip, ClipSet, make_clip
+from reconstruction.networks.training.image_validation import Scored
 
 TINY = ClipSet(first_seed=1, count=1, size=24, planes=30, instants=(15,))
 
@@ -52,7 +52,7 @@ def test_ones_own_recording_trains_the_blind_spot_network_that_then_makes_its_im
     assert np.isfinite(np.load(tmp_path / "images" / "cam11" / "000020.npy")).all()
     status, _, errors = spike4dgs(*images, "--method", "tfi", "--weights", out / "blindspot.npz")
     assert status == 2
-    assert "expected one of spk2imgnet, blindspot" in errors[-1]
+    assert "expected one of blindspot, msdi, spk2imgnet" in errors[-1]
     status, _, errors = spike4dgs(*images, "--method", "spk2imgnet", "--weights", out / "blindspot.npz")
     assert status == 2
     assert "other or damaged weights" in errors[-1]

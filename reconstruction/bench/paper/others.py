@@ -11,7 +11,7 @@ from reconstruction.bench.paper.protocol import NO_DUST3R
 
 OTHERS = ("images", "poses")
 NO_SEPARATE = (
-    "no weights are shipped; `python -m reconstruction.initialization.msdi.train network --separate` makes some"
+    "no weights are shipped; `python -m reconstruction.networks.training.msdi_train network --separate` makes some"
 )
 
 

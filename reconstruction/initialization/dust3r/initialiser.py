@@ -20,11 +20,11 @@ from torch import Tensor
 from acquisition.progress import Progress, silent
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.dust3r.alignment import Aligned, aligned
-from reconstruction.initialization.dust3r.checkpoint import load_network
-from reconstruction.initialization.dust3r.network import Dust3r
 from reconstruction.initialization.dust3r.pairs import PairMaps, complete, neighbours, rays_of, sampled_pixels
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.placement import Images, laid_on, toned, usable_views
+from reconstruction.networks.dust3r.checkpoint import load_network
+from reconstruction.networks.dust3r.network import Dust3r
 from rigs.camera import Camera
 from rigs.rig import Rig
 

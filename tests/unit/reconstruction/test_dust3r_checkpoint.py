@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.dust3r.checkpoint import load_network
-from reconstruction.initialization.dust3r.heads import DptSizes
-from reconstruction.initialization.dust3r.network import Architecture, Dust3r
+from reconstruction.networks.dust3r.checkpoint import load_network
+from reconstruction.networks.dust3r.heads import DptSizes
+from reconstruction.networks.dust3r.network import Architecture, Dust3r
 
 DPT = Architecture(16, 2, 2, 16, 4, 1, dpt=DptSizes((2, 3, 4, 5), fused=4, last=3))
 LINEAR = Architecture(16, 2, 2, 16, 1, 1, head="linear")

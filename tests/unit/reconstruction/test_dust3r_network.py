@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.dust3r.blocks import Attention, CrossAttention, DecoderBlock, Turns
-from reconstruction.initialization.dust3r.heads import DptSizes, LinearHead
-from reconstruction.initialization.dust3r.network import Architecture, Dust3r, unfolded
+from reconstruction.networks.dust3r.blocks import Attention, CrossAttention, DecoderBlock, Turns
+from reconstruction.networks.dust3r.heads import DptSizes, LinearHead
+from reconstruction.networks.dust3r.network import Architecture, Dust3r, unfolded
 
 SMALL = Architecture(
     encoder_dim=32,

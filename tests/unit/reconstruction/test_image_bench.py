@@ -17,8 +17,8 @@ from reconstruction.bench.decoding import tfi_recipe, tfp_recipe
 from reconstruction.bench.images import Extent, ImageBench, finite, summarise
 from reconstruction.bench.plot_images import plot_images
 from reconstruction.bench.scores import Scorer
-from reconstruction.images.tfi import tfi_intensities
-from reconstruction.images.tfp import tfp, tfp_intensities
+from reconstruction.images.methods.tfi import tfi_intensities
+from reconstruction.images.methods.tfp import tfp, tfp_intensities
 from rigs.toml import catalog_rig
 
 

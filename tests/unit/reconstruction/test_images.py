@@ -8,12 +8,12 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.background import background
+from reconstruction.images.catalogue import method
 from reconstruction.images.composite import CompositeSource
-from reconstruction.images.light import Light
-from reconstruction.images.methods import method
-from reconstruction.images.motion import moving_pixels
-from reconstruction.images.tfi import tfi
-from reconstruction.images.tfp import tfp
+from reconstruction.images.flicker import Light
+from reconstruction.images.methods.tfi import tfi
+from reconstruction.images.methods.tfp import tfp
+from reconstruction.images.moving_pixels import moving_pixels
 
 
 def stream_of(planes):

@@ -10,12 +10,12 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.learned import inference
-from reconstruction.images.learned.inference import gathered, infer
-from reconstruction.images.learned.models import model
-from reconstruction.images.learned.weights import SHIPPED, write_weights
-from reconstruction.images.methods import method
-from reconstruction.images.spk2imgnet import TIERS, spk2imgnet
+from reconstruction.images.catalogue import method
+from reconstruction.images.methods.spk2imgnet import TIERS, spk2imgnet
+from reconstruction.networks import image_inference as inference
+from reconstruction.networks.image_inference import gathered, infer
+from reconstruction.networks.image_networks import image_network
+from reconstruction.networks.weights import SHIPPED, write_weights
 
 SHIPPED_NAMES = [*(tier for tier, ships in TIERS.items() if ships), "blindspot"]
 LEARNED = ["spk2imgnet", "blindspot"]
@@ -34,7 +34,7 @@ def fired(light, rng):
 
 def awake(name):
     torch.manual_seed(0)
-    module = model(name).build().eval()
+    module = image_network(name).build().eval()
     for parameter in module.parameters():
         torch.nn.init.normal_(parameter, std=0.05)
     return module
@@ -43,9 +43,9 @@ def awake(name):
 @pytest.mark.parametrize("name", SHIPPED_NAMES)
 def test_tiles_leave_no_seams(name, monkeypatch):
     spikes = np.random.default_rng(0).integers(0, 2, (140, 51, 44)).astype(np.uint8)
-    whole = infer(model(name), awake(name), stream_of(spikes), 70)
+    whole = infer(image_network(name), awake(name), stream_of(spikes), 70)
     monkeypatch.setattr(inference, "TILE", 16)
-    for a, b in zip(whole, infer(model(name), awake(name), stream_of(spikes), 70), strict=True):
+    for a, b in zip(whole, infer(image_network(name), awake(name), stream_of(spikes), 70), strict=True):
         assert np.abs(a - b).max() < 1e-6
 
 
@@ -134,7 +134,7 @@ def test_shipped_weights_are_small_and_carry_their_training(name):
     assert (SHIPPED / f"{name}.npz").stat().st_size < 10e6
     document = json.loads((SHIPPED / f"{name}.json").read_text())
     assert document["network"] == name
-    assert document["parameters"] == sum(p.numel() for p in model(name).build().parameters())
+    assert document["parameters"] == sum(p.numel() for p in image_network(name).build().parameters())
     assert document["pictures"]["clips"]["count"] > 0
     assert document["curve"][-1]["moving_db"] > document["curve"][0]["moving_db"] - 0.5
     assert document["curve"][-1]["development_db"] > 33  # 6 dB above TFI, which has 27.0

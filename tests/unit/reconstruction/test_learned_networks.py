@@ -4,13 +4,13 @@ import torch
 from torch.nn import functional
 
 from reconstruction.errors import BadRunError
-from reconstruction.images.learned.blind import BlindSpotNet, joined
-from reconstruction.images.learned.deformable import deformed
-from reconstruction.images.learned.models import MODELS, loss, model
-from reconstruction.images.learned.observation import BINS, EDGES
-from reconstruction.images.learned.published import PublishedSpk2ImgNet
-from reconstruction.images.learned.small import SmallSpk2ImgNet, window_means
-from reconstruction.images.learned.weights import read_weights, write_weights
+from reconstruction.networks.blind_spot import BlindSpotNet, joined
+from reconstruction.networks.deformable import deformed
+from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, loss
+from reconstruction.networks.rates import BINS, EDGES
+from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet
+from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet, window_means
+from reconstruction.networks.weights import read_weights, write_weights
 
 CHANNELS = {"small": BINS, "published": 41, "blindspot": BINS + 4}
 
@@ -43,20 +43,20 @@ def test_the_published_network_has_the_published_size_and_the_small_one_a_twenti
     assert parameters(BlindSpotNet()) < 0.22e6
 
 
-@pytest.mark.parametrize("name", list(MODELS))
+@pytest.mark.parametrize("name", list(IMAGE_NETWORKS))
 def test_every_weight_of_a_network_learns_from_a_small_batch(name):
     torch.manual_seed(0)
     seen, truth = torch.rand(1, CHANNELS[name], 8, 12), torch.rand(1, 1, 8, 12)
-    module = awake(model(name).build())
-    loss(model(name), module, seen, truth).backward()
+    module = awake(image_network(name).build())
+    loss(image_network(name), module, seen, truth).backward()
     assert [n for n, p in module.named_parameters() if p.grad is None or not p.grad.abs().max() > 0] == []
 
 
-@pytest.mark.parametrize("name", list(MODELS))
+@pytest.mark.parametrize("name", list(IMAGE_NETWORKS))
 @pytest.mark.parametrize("light", [0.0, 1.0])
 def test_darkness_and_saturation_give_finite_light_and_a_positive_error(name, light):
     seen = torch.full((1, CHANNELS[name], 8, 8), light)
-    image, sigma = awake(model(name).build()).eval()(seen, model(name).level(seen))
+    image, sigma = awake(image_network(name).build()).eval()(seen, image_network(name).level(seen))
     assert torch.isfinite(image).all()
     assert torch.isfinite(sigma).all()
     assert (sigma > 0).all()
@@ -65,13 +65,13 @@ def test_darkness_and_saturation_give_finite_light_and_a_positive_error(name, li
 @pytest.mark.parametrize("name", ["small", "published"])
 def test_networks_that_need_truth_say_so(name):
     with pytest.raises(BadRunError, match="no true light"):
-        loss(model(name), model(name).build(), torch.rand(1, CHANNELS[name], 8, 8), None)
+        loss(image_network(name), image_network(name).build(), torch.rand(1, CHANNELS[name], 8, 8), None)
 
 
 def test_the_blind_spot_network_learns_without_truth_and_does_not_look_at_it():
     seen, module = torch.rand(1, CHANNELS["blindspot"], 8, 8), BlindSpotNet()
-    without = loss(model("blindspot"), module, seen, None)
-    assert without == loss(model("blindspot"), module, seen, torch.rand(1, 1, 8, 8))
+    without = loss(image_network("blindspot"), module, seen, None)
+    assert without == loss(image_network("blindspot"), module, seen, torch.rand(1, 1, 8, 8))
 
 
 def test_the_blind_spot_network_never_sees_the_interval_it_guesses():
@@ -156,4 +156,4 @@ def test_weights_that_half_precision_cannot_hold_are_refused(tmp_path):
 
 def test_unknown_networks_are_refused_with_the_known_ones():
     with pytest.raises(BadRunError, match="small, published, blindspot"):
-        model("crystal")
+        image_network("crystal")

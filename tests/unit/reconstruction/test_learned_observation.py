@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.learned.blind import GAP, OWN, blind_rates, reversed_blind_rates
-from reconstruction.images.learned.observation import BINS, EDGES, REACH, charge, planes_around, rates, raw_planes
-from reconstruction.images.tfi import tfi
+from reconstruction.images.methods.tfi import tfi
+from reconstruction.networks.blind_spot import GAP, OWN, blind_rates, reversed_blind_rates
+from reconstruction.networks.rates import BINS, EDGES, REACH, charge, planes_around, rates, raw_planes
 
 
 def stream_of(planes):

@@ -8,10 +8,10 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.learned.batches import Batches, ClipPictures, StreamPictures
-from reconstruction.images.learned.clips import ClipSet, make_clip, read_clip, read_clip_set, write_clips
-from reconstruction.images.learned.models import model
-from reconstruction.images.learned.training import Training, TrainingConfig
+from reconstruction.networks.image_networks import image_network
+from reconstruction.networks.training.image_batches import Batches, ClipPictures, StreamPictures
+from reconstruction.networks.training.image_clips import ClipSet, make_clip, read_clip, read_clip_set, write_clips
+from reconstruction.networks.training.loop import Training, TrainingConfig
 
 TINY = ClipSet(first_seed=7, count=3, size=24, planes=40, instants=(15, 25))
 
@@ -37,7 +37,7 @@ def config(**settings):
 
 def training(out, folder, **settings):
     wanted = config(**settings)
-    return Training(out, wanted, ClipPictures(folder, model(wanted.name)))
+    return Training(out, wanted, ClipPictures(folder, image_network(wanted.name)))
 
 
 def no_score(module):
@@ -88,7 +88,7 @@ def test_impossible_clip_sets_are_refused(wrong):
 
 
 def test_batch_n_is_the_same_whenever_it_is_asked_for(folder):
-    network = model("small")
+    network = image_network("small")
     batches, others = (Batches(ClipPictures(folder, network), network, 3, 16, seed) for seed in (1, 1))
     for _ in range(3):
         batches.batch(0)
@@ -99,7 +99,7 @@ def test_batch_n_is_the_same_whenever_it_is_asked_for(folder):
 
 def test_what_is_seen_and_the_truth_are_turned_alike(folder):
     """The mean rate over the longest window resembles the true light in every crop, however it was turned."""
-    network = model("small")
+    network = image_network("small")
     seen, truth = Batches(ClipPictures(folder, network), network, 16, 24, 0).batch(0)
     for rates, light in zip(seen, truth[:, 0], strict=True):
         if light.std() > 0.02:
@@ -164,16 +164,16 @@ def test_the_blind_spot_network_trains_on_spikes_alone(tmp_path):
     planes = np.random.default_rng(0).integers(0, 2, (30, 20, 21)).astype(np.uint8)
     layout = PlaneLayout(21, 20)
     streams = [SpikeStream(pack(planes, layout), layout, 20000.0)] * 2
-    network = model("blindspot")
+    network = image_network("blindspot")
     run = Training(tmp_path, config(name="blindspot"), StreamPictures(streams, network, 0))
     before = [p.clone() for p in run.module.parameters()]
     run.run(no_score)
     assert all(not torch.equal(a, b) for a, b in zip(before, run.module.parameters(), strict=True))
     assert len(json.loads((tmp_path / "training.json").read_text())["pictures"]["instants"]) == 64
     with pytest.raises(BadRunError, match="no true light"):
-        Training(tmp_path / "other", config(), StreamPictures(streams, model("small"), 0)).run(no_score)
+        Training(tmp_path / "other", config(), StreamPictures(streams, image_network("small"), 0)).run(no_score)
 
 
 def test_a_recording_without_planes_is_refused():
     with pytest.raises(BadRunError, match="no planes to train on"):
-        StreamPictures([], model("blindspot"), 0)
+        StreamPictures([], image_network("blindspot"), 0)

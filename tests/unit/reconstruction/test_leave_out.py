@@ -28,8 +28,8 @@ from reconstruction.bench.leave_out_cases import (
 )
 from reconstruction.bench.leave_out_run import EveryChannel, Memory
 from reconstruction.bench.plot_leave_out import plot_leave_out
-from reconstruction.images.light import Light
-from reconstruction.images.motion import moving_pixels
+from reconstruction.images.flicker import Light
+from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import Rendering
 from reconstruction.run.plan import STILL_SHARE
 from reconstruction.training.supervision import ImageTerm

@@ -10,13 +10,13 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.adaptive import HALF_WINDOWS, adaptive, longest_unbroken
-from reconstruction.images.methods import method
-from reconstruction.images.slope import slope, slope_weights
-from reconstruction.images.tfi import tfi, tfi_images, tfi_intensities
-from reconstruction.images.tfp import tfp, tfp_images
-from reconstruction.images.tfstp import TAU_D, TAU_F, U0, F, tfstp
-from reconstruction.images.tvs import tvs
+from reconstruction.images.catalogue import method
+from reconstruction.images.methods.adaptive import HALF_WINDOWS, adaptive, longest_unbroken
+from reconstruction.images.methods.slope import slope, slope_weights
+from reconstruction.images.methods.tfi import tfi, tfi_images, tfi_intensities
+from reconstruction.images.methods.tfp import tfp, tfp_images
+from reconstruction.images.methods.tfstp import TAU_D, TAU_F, U0, F, tfstp
+from reconstruction.images.methods.tvs import tvs
 
 NAMES = ("tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated")
 WINDOWS = ("tfp", "slope", "adaptive")

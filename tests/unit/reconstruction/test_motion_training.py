@@ -21,8 +21,8 @@ from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
-from reconstruction.images.light import Light
-from reconstruction.images.tfp import tfp
+from reconstruction.images.flicker import Light
+from reconstruction.images.methods.tfp import tfp
 from reconstruction.rendering.render import render
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.supervision import TrainingView

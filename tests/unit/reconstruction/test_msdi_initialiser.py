@@ -5,12 +5,12 @@ from acquisition.errors import BadRecordingError
 from acquisition.scenes.misplaced import misplaced
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.adaptive import adaptive
-from reconstruction.initialization.msdi.clips import MultiviewSet, make_clip
-from reconstruction.initialization.msdi.image import msdi
-from reconstruction.initialization.msdi.initialiser import LEAST_CONFIDENCE, initialise
+from reconstruction.images.methods.adaptive import adaptive
+from reconstruction.images.methods.msdi import msdi
+from reconstruction.initialization.msdi import LEAST_CONFIDENCE, initialise
 from reconstruction.metrics.image import psnr_db
 from reconstruction.metrics.poses import pose_errors
+from reconstruction.networks.training.msdi_clips import MultiviewSet, make_clip
 from rigs.similarity import align
 
 CLIP = MultiviewSet(first_seed=910_002, count=1)

@@ -5,11 +5,11 @@ import torch
 
 from acquisition.scenes.multiview import random_rig
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.dust3r.blocks import Turns
-from reconstruction.initialization.dust3r.network import Architecture, Dust3r
-from reconstruction.initialization.msdi.features import CHANNELS
-from reconstruction.initialization.msdi.large import BackboneTrunk, large_msdi
-from reconstruction.initialization.msdi.views import Views
+from reconstruction.networks.dust3r.blocks import Turns
+from reconstruction.networks.dust3r.network import Architecture, Dust3r
+from reconstruction.networks.msdi.features import CHANNELS
+from reconstruction.networks.msdi.large import BackboneTrunk, large_msdi
+from reconstruction.networks.msdi.views import Views
 
 TINY = Architecture(32, 2, 2, 24, 2, 3, head="linear")
 CALL = (

@@ -3,13 +3,13 @@ import pytest
 import torch
 
 from acquisition.scenes.multiview import random_rig
-from reconstruction.images.learned.observation import BINS
-from reconstruction.initialization.msdi.depth import STEPS, likeliest
-from reconstruction.initialization.msdi.features import channels, evened, keypoints, patch_centers, sampled
-from reconstruction.initialization.msdi.inference import full_size, smaller
-from reconstruction.initialization.msdi.matching import FLOOR_PX, moments, window_cells
-from reconstruction.initialization.msdi.network import prepared, small_msdi
-from reconstruction.initialization.msdi.views import Views, inverse_depths
+from reconstruction.networks.msdi.depth import STEPS, likeliest
+from reconstruction.networks.msdi.features import channels, evened, keypoints, patch_centers, sampled
+from reconstruction.networks.msdi.inference import full_size, smaller
+from reconstruction.networks.msdi.matching import FLOOR_PX, moments, window_cells
+from reconstruction.networks.msdi.network import prepared, small_msdi
+from reconstruction.networks.msdi.views import Views, inverse_depths
+from reconstruction.networks.rates import BINS
 
 
 @pytest.fixture(autouse=True)

@@ -5,11 +5,11 @@ import torch
 from acquisition.scenes.misplaced import misplaced
 from acquisition.scenes.multiview import random_rig
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.msdi.adjustment import Stage, adjust, derivatives, moved
-from reconstruction.initialization.msdi.features import patch_centers
-from reconstruction.initialization.msdi.matching import Matches
-from reconstruction.initialization.msdi.views import GATE, LEAST_Z, Views, gate, homogeneous, object_distance
 from reconstruction.metrics.poses import pose_errors
+from reconstruction.networks.msdi.adjustment import Stage, adjust, derivatives, moved
+from reconstruction.networks.msdi.features import patch_centers
+from reconstruction.networks.msdi.matching import Matches
+from reconstruction.networks.msdi.views import GATE, LEAST_Z, Views, gate, homogeneous, object_distance
 from rigs.toml import catalog_rig
 
 FREE = (Stage(4, 1e4, 1e-3, 1e-3), Stage(20, 1e4, 100.0, 100.0, 50.0))  # no priors to speak of, no outliers

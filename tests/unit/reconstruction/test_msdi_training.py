@@ -8,13 +8,14 @@ import torch
 from click.testing import CliRunner
 
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.msdi.clips import MultiviewSet, make_clip, read_clip, read_clip_set, write_clips
-from reconstruction.initialization.msdi.curve import plot_curves
-from reconstruction.initialization.msdi.depth import STEPS, Swept
-from reconstruction.initialization.msdi.features import keypoints, sampled
-from reconstruction.initialization.msdi.network import small_msdi
-from reconstruction.initialization.msdi.samples import Samples
-from reconstruction.initialization.msdi.supervision import (
+from reconstruction.networks.msdi.depth import STEPS, Swept
+from reconstruction.networks.msdi.features import keypoints, sampled
+from reconstruction.networks.msdi.network import small_msdi
+from reconstruction.networks.msdi.views import Views, inverse_depths
+from reconstruction.networks.training.msdi import MsdiConfig, MsdiTraining, sample_loss
+from reconstruction.networks.training.msdi_clips import MultiviewSet, make_clip, read_clip, read_clip_set, write_clips
+from reconstruction.networks.training.msdi_curve import plot_curves
+from reconstruction.networks.training.msdi_losses import (
     IGNORED,
     UNSEEN,
     correspondences,
@@ -22,9 +23,8 @@ from reconstruction.initialization.msdi.supervision import (
     depth_loss,
     token_loss,
 )
-from reconstruction.initialization.msdi.train import main
-from reconstruction.initialization.msdi.training import MsdiConfig, MsdiTraining, sample_loss
-from reconstruction.initialization.msdi.views import Views, inverse_depths
+from reconstruction.networks.training.msdi_samples import Samples
+from reconstruction.networks.training.msdi_train import main
 
 TINY = MultiviewSet(first_seed=5, count=2, views=3, width=56, height=40)
 
@@ -173,7 +173,7 @@ def test_apart_the_geometry_does_not_teach_the_images_and_joint_it_does(folder):
         grads[joint] = [p.grad.clone() for p in network.image.parameters() if p.grad is not None]
     image_only = []
     network.zero_grad()
-    from reconstruction.images.learned.models import light_loss
+    from reconstruction.networks.image_networks import light_loss
 
     assert sample.rates is not None
     light, sigma, level = network.light(sample.rates)
@@ -235,17 +235,17 @@ from pathlib import Path
 
 import torch
 
-from reconstruction.images.learned import ranks
-from reconstruction.initialization.msdi.training import MsdiConfig, MsdiTraining
+from reconstruction.networks.training import processes
+from reconstruction.networks.training.msdi import MsdiConfig, MsdiTraining
 
 torch.set_num_threads(1)
 clips, out = map(Path, sys.argv[1:])
-device = ranks.start("cpu")
+device = processes.start("cpu")
 config = MsdiConfig("small", 2, score_every=2, image_from=0, pose_from=9)
 training = MsdiTraining(out / "run", config, clips, device, {})
 training.run(lambda module: {})
 torch.save([p.detach() for p in training.module.parameters()], out / f"rank{torch.distributed.get_rank()}.pt")
-ranks.stop()
+processes.stop()
 """
 
 

@@ -3,7 +3,7 @@ import numpy as np
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.methods import method
+from reconstruction.images.catalogue import method
 from reconstruction.images.replay import Replay
 
 

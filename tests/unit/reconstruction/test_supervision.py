@@ -13,8 +13,8 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
-from reconstruction.images.light import Light
-from reconstruction.images.tfp import tfp
+from reconstruction.images.flicker import Light
+from reconstruction.images.methods.tfp import tfp
 from reconstruction.rendering.render import render
 from reconstruction.training import supervision
 from reconstruction.training.exposure import FROM, Exposure

@@ -19,9 +19,9 @@ from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
-from reconstruction.images.light import Light, estimate_light
-from reconstruction.images.motion import moving_pixels
-from reconstruction.images.tfp import tfp
+from reconstruction.images.flicker import Light, estimate_light
+from reconstruction.images.methods.tfp import tfp
+from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import render
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.supervision import TrainingView

@@ -1,0 +1,88 @@
+"""The sources of target images by the name an operator gives: methods that turn spikes into images, and given images.
+
+A method is one file of `reconstruction.images.methods` that defines an `ImageMethod`; a new one takes that file and a
+line in the README, and every list follows. `methods()` maps names to methods, `names()` lists them, `sources()` adds
+the given images. `method(name, weights)` and `method_for(name, layout, pixels)` return what makes the images. Listing
+imports no torch.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.members import members
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.images.estimate import Estimate
+
+GIVEN = ("clean", "blurred")  # the true light of an instant, and its mean over the exposure of an ordinary camera
+
+
+@dataclass(frozen=True)
+class ImageMethod:
+    """A way to turn spikes into an image: call it with a stream and the plane at which the image is wanted.
+
+    `make` does the work. A `learned` one takes `weights=`, a file of the user's own; one that `focuses` takes
+    `wanted=`, a packed plane of the only pixels to look at. `price_s` is the processor time of one 400x250 picture in
+    seconds, as `reconstruction.run.prices` measures it.
+    """
+
+    name: str
+    make: Callable[..., Estimate]
+    price_s: float
+    learned: bool = False
+    focuses: bool = False
+
+    def __call__(self, stream: SpikeStream, plane: int) -> Estimate:
+        """Return the image at `plane`; raises BadRecordingError for a plane outside the stream."""
+        return self.make(stream, plane)
+
+
+@functools.cache
+def methods() -> Mapping[str, ImageMethod]:
+    """Return every method by its name."""
+    return members("reconstruction.images.methods", ImageMethod)
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the methods."""
+    return tuple(methods())
+
+
+def sources() -> tuple[str, ...]:
+    """Return every name that target images can be asked for by: the methods, then the given images."""
+    return (*names(), *GIVEN)
+
+
+def price_s(source: str) -> float:
+    """Return the processor seconds of one 400x250 picture from `source`; given images are only read."""
+    return 0.0 if source in GIVEN else methods()[source].price_s
+
+
+def method(name: str, weights: Path | None = None) -> ImageMethod:
+    """Return the method `name`, a learned one with `weights` if given; raises BadRunError listing the known ones."""
+    if name not in methods():
+        raise BadRunError(f"found the image method {name!r}", f"one of {', '.join(names())}")
+    found = methods()[name]
+    if weights is None:
+        return found
+    if not found.learned:
+        learned = ", ".join(m.name for m in methods().values() if m.learned)
+        raise BadRunError(f"found weights for the method {name!r}", f"one of {learned} beside them")
+    return replace(found, make=functools.partial(found.make, weights=weights))
+
+
+def method_for(name: str, layout: PlaneLayout, pixels: NDArray[np.bool_]) -> ImageMethod:
+    """Return `method(name)` for a caller who uses `pixels` [H, W] alone: faster where the method can focus on them."""
+    found = method(name)
+    if not found.focuses:
+        return found
+    return replace(found, make=functools.partial(found.make, wanted=pack(pixels[None], layout)[0]))

@@ -1,0 +1,1 @@
+"""The methods that turn spikes into images, one file each; `reconstruction.images.catalogue` lists them."""

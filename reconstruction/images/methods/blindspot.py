@@ -1,0 +1,28 @@
+"""Blind-spot network: learns from spikes alone, so also from a recording whose true light nobody knows.
+
+Order: as Spk2ImgNet, a little less sharp. It has learnt to guess each pixel's interval from its neighbours and from the
+pixel's own past and future, and joins the guess with the interval as far as their errors tell. The weights that ship
+come from the spikes of random scenes; `python -m reconstruction.networks.train own REC --out DIR` trains on REC.
+Cost: about a second a core at 400x250. Sources: `reconstruction.networks.blind_spot`.
+"""
+
+from pathlib import Path
+
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.catalogue import ImageMethod
+from reconstruction.images.estimate import Estimate
+
+
+def blindspot(stream: SpikeStream, plane: int, weights: Path | None = None) -> Estimate:
+    """Return the image at `plane`; valid where a pixel or its neighbour ever fired near the instant.
+
+    `weights` are one's own.
+    """
+    from reconstruction.images.learned import estimated_by  # torch, which listing the methods does without
+    from reconstruction.networks.image_inference import trained
+    from reconstruction.networks.image_networks import image_network
+
+    return estimated_by(image_network("blindspot"), trained("blindspot", weights), stream, plane)
+
+
+METHOD = ImageMethod("blindspot", blindspot, price_s=0.72, learned=True)

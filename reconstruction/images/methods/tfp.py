@@ -1,0 +1,49 @@
+"""TFP, texture from playback: the mean of the planes around an instant.
+
+Order: unbiased while light and scene stand still; the error falls with the window (quantisation 1/window) until motion
+blurs it. Use it where nothing moves. Not a count over the past only: the window is centred on the instant.
+A pixel that never or always fires in the window is not valid: its light is bounded on one side only.
+Cost: one pass over the packed window.
+Source: Zhu et al., "A retina-inspired sampling method for visual texture reconstruction", ICME 2019.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.spikes.packing import window_means
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.catalogue import ImageMethod
+from reconstruction.images.estimate import Estimate
+from reconstruction.images.noise import window_sigma
+
+HALF_WINDOW = 16
+
+
+def tfp(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Estimate:
+    """Image at `plane` from up to 2 * half_window + 1 planes."""
+    return tfp_images(stream, [plane], half_window)[0]
+
+
+def tfp_images(
+    stream: SpikeStream, planes: Sequence[int], half_window: int = HALF_WINDOW, *, threads: int = 1
+) -> list[Estimate]:
+    """The images at many planes of one stream, in one call to the kernel on `threads` cores."""
+    estimates = []
+    means = tfp_intensities(stream, planes, half_window, threads=threads)
+    for mean, plane in zip(means, planes, strict=True):
+        first, last = stream.around(plane, half_window)
+        estimates.append(Estimate(mean, (mean > 0) & (mean < 1), window_sigma(mean, last - first)))
+    return estimates
+
+
+def tfp_intensities(
+    stream: SpikeStream, planes: Sequence[int], half_window: int = HALF_WINDOW, *, threads: int = 1
+) -> NDArray[np.float32]:
+    """The intensities alone [N, H, W]."""
+    bounds = np.array([stream.around(plane, half_window) for plane in planes]).reshape(-1, 2)
+    return window_means(stream.packed, stream.layout, bounds, threads=threads)
+
+
+METHOD = ImageMethod("tfp", tfp, price_s=0.0005)

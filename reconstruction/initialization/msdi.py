@@ -1,0 +1,163 @@
+"""MSDI as an initialiser: spikes of the views of a rig around one instant to cameras, points and images.
+
+Order: a few hundredths of a degree where views share texture, from a rig off by two; bundle adjustment of finer
+features ends what it begins. Cost: 2 s a view and core at 400x250. Not for rigs whose drawing is off by more
+than its gate (45 px at a focal length of 350). Source: Spike4DGS (NeurIPS 2025), whose form is not public; ours is
+described in `network`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.progress import Progress, silent
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.initialization.consistency import AGREEING, confirmations
+from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.sweep import DepthMap, back_project
+from reconstruction.networks.image_inference import MOST_GROUP
+from reconstruction.networks.msdi.inference import Inferred, infer_views
+from reconstruction.networks.msdi.network import trained_msdi
+from reconstruction.networks.msdi.views import Views
+from reconstruction.networks.rates import REACH
+from rigs.rig import Rig
+from rigs.similarity import align
+from rigs.transform import rotvec_of
+
+FEWEST_VIEWS, MOST_VIEWS = 3, 9
+FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
+MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # from the nominal rig; what moves further is taken for a wrong minimum
+FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with the cameras found
+LEAST_CONFIDENCE = 1.75  # of a point; 1 says nothing
+AGREEMENT = 0.03  # of the object's inverse distance: how far other views' inverse depths may lie
+BORDER = 2  # px of the working size that are left out
+
+
+class _Refused(NamedTuple):
+    reason: str
+
+
+def initialise(
+    streams: Mapping[str, SpikeStream],
+    rig: Rig,
+    instant_s: float,
+    progress: Progress = silent,
+    weights: Path | None = None,
+) -> Geometry:
+    """Cameras, points and images of the views in `streams` (camera id to stream) at `instant_s` on the rig clock.
+
+    `rig` is the nominal one; its cameras without a stream keep their nominal pose and get the focal factor found. A
+    dark view keeps its nominal pose, too, and has no points. Where the poses found cannot be trusted, the rig is the
+    nominal one, there are no points, and the report says why. Raises BadRunError for views that are not 3 to 9, not of
+    the rig or of several sizes, and BadRecordingError for an instant outside a clip.
+    """
+    plane = rig.clock.plane(instant_s)
+    _check(streams, rig)
+    spikes = {name: _spikes(streams[name], plane) for name in rig.ids if name in streams}
+    seeing = [name for name, count in spikes.items() if count >= FEWEST_SPIKES]
+    report: dict[str, object] = {"method": "msdi", "plane": plane, "dark": [c for c in spikes if c not in seeing]}
+    if len(seeing) < FEWEST_VIEWS:
+        reason = f"found {len(seeing)} views with light, expected {FEWEST_VIEWS}; the nominal rig stands"
+        return Geometry(rig, report=report | {"refused": reason})
+    nominal = rig.only(seeing)
+    network, views = trained_msdi(weights), Views.of_rig(nominal)
+    inferred = infer_views(network, [streams[name] for name in seeing], views, plane, progress)
+    images = dict(zip(seeing, inferred.light, strict=True))
+    report |= _numbers(inferred, seeing)
+    found = inferred.views.to_rig(nominal, inferred.factor)
+    similarity = align(found, nominal)
+    moved = similarity.carry_rig(found)
+    refused = _refused(inferred, moved, nominal)
+    if refused:
+        return Geometry(rig, images=images, report=report | {"refused": refused.reason})
+    points, confidence = _points(inferred, moved, similarity.scale)
+    return Geometry(_completed(rig, moved), points, confidence, images, report)
+
+
+def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:
+    unknown = sorted(set(streams) - set(rig.ids))
+    if unknown:
+        raise BadRunError(f"found streams of {', '.join(unknown)}", f"cameras of rig {rig.name}")
+    if not FEWEST_VIEWS <= len(streams) <= MOST_VIEWS:
+        raise BadRunError(f"found {len(streams)} views", f"{FEWEST_VIEWS} to {MOST_VIEWS} for msdi")
+    sizes = {(s.layout.width, s.layout.height) for s in streams.values()}
+    sizes |= {(c.width, c.height) for c in rig.only(streams).cameras}
+    if len(sizes) > 1:
+        raise BadRunError(f"found views of the sizes {sorted(sizes)}", "one size for rig and streams")
+
+
+def _spikes(stream: SpikeStream, plane: int) -> float:
+    """Spikes a pixel on average, as far around `plane` as a dim view is looked at."""
+    return float(stream.counts(*stream.around(plane, REACH * MOST_GROUP)).mean())
+
+
+def _numbers(inferred: Inferred, seeing: list[str]) -> dict[str, object]:
+    """What `run.json` is told of the correspondences."""
+    used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
+    counts = {name: int(n) for name, n in zip(seeing, fits.sum(axis=(1, 2)), strict=True)}
+    return {"matches": int(used.sum()), "fitting": round(float(fits.sum() / max(1, used.sum())), 3), "by_view": counts}
+
+
+def _used(inferred: Inferred) -> NDArray[np.bool_]:
+    return (inferred.solved.matches.information.diagonal(dim1=-2, dim2=-1).sum(-1) > 0).numpy()
+
+
+def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
+    """Why the poses found are not to be trusted, if they are not."""
+    used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
+    share = fits.sum() / max(1, used.sum())
+    if share < FEWEST_SHARE:
+        return _Refused(f"found {share:.0%} of the correspondences to agree, expected {FEWEST_SHARE:.0%}")
+    counts = fits.sum(axis=(1, 2)) + fits.sum(axis=(0, 1))
+    for camera, before, count in zip(moved.cameras, nominal.cameras, counts, strict=True):
+        if count < FEWEST_FITS:
+            return _Refused(f"{camera.id}: found {count} correspondences that agree, expected {FEWEST_FITS}")
+        turn = np.linalg.norm(rotvec_of(camera.cam_from_rig.rotation @ before.cam_from_rig.rotation.T))
+        if np.degrees(turn) > MOST_TURN_DEG:
+            return _Refused(f"{camera.id}: found a turn of {np.degrees(turn):.1f} degrees from the nominal rig")
+        if abs(camera.fx / before.fx - 1) > MOST_FOCAL:
+            return _Refused(f"found the focal length {camera.fx:.1f} px, expected {before.fx:.1f} to 5 %")
+    return None
+
+
+def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """The confident pixels of all views that others confirm, as points in the rig frame [N, 3] m, and their confidence.
+
+    `scale` is that of the similarity which brought the cameras to `moved`.
+    """
+    height, width = inferred.depth.shape[1:]
+    maps, factor = [], inferred.factor
+    for camera, depth in zip(moved.cameras, inferred.depth, strict=True):
+        lens = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
+        small = replace(camera, width=width, height=height, pixels=None, **lens)
+        maps.append(DepthMap(small, np.asarray(scale * depth, np.float32), np.zeros_like(depth)))
+    tolerance = AGREEMENT / (scale * inferred.views.distance)
+    points, sure = [], []
+    for number, (reference, confidence) in enumerate(zip(maps, inferred.confidence, strict=True)):
+        others = maps[:number] + maps[number + 1 :]
+        kept = confirmations(reference, others, tolerance) >= min(AGREEING, len(others))
+        kept &= confidence >= LEAST_CONFIDENCE
+        kept[:BORDER], kept[-BORDER:], kept[:, :BORDER], kept[:, -BORDER:] = False, False, False, False
+        points.append(back_project(reference.camera, reference.depth)[kept])
+        sure.append(confidence[kept])
+    return np.concatenate(points), np.concatenate(sure)
+
+
+def _completed(rig: Rig, moved: Rig) -> Rig:
+    """`rig` with the cameras of `moved`, the others with the focal factor those have."""
+    first = moved.cameras[0]
+    factor = first.fx / rig.camera(first.id).fx
+    cameras = []
+    for camera in rig.cameras:
+        if camera.id in moved.ids:
+            cameras.append(moved.camera(camera.id))
+        else:
+            cameras.append(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor))
+    return replace(rig, cameras=tuple(cameras))

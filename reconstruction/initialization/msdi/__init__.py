@@ -1,1 +1,0 @@
-"""MSDI: from the spikes of several views to images, points and poses at once (Spike4DGS, NeurIPS 2025)."""

@@ -1,0 +1,1 @@
+"""DUSt3R: from pairs of images to points; the user supplies the weights."""

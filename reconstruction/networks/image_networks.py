@@ -1,0 +1,95 @@
+"""The networks by name: what each sees, how it is built, and what it is trained to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.networks.blind_spot import BlindSpotNet, blind_rates, reversed_blind_rates
+from reconstruction.networks.rates import BINS, RAW_REACH, REACH, rates, raw_planes
+from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet
+from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet, window_means
+
+LEAST_LIGHT = 1e-3  # spikes per tick; a darker image is treated as this bright on average
+BEND = 0.05  # of the mean light: errors beyond it count linearly
+NOISE_BEND = 2.0  # the same for a noisy target, whose mean is wanted and not its median; a hot pixel is beyond it
+SIGMA_WEIGHT = 0.02
+
+
+@dataclass(frozen=True)
+class ImageNetwork:
+    """A network: `observe` gives its input [C, H, W], `level` the mean light [N, 1, 1, 1] of a batch of them.
+
+    `build` makes the module, (input, level) to (light, sigma); `reverse` turns the time of inputs [..., C, H, W] round.
+    `interval` is the target [N, 1, H, W] that an input itself holds, for one that trains without the true light. Errors
+    count quadratically up to `bend` of the mean light. `reach` is how many planes it looks to either side.
+    """
+
+    observe: Callable[[SpikeStream, int], NDArray]
+    level: Callable[[Tensor], Tensor]
+    build: Callable[[], nn.Module]
+    reverse: Callable[[NDArray], NDArray]
+    interval: Callable[[Tensor], Tensor] | None = None
+    bend: float = BEND
+    reach: int = REACH
+
+
+def loss(network: ImageNetwork, module: nn.Module, seen: Tensor, truth: Tensor | None) -> Tensor:
+    """Of a batch: the light's error, quadratic then linear, and the Gaussian likelihood of what `sigma` says of it.
+
+    The likelihood moves sigma alone, so that the light is not traded against it. Without `truth` only a network that
+    has its target in its input can be trained: BadRunError.
+    """
+    target = network.interval(seen) if network.interval else truth
+    if target is None:
+        raise BadRunError("found no true light to train this network on", "clips that have it", "use blindspot")
+    level = network.level(seen)
+    light, sigma = module(seen, level)
+    return light_loss(light, sigma, target, level, network.bend)
+
+
+def light_loss(light: Tensor, sigma: Tensor, target: Tensor, level: Tensor, bend: float = BEND) -> Tensor:
+    """The loss of light and its standard deviation against the target [N, 1, H, W], at mean light [N, 1, 1, 1]."""
+    error, spread = (light - target) / level, sigma / level
+    found = functional.huber_loss(error, torch.zeros_like(error), delta=bend)
+    likelihood = spread.log() + (error.detach() / spread) ** 2 / 2
+    return found / BEND + SIGMA_WEIGHT * likelihood.mean()
+
+
+def image_network(name: str) -> ImageNetwork:
+    """The network called `name`; raises BadRunError listing the known ones."""
+    if name not in IMAGE_NETWORKS:
+        raise BadRunError(f"found the network {name!r}", f"one of {', '.join(IMAGE_NETWORKS)}")
+    return IMAGE_NETWORKS[name]
+
+
+def _mean_rate(seen: Tensor) -> Tensor:
+    longest = window_means()[-1, None].to(seen)
+    return _mean(functional.conv2d(seen[:, :BINS], longest))
+
+
+def _mean(seen: Tensor) -> Tensor:
+    return seen.mean(dim=(1, 2, 3), keepdim=True).clamp_min(LEAST_LIGHT)
+
+
+def _reversed(seen: NDArray) -> NDArray:
+    return np.flip(seen, axis=-3)
+
+
+def _interval(seen: Tensor) -> Tensor:
+    return seen[:, BINS // 2, None]
+
+
+IMAGE_NETWORKS: dict[str, ImageNetwork] = {
+    "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet, _reversed),
+    "published": ImageNetwork(raw_planes, _mean, PublishedSpk2ImgNet, _reversed, reach=RAW_REACH),
+    "blindspot": ImageNetwork(blind_rates, _mean_rate, BlindSpotNet, reversed_blind_rates, _interval, NOISE_BEND),
+}

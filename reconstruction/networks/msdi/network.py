@@ -1,0 +1,100 @@
+"""MSDI: rates of V views and their nominal rig to images, depth and residuals to that rig.
+
+Images are those of Spk2ImgNet's small tier, learnt on with the rest. The geometry sees them shrunk; poses are not
+regressed but solved for from learnt correspondences (see `adjustment`), so that a network trained for an hour on a
+processor can be held to what the nominal rig allows. Letters: V views, N tokens a view, h, w the views' size,
+H, W the working size.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from reconstruction.networks.image_networks import image_network
+from reconstruction.networks.msdi.adjustment import SCHEDULE, Adjusted, Stage, adjust
+from reconstruction.networks.msdi.depth import Sweep
+from reconstruction.networks.msdi.encoder import Encoded, Encoder, Trunk
+from reconstruction.networks.msdi.features import channels, keypoints, patch_centers
+from reconstruction.networks.msdi.matching import Matcher, Matches
+from reconstruction.networks.msdi.views import GATE, Views, gate
+from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet
+from reconstruction.networks.weights import read_weights
+
+SHIPPED = Path(__file__).parent / "weights"
+IMAGE_SHARE = 0.1  # of the learning rate
+CLOSER_GATE = 0.035  # of the focal length, once the poses have been adjusted
+CLOSER = tuple(Stage(8, robust, 0.02, 0.02) for robust in (5.0, 2.0, 1.0, 0.5))
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The rig found, the correspondences it rests on and the features they came from."""
+
+    adjusted: Adjusted
+    matches: Matches
+    encoded: Encoded
+
+
+class Msdi(nn.Module):
+    """The image network `image`, the encoder around its trunk, the correlations and the sweep."""
+
+    def __init__(self, trunk: nn.Module) -> None:
+        super().__init__()
+        self.image = SmallSpk2ImgNet()
+        self.encoder = Encoder(trunk)
+        self.matcher = Matcher()
+        self.sweep = Sweep()
+
+    def light(self, rates: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Light and sigma [V, 1, h, w] in spikes per tick of rates [V, BINS, h, w], and their mean [V, 1, 1, 1]."""
+        level = image_network("small").level(rates)
+        missing = (0, -rates.shape[3] % SmallSpk2ImgNet.stride, 0, -rates.shape[2] % SmallSpk2ImgNet.stride)
+        padded = nn.functional.pad(rates, missing, mode="replicate")
+        light, sigma = self.image(padded, level)
+        rows, columns = rates.shape[2:]
+        return light[..., :rows, :columns], sigma[..., :rows, :columns], level
+
+    def parameter_groups(self) -> list[dict]:
+        """For the optimiser: the image network learns at a share of the rate, for it knows its task."""
+        geometry = [p for part in (self.encoder, self.matcher, self.sweep) for p in part.parameters()]
+        return [{"params": geometry}, {"params": list(self.image.parameters()), "share": IMAGE_SHARE}]
+
+    def solve(self, seen: Tensor, nominal: Views, schedule: tuple[Stage, ...] = SCHEDULE) -> Solved:
+        """Poses from the channels `seen` [V, CHANNELS, H, W]: match inside the nominal gate, adjust."""
+        centers = patch_centers((seen.shape[3], seen.shape[2])).expand(len(seen), -1, -1)
+        allowed = gate(nominal.to(torch.float32), centers, GATE)
+        encoded = self.encoder(seen, allowed)
+        matches = self.matcher(encoded, keypoints(seen), allowed)
+        return Solved(adjust(nominal, matches, schedule), matches, encoded)
+
+    def solve_again(self, first: Solved, size: tuple[int, int], nominal: Views) -> Solved:
+        """Match once more inside a narrower gate around the poses found, and adjust from the nominal rig."""
+        views = first.adjusted.views
+        centers = patch_centers(size).expand(len(views), -1, -1)
+        allowed = gate(views.to(torch.float32), centers, CLOSER_GATE)
+        matches = self.matcher(first.encoded, first.matches.pixels, allowed)
+        return Solved(adjust(nominal, matches, (*SCHEDULE[:3], *CLOSER)), matches, first.encoded)
+
+
+def small_msdi() -> Msdi:
+    """The small tier: 0.8 M parameters."""
+    return Msdi(Trunk())
+
+
+@functools.cache
+def trained_msdi(weights: Path | None = None) -> Msdi:
+    """Return the small tier with `weights`, by default those that ship; raises BadRunError where they do not fit."""
+    module = small_msdi().eval()
+    read_weights(weights or SHIPPED / "small.npz", module)
+    return module
+
+
+def prepared(network: Msdi, rates: Tensor, factor: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Light and sigma [V, 1, h, w], and the channels [V, CHANNELS, H, W] the geometry sees."""
+    light, sigma, level = network.light(rates)
+    return light, sigma, channels(light, sigma, rates, level, factor)

@@ -1,0 +1,73 @@
+"""How good a network is while it learns: random scenes of other seeds, and `fan_and_ball` of the development seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.progress import Progress, silent
+from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.random import random_scene
+from acquisition.scenes.source import SceneSource
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.metrics.image import psnr_db
+from reconstruction.networks.training.image_clips import Clip, ClipSet, make_clip
+from rigs.toml import catalog_rig
+
+RANDOM = ClipSet(first_seed=900_000, count=24, instants=(80,))
+DEVELOPMENT_SEEDS = (1, 2, 3)
+PLANES, INSTANT = 161, 80
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A clip with one instant, the light of white there, and the pixels [H, W] that see a mover, where known."""
+
+    clip: Clip
+    white: float
+    moving: NDArray[np.bool_] | None = None
+
+
+def validation_clips(progress: Progress = silent) -> list[Scored]:
+    """All clips a network is scored on: `RANDOM` ones, then the centre camera's of the development seeds."""
+    scored = []
+    for seed in RANDOM.seeds:
+        progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"validation clip {seed}")
+        scored.append(Scored(make_clip(RANDOM, seed), random_scene(seed).white))
+    for seed in DEVELOPMENT_SEEDS:
+        progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"fan_and_ball {seed}")
+        scored.append(_development_clip(seed))
+    return scored
+
+
+def validation_set() -> dict[str, list[int]]:
+    """The seeds of the validation, for the document of a training."""
+    return {"random_seeds": list(RANDOM.seeds), "fan_and_ball_seeds": list(DEVELOPMENT_SEEDS)}
+
+
+def scores(image_of: Callable[[SpikeStream, int], NDArray[np.float32]], clips: list[Scored]) -> dict[str, float]:
+    """Mean PSNR in dB over the random clips, the development clips, and the movers of the latter."""
+    found: dict[str, list[float]] = {"random_db": [], "development_db": [], "moving_db": []}
+    for scored in clips:
+        image, truth = image_of(scored.clip.stream, scored.clip.instants[0]), scored.clip.truth[0]
+        found["random_db" if scored.moving is None else "development_db"].append(psnr_db(image, truth, scored.white))
+        if scored.moving is not None:
+            found["moving_db"].append(psnr_db(image, truth, scored.white, scored.moving))
+    return {name: float(np.mean(values)) for name, values in found.items() if values}
+
+
+def _development_clip(seed: int) -> Scored:
+    rig = catalog_rig("lab3x3")
+    camera, scene = rig.camera("cam11"), build_scene("fan_and_ball", seed)
+    layout = PlaneLayout(camera.width, camera.height)
+    sensor = Sensor(camera.width, camera.height, "real", seed, rig.ids.index("cam11"))
+    packed = SceneSource(scene, camera, rig.clock, PLANES, sensor, layout).next_planes(PLANES)
+    frames = scene.render(camera, np.array([rig.clock.instant_s(INSTANT)]))
+    moving = np.isin(frames.ids[0], list(scene.movers.values()))
+    clip = Clip(SpikeStream(packed, layout, rig.tick_rate_hz), (INSTANT,), frames.intensity)
+    return Scored(clip, scene.white, moving)

@@ -1,0 +1,117 @@
+"""The training of MSDI: one sample a step, jointly or with image and geometry apart.
+
+Images start from the weights of Spk2ImgNet's small tier. They are shown to the geometry as those weights make them, and
+every `IMAGE_EVERY`th step, from `image_from` on, as the network itself makes them: `joint`, geometry then also moves
+the image network; apart, it does not (the paper's ablation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from reconstruction.errors import BadRunError
+from reconstruction.networks.image_networks import light_loss
+from reconstruction.networks.msdi.features import channels, keypoints, patch_centers
+from reconstruction.networks.msdi.large import large_msdi
+from reconstruction.networks.msdi.network import Msdi, small_msdi
+from reconstruction.networks.msdi.views import gate
+from reconstruction.networks.training.loop import Loop, LoopConfig
+from reconstruction.networks.training.msdi_losses import (
+    correspondences,
+    depth_loss,
+    fine_loss,
+    pose_loss,
+    token_loss,
+)
+from reconstruction.networks.training.msdi_samples import Sample, Samples
+from reconstruction.networks.weights import SHIPPED, read_weights
+
+TIERS = ("small", "large")
+IMAGE_EVERY, POSE_EVERY, DEPTH_EVERY = 4, 4, 3  # steps
+POSE_WEIGHT, IMAGE_WEIGHT, DEPTH_WEIGHT = 0.1, 1.0, 1.0
+
+
+@dataclass(frozen=True)
+class MsdiConfig(LoopConfig):
+    """A loop over samples; images learn from step `image_from` on, poses are judged from `pose_from` on.
+
+    Nominal rigs are off by up to `largest_error` degrees, cm and percent, less before `pose_from`.
+    """
+
+    joint: bool = True
+    image_from: int = 1500
+    pose_from: int = 600
+    largest_error: float = 3.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.largest_error <= 0 or min(self.image_from, self.pose_from) < 0:
+            raise BadRunError(f"found {self}", "an error above 0 and steps from 0")
+
+
+class MsdiTraining(Loop):
+    """MSDI on its way; see `Loop`. The clips are in `clips`; `config.name` is the tier, `backbone` the large one's.
+
+    Raises BadRunError for an unknown tier, or a backbone for the small one.
+    """
+
+    def __init__(
+        self, folder: Path, config: MsdiConfig, clips: Path, device: str, notes: dict, *, backbone: Path | None = None
+    ) -> None:
+        torch.manual_seed(config.seed)
+        network, first = _tier(config.name, backbone), small_msdi()
+        for module in (network, first):
+            read_weights(SHIPPED / "small.npz", module.image)
+        self.wanted = config
+        self.samples = Samples(clips, first.eval(), config.seed, config.largest_error, config.pose_from)
+        described = {"pictures": self.samples.description(), **notes}
+        super().__init__(folder, config, network, self._loss_of, device, described)
+
+    def _loss_of(self, module: nn.Module, number: int) -> Tensor:
+        raw = number >= self.wanted.image_from and number % IMAGE_EVERY == 1
+        pose = number >= self.wanted.pose_from and number % POSE_EVERY == 3
+        assert isinstance(module, Msdi)
+        sample = self.samples.sample(number, raw=raw).to(self.device)
+        with self.device:  # where what is made on the way lies
+            return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)
+
+
+def _tier(name: str, backbone: Path | None) -> Msdi:
+    if name not in TIERS or (backbone and name != "large"):
+        raise BadRunError(f"found the tier {name!r} with the backbone {backbone}", "small, or large with or without")
+    return large_msdi(backbone=backbone) if name == "large" else small_msdi()
+
+
+def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose: bool) -> Tensor:
+    """All losses of one sample; `number` draws what is drawn."""
+    image, seen = _seen(network, sample, joint)
+    pixels = keypoints(seen.detach())
+    centers = patch_centers((seen.shape[3], seen.shape[2])).expand(len(seen), -1, -1)
+    allowed = gate(sample.nominal.to(torch.float32), centers)
+    encoded = network.encoder(seen, allowed)
+    truth = correspondences(sample.depth, sample.true, pixels)
+    total = image + token_loss(network.matcher.token_logs(encoded.tokens, allowed), truth[1], allowed)
+    total = total + fine_loss(network.matcher, encoded, pixels, truth, number)
+    if number % DEPTH_EVERY == 0:
+        view = (number // DEPTH_EVERY) % len(seen)
+        swept = network.sweep(encoded.middle, sample.true, view)
+        total = total + DEPTH_WEIGHT * depth_loss(swept, sample.depth[view], sample.true)
+    if pose:
+        total = total + POSE_WEIGHT * pose_loss(sample.nominal, sample.true, network.matcher(encoded, pixels, allowed))
+    return total
+
+
+def _seen(network: Msdi, sample: Sample, joint: bool) -> tuple[Tensor, Tensor]:
+    """The loss of the images, where they learn, and the channels the geometry sees."""
+    if sample.rates is None:
+        assert sample.seen is not None
+        return sample.seen.new_zeros(()), sample.seen
+    light, sigma, level = network.light(sample.rates)
+    found = light_loss(light, sigma, sample.light, level)
+    if not joint:
+        light, sigma = light.detach(), sigma.detach()
+    return IMAGE_WEIGHT * found, channels(light, sigma, sample.rates, level, 1)
