@@ -63,7 +63,7 @@ EVERYTHING: dict[str, Any] = {
     "model": "linear",
     "init": "natural",
     "images": "adaptive",
-    "supervision": "variation",
+    "supervision": "image-variation",
     "refine": "on",
     "tick_stride": 1,
 }
@@ -73,7 +73,7 @@ MOTION = Arm("motion", {"model": "linear"})
 POSES = Arm("poses", {"init": "natural"})
 IMAGES = Arm("images", {"images": "adaptive"})
 INSTANTS = Arm("instants", {"tick_stride": 1})
-SUPERVISION = Arm("supervision", {"supervision": "variation"})
+SUPERVISION = Arm("supervision", {"supervision": "image-variation"})
 GAUSSIANS_TWICE = Arm("Gaussians", {"gaussians": 2 * GAUSSIANS})
 VIEWS = Arm("views", {"views": TRAINING})
 GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)

@@ -31,8 +31,9 @@ from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.render import Rendering
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from reconstruction.training.supervision import ImageTerm, TrainingView
+from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
+from reconstruction.training.view import TrainingView
 
 Result = TypeVar("Result")
 SAMPLE_S = 0.01

@@ -17,8 +17,8 @@ from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.images.methods.msdi import msdi
 from reconstruction.images.methods.tfi import tfi
 from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.initialisers import InitOptions, initialise, msdi_alone
 from reconstruction.initialization.sfm import sfm
-from reconstruction.pipeline.initialisers import InitOptions, initialise, msdi_alone
 from rigs.rig import Rig
 
 DATE = "2026-01-01"  # of the rigs found, which nobody keeps

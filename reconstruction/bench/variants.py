@@ -43,6 +43,6 @@ MODELS = (
 )
 ABLATIONS = tuple(
     Variant(f"supervision.{name}", f"images and the spike term {name}", {"supervision": name}, (SHORT_S,), DEVELOPMENT)
-    for name in ("l1", "l2", "variation", "counts", "cumulative")
+    for name in ("l1", "l2", "image-variation", "counts", "cumulative")
 )
 VARIANTS = (AUTO, CLEAN, *MODELS, *ABLATIONS)

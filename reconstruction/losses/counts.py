@@ -23,6 +23,16 @@ def rate_deviation(rate: Tensor, planes: int) -> Tensor:
     return torch.sqrt(PHASE_VARIANCE / planes**2 + shot + (GAIN_SPREAD * rate) ** 2)
 
 
+def absolute_loss(light: Tensor, rate: Tensor, planes: int) -> Tensor:
+    """Return the mean absolute difference of light [H, W] and a rate [H, W] counted over any number of planes."""
+    return (light - rate).abs().mean()
+
+
+def square_loss(light: Tensor, rate: Tensor, planes: int) -> Tensor:
+    """Return the mean squared difference of light [H, W] and a rate [H, W] counted over any number of planes."""
+    return (light - rate).square().mean()
+
+
 def robust_loss(light: Tensor, rate: Tensor, planes: int, *, reach: float = 3.0) -> Tensor:
     """Charbonnier loss of light [H, W] against a counted rate [H, W].
 

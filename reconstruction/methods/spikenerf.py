@@ -3,7 +3,8 @@
 Sources: Zhu et al., "SpikeNeRF: learning neural radiance fields from continuous spike stream", CVPR 2024: a radiance
 field, volume rendering, and a loss on long-term spikes through a neuron whose threshold varies from pixel to pixel.
 Dy-SpikeNeRF is named by the authors of Spike4DGS; its form is not public. Ours: cells in place of a network
-(`fields.field`), the neuron in expectation (`training.rays`), the sweep's points to start from, no view dependence.
+(`radiance_fields.field`), the neuron in expectation (`training.ray_term`), the sweep's points to start from, no view
+dependence.
 """
 
 from __future__ import annotations

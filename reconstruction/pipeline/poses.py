@@ -9,7 +9,7 @@ from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import GeometryError
-from reconstruction.pipeline.initialisers import InitOptions, initialise
+from reconstruction.initialization.initialisers import InitOptions, initialise
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import Decision, Plan
 from rigs.rig import Rig

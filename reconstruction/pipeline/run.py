@@ -13,10 +13,8 @@ from reconstruction.errors import BadRunError
 from reconstruction.pipeline.budget import Budget, StoppedError, process_budget
 from reconstruction.pipeline.poses import posed, poses_stage
 from reconstruction.pipeline.stages import images_stage, plan_stage, points_stage
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
-
-STAGES = ("plan", "poses", "images", "points", "train", "report")
 
 
 def reconstruct(

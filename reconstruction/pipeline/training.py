@@ -33,8 +33,8 @@ from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.exposure import FROM, Exposure
-from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
+from reconstruction.training.view import TrainingView
 from rigs.rig import Rig
 
 CHECKPOINT_EVERY_S = 5.0

@@ -14,8 +14,8 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.stages import short_images
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import Decision
-from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer
+from reconstruction.training.view import TrainingView
 from reconstruction.training.watch import look_again, unsettled
 
 WATCH_AT = 0.25  # share of the training

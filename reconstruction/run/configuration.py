@@ -2,68 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, get_args
+from types import MappingProxyType
+from typing import Any
 
+from acquisition.members import members
 from reconstruction.errors import BadRunError
-
-Model = Literal[
-    "auto",
-    "static",
-    "linear",
-    "cubic",
-    "bases",
-    "4dgs",
-    "stg",
-    "d3dgs",
-    "spikegs",
-    "dy-spikegs",
-    "spikenerf",
-    "dy-spikenerf",
-]
-Init = Literal["auto", "sweep", "natural", "sfm", "dust3r", "msdi"]
-ImageSource = Literal[
-    "auto",
-    "tfi",
-    "tfp",
-    "tfstp",
-    "tvs",
-    "slope",
-    "adaptive",
-    "interpolated",
-    "spk2imgnet",
-    "blindspot",
-    "msdi",
-    "clean",
-    "blurred",
-]
-Refine = Literal["auto", "on", "off"]
-Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative", "both"]
+from reconstruction.images import catalogue as image_catalogue
+from reconstruction.initialization.initialisers import INITIALISERS
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.training.term import Supervision
 
 DEFAULT_BUDGET_S = 120.0
-CHOICES = (
-    ("model", Model),
-    ("init", Init),
-    ("images", ImageSource),
-    ("supervision", Supervision),
-    ("refine", Refine),
+STAGES = ("plan", "poses", "images", "points", "train", "report")
+SUPERVISIONS = members("reconstruction.training.supervision", Supervision)
+CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "model": ("auto", *METHODS),
+        "init": ("auto", *INITIALISERS),
+        "images": ("auto", *image_catalogue.sources()),
+        "supervision": ("auto", *SUPERVISIONS),
+        "refine": ("auto", "on", "off"),
+    }
 )
+RENAMED = {"variation": "image-variation"}  # supervisions of run folders written before the first had another meaning
 
 
 @dataclass(frozen=True)
 class ReconstructionConfig:
-    """Closed lists of names as the command line knows them; exactly one of `budget_s` and `steps` rules.
+    """The choices for one run, each from its closed list in CHOICES; exactly one of `budget_s` and `steps` rules.
 
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
-    lags are learnt beside the Gaussians. Raises BadRunError naming the field. `dust3r_checkpoint`: the file with the
-    user's weights, for the initialiser of that name.
+    lags are learnt beside the Gaussians. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of
+    that name. Raises BadRunError naming the field.
     """
 
-    model: Model = "auto"
-    init: Init = "auto"
-    images: ImageSource = "auto"
-    supervision: Supervision = "auto"
+    model: str = "auto"
+    init: str = "auto"
+    images: str = "auto"
+    supervision: str = "auto"
     holdout: str | None = None
     views: tuple[str, ...] = ()
     budget_s: float | None = DEFAULT_BUDGET_S
@@ -71,13 +50,16 @@ class ReconstructionConfig:
     seed: int = 0
     gaussians: int | None = None
     tick_stride: int = 4
-    refine: Refine = "auto"
+    refine: str = "auto"
     dust3r_checkpoint: str | None = None
 
     def __post_init__(self) -> None:
-        for name, names in CHOICES:
-            if getattr(self, name) not in get_args(names):
-                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"one of {', '.join(get_args(names))}")
+        for name, names in CHOICES.items():
+            if getattr(self, name) not in names:
+                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"one of {', '.join(names)}")
+        if self.supervision in SUPERVISIONS and SUPERVISIONS[self.supervision].refused:
+            chosen = SUPERVISIONS[self.supervision]
+            raise BadRunError(f"found supervision {chosen.name!r}: {chosen.refused}", do=chosen.instead)
         if (self.budget_s is None) == (self.steps is None):
             raise BadRunError("found both or neither of a budget in seconds and a number of steps", "one of them")
         if self.budget_s is not None and not self.budget_s > 0:
@@ -94,11 +76,12 @@ class ReconstructionConfig:
             )
 
     def to_json(self) -> dict:
-        """Plain values, as kept in `run.json`."""
+        """Return plain values, as kept in `run.json`."""
         return asdict(self) | {"views": list(self.views)}
 
     @classmethod
     def from_json(cls, document: dict) -> ReconstructionConfig:
-        """The inverse of `to_json`."""
-        values: dict[str, Any] = {**document, "views": tuple(document["views"])}
+        """Return the configuration that `to_json` wrote, also one of an earlier revision."""
+        supervision = RENAMED.get(document["supervision"], document["supervision"])
+        values: dict[str, Any] = {**document, "supervision": supervision, "views": tuple(document["views"])}
         return cls(**values)

@@ -15,7 +15,7 @@ from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.method import Method
 from reconstruction.methods.ours import BASES
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.configuration import RENAMED, ReconstructionConfig
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken
 from rigs.rig import Rig
 
@@ -81,7 +81,9 @@ class Plan:
         """The inverse of `to_json`; what an earlier revision said beyond that is passed over."""
         decisions = tuple(Decision(**d) for d in document["decisions"])
         known = {f.name: document[f.name] for f in fields(cls) if f.name in document}
-        return cls(**(known | {"views": tuple(document["views"]), "decisions": decisions}))
+        supervision = RENAMED.get(document["supervision"], document["supervision"])
+        views = tuple(document["views"])
+        return cls(**(known | {"views": views, "decisions": decisions, "supervision": supervision}))
 
 
 def make_plan(
@@ -145,7 +147,7 @@ def _choose_targets(
         decisions.append(Decision("supervision", supervision, f"as {method.name} is published", "--supervision"))
     elif supervision == "auto":
         supervision = "pixels"
-        reason = "at equal time no spike term gained on the development scenes; variation renders three instants a step"
+        reason = "at equal time no spike term gained on the development scenes; one renders three instants a step"
         decisions.append(Decision("supervision", supervision, reason, "--supervision", work.instants_s()))
     return images, supervision
 

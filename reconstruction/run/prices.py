@@ -8,7 +8,7 @@ moving), kernels of level v3. They say which work is dear, not how long another 
 - `ImageMethod.price_s`: one plane of one view; `interpolated` looks at the moving pixels alone.
 - STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians.
 - POSES_S: `natural` on nine views, a fourfold of the pixels taking twice as long (1.8 to 3.0 s at 200x125).
-- VARIATION_STEP_S: a step with `variation`, which renders three instants.
+- VARIATION_STEP_S: a step with `image-variation`, which renders three instants.
 - SPLATS_S: what each Gaussian adds to a step, from 12,000 to 24,000 of them.
 Images and sweeps grow with the pixels of a view, steps in part with the pixels and in part with the Gaussians.
 """
@@ -84,7 +84,7 @@ class Work:
         return min(self.views * max(1, self.planes // stride), self.likely_steps())
 
     def instants_s(self) -> float:
-        """Seconds of the extra instants that `variation` renders in every step."""
+        """Seconds of the extra instants that `image-variation` renders in every step."""
         return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
 
     def second_instants_s(self, share: float) -> float:

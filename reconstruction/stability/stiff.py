@@ -27,7 +27,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
 from reconstruction.radiance_fields.model import Model as Trainable
-from reconstruction.run.configuration import Model, ReconstructionConfig
+from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
@@ -81,7 +81,7 @@ class StiffScene:
         simulate(simulation, catalog_rig("ci3x3").scaled(*self.extent.size), planes, path)
         return Recording.open(path)
 
-    def run(self, seed: int, model: Model) -> RunFolder:
+    def run(self, seed: int, model: str) -> RunFolder:
         """A run folder that is ready for training."""
         config = ReconstructionConfig(
             model, holdout=HOLDOUT, budget_s=None, steps=self.extent.steps, seed=seed, gaussians=self.extent.gaussians
@@ -89,7 +89,7 @@ class StiffScene:
         path = self.folder / f"{self.name}-{model}-{seed}"
         return reconstruct(self.recording.path, path, config, lambda _: silent, last="points")
 
-    def trained(self, seed: int, model: Model = "auto", *, exact: bool = False, path: str | None = None) -> Trained:
+    def trained(self, seed: int, model: str = "auto", *, exact: bool = False, path: str | None = None) -> Trained:
         """Float32 by a code path of the kernels (None: the best one), or float64 by the references."""
         key = (seed, model, exact, path or code_paths()[-1])
         if key not in self.done:
@@ -97,7 +97,7 @@ class StiffScene:
                 self.done[key] = self._train(seed, model, exact=exact)
         return self.done[key]
 
-    def _train(self, seed: int, model: Model, *, exact: bool) -> Trained:
+    def _train(self, seed: int, model: str, *, exact: bool) -> Trained:
         run = self.run(seed, model)
         kind = ("reference", torch.float64) if exact else ("native", torch.float32)
         trainer = trainer_of(run, self.recording, *kind)

@@ -1,1 +1,1 @@
-"""Configuration, the plan, the trainer, checkpoints."""
+"""Fits a model to what was recorded: terms, steps, rates, checkpoints."""

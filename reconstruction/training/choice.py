@@ -10,7 +10,7 @@ import torch
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.rendering.render import render
-from reconstruction.training.supervision import TrainingView
+from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
 WINDOW = 9  # planes

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from acquisition.members import members
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.radiance_fields.model import Model, model_from_state
@@ -19,9 +20,11 @@ from reconstruction.training.closeness import Closeness
 from reconstruction.training.depth_hold import DepthHold
 from reconstruction.training.ending import Ending
 from reconstruction.training.exposure import Exposure
-from reconstruction.training.rays import RAYS, RayTerm
+from reconstruction.training.image_term import ImageTerm
+from reconstruction.training.ray_term import RAYS, RayTerm
 from reconstruction.training.refinement import Correction, Refinement
-from reconstruction.training.supervision import ImageTerm, SpikeTerm, SumTerm, Term, TrainingView, VariationTerm
+from reconstruction.training.term import SpikeSampling, Supervision, Term
+from reconstruction.training.view import TrainingView
 from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
@@ -35,6 +38,7 @@ RATE_OF = {  # tensors of fields that share a rate
     **dict.fromkeys(("entry", "inner", "again", "exit"), "network"),
     "offsets": "offsets",
 }
+SUPERVISIONS = members("reconstruction.training.supervision", Supervision)
 
 
 @dataclass(frozen=True)
@@ -238,17 +242,10 @@ def _terms(
     hold = DepthHold(settings.holds_depth) if settings.holds_depth else None
     seen = {"closeness": closeness, "backend": settings.backend, "hold": hold, "exposure": exposure}
     image = ImageTerm(clock, settings.white, settings.tick_stride, **seen)
-    name = settings.supervision
-    if name == "pixels":
-        return image, None
-    if name == RAYS:
+    if settings.supervision == RAYS:
         return RayTerm(clock, settings.white, closeness=closeness), None
-    if name == "variation":
-        return image, VariationTerm(image)
-    shortest, longest = settings.spike_planes
-    norm = "counts" if name == "both" else name
-    spikes = SpikeTerm(image, norm, shortest, longest, size_px=settings.spike_px)  # type: ignore[arg-type]
-    return image, SumTerm((VariationTerm(image), spikes)) if name == "both" else spikes
+    sampling = SpikeSampling(settings.spike_planes, settings.spike_px)
+    return image, SUPERVISIONS[settings.supervision].term(image, sampling)
 
 
 def train(

@@ -22,7 +22,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.flicker import Light
 from reconstruction.methods.seeding import LONG_LIFE
-from reconstruction.training.supervision import TrainingView
+from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 
 WINDOW = 32  # planes

@@ -4,7 +4,6 @@ import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
 
 import click
 
@@ -12,8 +11,8 @@ from acquisition.durable import write_array
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
-from reconstruction.pipeline.run import STAGES, reconstruct
-from reconstruction.run.configuration import DEFAULT_BUDGET_S, ImageSource, Init, Model, ReconstructionConfig
+from reconstruction.pipeline.run import reconstruct
+from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.progress import progress_of
@@ -24,14 +23,10 @@ FOLDER = click.Path(path_type=Path)
 @click.command("reconstruct")
 @click.argument("recording", type=FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Run folder; an unfinished one is resumed.")
-@click.option("--model", default="auto", help=f"One of: {', '.join(get_args(Model))}.")
-@click.option("--init", default="auto", help=f"One of: {', '.join(get_args(Init))}; auto: natural where nominal.")
-@click.option("--images", default="auto", help=f"One of: {', '.join(get_args(ImageSource))}.")
-@click.option(
-    "--supervision",
-    default="auto",
-    help="auto, pixels, l1, l2, variation, counts, cumulative or both: variation and counts.",
-)
+@click.option("--model", default="auto", help=f"One of: {', '.join(CHOICES['model'])}.")
+@click.option("--init", default="auto", help=f"One of: {', '.join(CHOICES['init'])}; auto: natural where nominal.")
+@click.option("--images", default="auto", help=f"One of: {', '.join(CHOICES['images'])}.")
+@click.option("--supervision", default="auto", help=f"One of: {', '.join(CHOICES['supervision'])}.")
 @click.option("--dust3r-checkpoint", metavar="FILE", help="Your DUSt3R weights, for --init dust3r; none are shipped.")
 @click.option("--refine", default="auto", help="auto, on or off: learn poses, gains and lags beside the Gaussians.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")

@@ -26,7 +26,7 @@ Model = Literal[
     "spikenerf",
     "dy-spikenerf",
 ]
-Supervision = Literal["auto", "pixels", "l1", "l2", "variation", "counts", "cumulative", "both"]
+Supervision = Literal["auto", "pixels", "l1", "l2", "image-variation", "variation", "counts", "cumulative", "both"]
 Refine = Literal["auto", "on", "off"]
 Stage = Literal["plan", "poses", "images", "points", "train", "report"]
 ExportFormat = Literal["ply", "ply-sequence", "splat", "spz", "glb", "video", "depth", "colmap", "nerfstudio"]

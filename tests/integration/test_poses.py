@@ -18,9 +18,9 @@ from reconstruction.bench.poses import bench_poses, measured
 from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.evaluation.evaluate import held_out_camera
 from reconstruction.evaluation.truth import Truth
+from reconstruction.initialization.initialisers import InitOptions, initialise
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.initialisers import InitOptions, initialise
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig

@@ -16,9 +16,9 @@ from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.formats import export_scene
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.export import trained_scene
-from reconstruction.pipeline.run import STAGES, reconstruct
+from reconstruction.pipeline.run import reconstruct
 from reconstruction.rendering.view import look
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from rigs.toml import catalog_rig
 

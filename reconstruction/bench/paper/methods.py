@@ -16,7 +16,7 @@ SPIKES_ALONE = (("Dy-SpikeGS", "dy-spikegs"), ("SpikeGS", "spikegs"), ("SpikeNeR
 NOMINAL = Change(nominal=True)
 RATE_HZ = 20000
 SLOWER = (2, 4, 10, 20, 40, 100, 200)  # 20 kHz down to 100 Hz
-SUPERVISIONS = ("pixels", "l1", "l2", "variation", "counts", "cumulative", "both")
+SUPERVISIONS = ("pixels", "l1", "l2", "image-variation", "counts", "cumulative", "both")
 CAPS = (3000, 6000, 12_000, 24_000, 96_000)  # of Gaussians, beside the default
 VIEWS = (
     "cam01",
@@ -45,11 +45,11 @@ MSDI = {
     "pixels": _MSDI,
     "l1": _MSDI.changed("msdi+4dgs+l1", supervision="l1"),
     "l2": _MSDI.changed("msdi+4dgs+l2", supervision="l2"),
-    "spss": _MSDI.changed("msdi+4dgs+spss", supervision="variation"),
+    "spss": _MSDI.changed("msdi+4dgs+spss", supervision="image-variation"),
 }
 MSDI_COLMAP = {
     "pixels": _MSDI.changed("msdi-image+colmap+4dgs", init="sfm"),
-    "spss": _MSDI.changed("msdi-image+colmap+4dgs+spss", init="sfm", supervision="variation"),
+    "spss": _MSDI.changed("msdi-image+colmap+4dgs+spss", init="sfm", supervision="image-variation"),
 }
 
 CLEAN = Method("clean", {"images": "clean"})
@@ -71,7 +71,7 @@ MODULES = {
     "MSDI poses, adjusted": FOUND.changed("msdi+auto", init="msdi"),
     "straight paths": FOUND.changed("natural+linear", model="linear"),
     "HexPlane field": FOUND.changed("natural+4dgs", model="4dgs"),
-    "spike variation loss": FOUND.changed("natural+auto+variation", supervision="variation"),
+    "image variation loss": FOUND.changed("natural+auto+image-variation", supervision="image-variation"),
 }
 
 

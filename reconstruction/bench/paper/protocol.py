@@ -48,10 +48,10 @@ LOSSES = Table(
             ("none", "pixels"),
             ("L1", "l1"),
             ("L2", "l2"),
-            ("variation", "variation"),
+            ("image variation", "image-variation"),
             ("counts", "counts"),
             ("cumulative counts", "cumulative"),
-            ("counts and variation", "both"),
+            ("counts and image variation", "both"),
         )
     ),
 )

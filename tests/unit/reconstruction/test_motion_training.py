@@ -25,8 +25,8 @@ from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
 from reconstruction.rendering.render import render
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
-from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import FULL_WHITE, LIVING_EVERY, Rates, Trainer, TrainerSettings
+from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform

@@ -1,5 +1,6 @@
 import dataclasses
-from typing import get_args
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.run.configuration import ImageSource, ReconstructionConfig
+from reconstruction.run.configuration import CHOICES, ReconstructionConfig
 from reconstruction.run.plan import Plan, make_plan
 from rigs.errors import RigError
 from rigs.toml import catalog_rig
@@ -58,9 +59,9 @@ def test_a_moving_scene_gets_one():
 
 
 def test_overrides_are_obeyed():
-    config = ReconstructionConfig(model="static", images="tfi", supervision="variation", views=("cam00", "cam01"))
+    config = ReconstructionConfig(model="static", images="tfi", supervision="image-variation", views=("cam00", "cam01"))
     plan, masks, _ = make_plan(config, RIG, streams(moving=True))
-    assert (plan.model, plan.images, plan.supervision) == ("static", "tfi", "variation")
+    assert (plan.model, plan.images, plan.supervision) == ("static", "tfi", "image-variation")
     assert plan.views == ("cam00", "cam01")
     assert not masks["cam00"].any()
 
@@ -84,7 +85,7 @@ def test_a_dark_view_that_is_named_is_kept():
     assert not any(d.about == "views" for d in plan.decisions)
 
 
-@pytest.mark.parametrize("images", get_args(ImageSource))
+@pytest.mark.parametrize("images", CHOICES["images"])
 def test_every_choice_of_images_has_a_price(images):
     plan, _, _ = make_plan(ReconstructionConfig(images=images), RIG, streams(moving=True))
     assert plan.images == ("interpolated" if images == "auto" else images)
@@ -198,3 +199,37 @@ def test_the_cap_of_gaussians_is_the_operators_or_follows_the_pixels():
     assert asked.still_gaussians == 77
     plan, _, _ = make_plan(ReconstructionConfig(), RIG.scaled(400, 250), streams())
     assert plan.still_gaussians == METHODS["static"].gaussians
+
+
+def test_the_lists_of_choices_are_those_of_the_contract():
+    assert set(CHOICES["model"]) == {
+        *("auto", "static", "linear", "cubic", "bases", "4dgs", "stg", "d3dgs"),
+        *("spikegs", "dy-spikegs", "spikenerf", "dy-spikenerf"),
+    }
+    assert set(CHOICES["init"]) == {"auto", "sweep", "natural", "sfm", "dust3r", "msdi"}
+    assert set(CHOICES["images"]) == {
+        *("auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated"),
+        *("spk2imgnet", "blindspot", "msdi", "clean", "blurred"),
+    }
+    assert set(CHOICES["supervision"]) == {
+        *("auto", "pixels", "l1", "l2", "image-variation", "variation", "counts", "cumulative", "both")
+    }
+
+
+def test_a_loss_that_is_not_built_is_refused_with_the_reason_and_what_to_use():
+    with pytest.raises(BadRunError, match="recorded spikes is not built yet; use image-variation") as refused:
+        ReconstructionConfig(supervision="variation")
+    assert refused.value.exit_code == 2
+
+
+def test_a_run_of_an_earlier_revision_says_variation_for_images():
+    config = ReconstructionConfig(supervision="image-variation")
+    assert ReconstructionConfig.from_json(config.to_json() | {"supervision": "variation"}) == config
+    plan, _, _ = make_plan(config, RIG, streams())
+    assert Plan.from_json(plan.to_json() | {"supervision": "variation"}) == plan
+
+
+def test_listing_the_choices_loads_no_torch():
+    listing = "import sys; from reconstruction.run.configuration import CHOICES; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", listing], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

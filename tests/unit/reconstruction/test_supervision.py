@@ -15,16 +15,22 @@ from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
+from reconstruction.losses.counts import absolute_loss, robust_loss, square_loss
 from reconstruction.rendering.render import render
-from reconstruction.training import supervision
+from reconstruction.training import image_term, spike_term
 from reconstruction.training.exposure import FROM, Exposure
-from reconstruction.training.supervision import ImageTerm, SpikeTerm, TrainingView, VariationTerm
+from reconstruction.training.image_term import ImageTerm
+from reconstruction.training.spike_term import SpikeTerm
+from reconstruction.training.term import SpikeSampling
 from reconstruction.training.trainer import Trainer, TrainerSettings
+from reconstruction.training.variation_term import ImageVariationTerm
+from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform
 
 WIDTH, HEIGHT, PLANES, RATE_HZ = 72, 56, 64, 20_000.0
+LOSSES = {"l1": absolute_loss, "l2": square_loss, "counts": robust_loss, "cumulative": None}
 CLIP = Clip(0.0, PLANES / RATE_HZ)
 CLOCK = RigClock(RATE_HZ)
 STEADY = Light.steady(PLANES)
@@ -59,7 +65,7 @@ def seen(truth: DynamicCloud) -> TrainingView:
 
 @pytest.mark.parametrize("nodes", [1, 2, 4])
 def test_the_quadrature_is_exact_for_polynomials_of_its_order(nodes):
-    places, weights = supervision.quadrature(nodes)
+    places, weights = image_term.quadrature(nodes)
     for power in range(2 * nodes):
         assert sum(w * p**power for p, w in zip(places, weights, strict=True)) == pytest.approx(
             1 / (power + 1), abs=1e-12
@@ -69,7 +75,7 @@ def test_the_quadrature_is_exact_for_polynomials_of_its_order(nodes):
 def test_a_part_is_that_part_of_the_whole_view():
     truth = cloud(0.4)
     view = seen(truth)
-    part = supervision._part(view, (32, 24), np.random.default_rng(3))
+    part = spike_term.part_with_mover(view, (32, 24), np.random.default_rng(3))
     whole, cut = render(truth.at(0.001), CAMERA), render(truth.at(0.001), part.camera)
     assert cut.intensity.shape == (24, 32, 1)
     assert np.allclose(part.of(whole.intensity[..., 0].numpy()), cut.intensity[..., 0].numpy(), atol=2e-3)
@@ -79,7 +85,7 @@ def test_a_part_is_that_part_of_the_whole_view():
 def test_the_moving_truth_explains_its_spikes_better_than_one_that_stands(norm):
     truth, wrong = cloud(0.8), cloud(0.0)
     view = seen(truth)
-    term = SpikeTerm(ImageTerm(CLOCK, 0.6), norm, size_px=(WIDTH, HEIGHT))
+    term = SpikeTerm(ImageTerm(CLOCK, 0.6), LOSSES[norm], SpikeSampling(size_px=(WIDTH, HEIGHT)))
     losses = {}
     with torch.no_grad():
         for name, model in (("true", truth), ("wrong", wrong)):
@@ -128,7 +134,7 @@ def test_a_training_that_goes_on_knows_how_many_instants_an_image_takes():
     assert [two.step(0.6), two.step(0.7)] == [one.step(0.6), one.step(0.7)]
 
 
-@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "variation", "counts", "cumulative", "both"])
+@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "image-variation", "counts", "cumulative", "both"])
 def test_every_supervision_moves_a_displaced_mover_back(supervised):
     view = seen(cloud(0.0))
     model = cloud(0.0)
@@ -146,8 +152,8 @@ def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
     rates = replace(TrainerSettings("pixels").rates, means=4e-3)
     settings = TrainerSettings("counts", rates=rates, spike_every=1, spike_px=None, spike_planes=(8, 64))
     trainer, sizes = Trainer(model, [view], settings, CLOCK, seed=0), []
-    part_of = supervision._part
-    monkeypatch.setattr(supervision, "_part", lambda *a: sizes.append(part_of(*a).camera.width) or part_of(*a))
+    part_of = spike_term.part_with_mover
+    monkeypatch.setattr(spike_term, "part_with_mover", lambda *a: sizes.append(part_of(*a).camera.width) or part_of(*a))
     monkeypatch.setattr(ImageTerm, "__call__", lambda *_: pytest.fail("an image was compared"))
     for step in range(30):
         trainer.step(step / 100)
@@ -159,8 +165,8 @@ def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
 def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
     view, still = seen(cloud(0.0)), cloud(0.0)
     still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), Motion.at_rest(torch.zeros(0), 1.0), CLIP)
-    term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), norm, shortest=32, size_px=None), []
-    monkeypatch.setattr(supervision, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
+    term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), LOSSES[norm], SpikeSampling((32, 33), None)), []
+    monkeypatch.setattr(image_term, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
     term(still, view, np.random.default_rng(0))
     assert len(renders) == (1 if norm == "counts" else 4)
 
@@ -169,12 +175,12 @@ def test_a_clip_shorter_than_any_window_is_used_whole():
     view = seen(cloud(0.0))
     short = SpikeStream(view.source.stream.packed[:5], view.source.stream.layout, RATE_HZ)
     view = TrainingView(CAMERA, replace(view.source, stream=short))
-    for term in (SpikeTerm(ImageTerm(CLOCK, 0.6), "counts"), VariationTerm(ImageTerm(CLOCK, 0.6))):
+    for term in (SpikeTerm(ImageTerm(CLOCK, 0.6), robust_loss), ImageVariationTerm(ImageTerm(CLOCK, 0.6))):
         assert torch.isfinite(term(cloud(0.0), view, np.random.default_rng(0)))
 
 
 def test_a_view_that_sees_no_mover_is_supervised_anywhere():
     view = seen(cloud(0.0))
     view = TrainingView(CAMERA, replace(view.source, moving=np.zeros((HEIGHT, WIDTH), dtype=bool)))
-    part = supervision._part(view, (1000, 1000), np.random.default_rng(0))
+    part = spike_term.part_with_mover(view, (1000, 1000), np.random.default_rng(0))
     assert (part.top, part.left, part.camera.width, part.camera.height) == (0, 0, WIDTH, HEIGHT)

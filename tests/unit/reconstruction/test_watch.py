@@ -24,8 +24,8 @@ from reconstruction.images.methods.tfp import tfp
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import render
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
-from reconstruction.training.supervision import TrainingView
 from reconstruction.training.trainer import Trainer, TrainerSettings
+from reconstruction.training.view import TrainingView
 from reconstruction.training.watch import changed_pixels, freed, look_again, unsettled
 from rigs.camera import Camera
 from rigs.clock import RigClock

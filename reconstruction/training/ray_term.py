@@ -21,7 +21,8 @@ from reconstruction.losses.counts import robust_loss
 from reconstruction.radiance_fields.field import RadianceField
 from reconstruction.radiance_fields.march import STEP, march
 from reconstruction.training.closeness import Closeness
-from reconstruction.training.supervision import TrainingView, quadrature
+from reconstruction.training.image_term import quadrature
+from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
 RAYS = "rays"  # the name of this supervision

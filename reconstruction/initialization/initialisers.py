@@ -1,0 +1,109 @@
+"""The initialisers that `--init` names: each finds the cameras of a recording, and what it sees on the way.
+
+What does the work is imported when it is called: some need torch, some pycolmap, and most runs need neither.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from acquisition.progress import Progress, part, silent
+from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError, GeometryError
+from reconstruction.initialization.geometry import Geometry
+
+if TYPE_CHECKING:
+    from reconstruction.initialization.placement import Images
+
+MSDI_SHARE = 0.7  # share of MSDI itself in the time that MSDI with bundle adjustment takes
+
+
+@dataclass(frozen=True)
+class InitOptions:
+    """`seed` of all draws; `checkpoint`: the user's DUSt3R weights."""
+
+    seed: int = 0
+    checkpoint: str | None = None
+
+
+Initialiser = Callable[[Recording, Sequence[str], InitOptions, Progress], Geometry]
+
+
+def initialise(
+    name: str, recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress = silent
+) -> Geometry:
+    """Return the geometry that `views` of a recording show, by the initialiser `name`; no other view is read.
+
+    Raises BadRunError for an unknown name, GeometryError where the cameras found cannot be trusted.
+    """
+    if name not in INITIALISERS:
+        raise BadRunError(f"found the initialiser {name!r}", f"one of {', '.join(INITIALISERS)}")
+    return INITIALISERS[name](recording, views, options, progress)
+
+
+def msdi_alone(recording: Recording, views: Sequence[str], progress: Progress = silent) -> Geometry:
+    """Return what MSDI's network alone finds at the middle of the recording; raises GeometryError where it refuses."""
+    from reconstruction.initialization.msdi import initialise as look
+
+    middle = recording.rig.clock.instant_s(recording.planes // 2)
+    found = look({view: recording.stream(view) for view in views}, recording.rig, middle, progress)
+    if "refused" in found.report:
+        raise GeometryError(f"msdi: {found.report['refused']}")
+    return found
+
+
+def _sweep(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    """Leave the cameras where the recording's rig has them; points come from a plane sweep in every run."""
+    progress(1.0, f"poses of rig {recording.rig.name} as given")
+    return Geometry(recording.rig)
+
+
+def _natural(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.calibration.natural import NaturalOptions, calibrate_natural
+
+    images, chosen = _long_images(recording, views), NaturalOptions(seed=options.seed)
+    found = calibrate_natural(recording.rig, images, _today(), chosen, progress)
+    return Geometry(found.rig, report=found.report)
+
+
+def _sfm(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.initialization.sfm import sfm
+
+    return sfm(recording.rig, _long_images(recording, views), progress=progress)
+
+
+def _dust3r(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.initialization.dust3r.initialiser import dust3r
+
+    checkpoint = Path(options.checkpoint) if options.checkpoint else None
+    return dust3r(recording.rig, _long_images(recording, views), checkpoint, progress=progress)
+
+
+def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    """Find the cameras by MSDI, then adjust them by the bundle from where it leaves them."""
+    from reconstruction.calibration.natural import AFTER_MSDI, calibrate_natural
+
+    found = msdi_alone(recording, views, part(progress, 0, MSDI_SHARE))
+    images, chosen = _long_images(recording, views), replace(AFTER_MSDI, seed=options.seed)
+    fine = calibrate_natural(found.rig, images, _today(), chosen, part(progress, MSDI_SHARE, 1))
+    return Geometry(fine.rig, found.points, found.confidence, found.images, {**fine.report, "msdi": found.report})
+
+
+def _long_images(recording: Recording, views: Sequence[str]) -> Images:
+    from reconstruction.calibration.features import long_image
+
+    return {view: long_image(recording.stream(view)) for view in views}
+
+
+def _today() -> str:
+    return datetime.date.today().isoformat()
+
+
+INITIALISERS: Mapping[str, Initialiser] = MappingProxyType(
+    {"sweep": _sweep, "natural": _natural, "sfm": _sfm, "dust3r": _dust3r, "msdi": _msdi}
+)

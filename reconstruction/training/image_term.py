@@ -1,0 +1,98 @@
+"""Compares a render with the image of one instant. Letters: H rows, W columns, Q instants of a window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.losses.ssim import ssim
+from reconstruction.rendering.render import Backend, Rendering, render
+from reconstruction.training.closeness import Closeness
+from reconstruction.training.depth_hold import DepthHold
+from reconstruction.training.exposure import Exposure, mean_of
+from reconstruction.training.view import TrainingView
+from rigs.camera import Camera
+from rigs.clock import RigClock
+
+
+@dataclass(frozen=True)
+class ImageTerm:
+    """Compares the render of one instant with its target image: L1 and SSIM.
+
+    `white`: data range, spikes per tick. `stride`: planes between the instants that have a target image, so that these
+    can be kept. `ssim`: share of SSIM in the loss. `solid`: weight of light that passes through everything, so that
+    dark texture is not taken for a hole. `closeness` is told of every image compared. `hold` keeps renders to depths
+    that the view knows. `exposure` knows which planes an image is the mean of; without it, an image shows an instant.
+    Images take the float type that `backend` renders the Gaussians in.
+    """
+
+    clock: RigClock
+    white: float
+    stride: int = 1
+    ssim: float = 0.2
+    solid: float = 0.02
+    closeness: Closeness | None = None
+    backend: Backend = "native"
+    hold: DepthHold | None = None
+    exposure: Exposure | None = None
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
+        """Return the loss at a random plane."""
+        instants = target_planes(cloud, view, self.stride)
+        plane = int(instants[rng.integers(len(instants))])
+        return self.held(view, *self.pair(cloud, view, plane))
+
+    def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
+        """Return the render at `plane` and its target image [H, W]."""
+        span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
+        rendered = self.over(cloud, view, view.camera, span)
+        return rendered, torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
+
+    def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
+        """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
+        first, length, nodes = span
+        renders = []
+        for node, weight in zip(*quadrature(nodes if cloud.changes else 1), strict=True):
+            instant_s = self.clock.instant_s(first + length * node - 0.5)
+            renders.append((weight, render(view.seen(cloud, instant_s), camera, backend=self.backend)))
+        return mean_of(renders)
+
+    def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
+        """Return the loss of one render against its target image [H, W] and the depths that the view knows."""
+        loss = self.against(rendered, target)
+        return loss + self.hold(rendered, view.depth) if self.hold and view.depth else loss
+
+    def against(self, rendered: Rendering, target: Tensor) -> Tensor:
+        """Return the loss of one render against its target image [H, W]."""
+        image = rendered.intensity[..., 0]
+        if self.closeness:
+            self.closeness.see(image.detach(), target)
+        pixels = (image - target).abs().mean() / self.white
+        alike = 1 - ssim(image, target, self.white)
+        return (1 - self.ssim) * pixels + self.ssim * alike + self.solid * (1 - rendered.alpha).mean()
+
+
+def learnt_planes(cloud: DynamicCloud, view: TrainingView) -> tuple[int, int]:
+    """Return the planes [first, last) of the part of the clip that the motion is learnt from now."""
+    planes, (low, high) = len(view.source.stream), cloud.motion.span()
+    first = min(math.floor(low * planes), planes - 1)
+    return first, min(max(math.ceil(high * planes), first + 1), planes)
+
+
+def target_planes(cloud: DynamicCloud, view: TrainingView, stride: int) -> NDArray[np.int64]:
+    """Return the planes of `learnt_planes` whose images are targets, or the nearest target where there is none."""
+    instants, (first, last) = view.source.instants(stride), learnt_planes(cloud, view)
+    within = instants[(instants >= first) & (instants < last)]
+    return within if len(within) else instants[[np.abs(2 * instants + 1 - first - last).argmin()]]
+
+
+def quadrature(nodes: int) -> tuple[list[float], list[float]]:
+    """Return the Gauss-Legendre places in (0, 1) and their weights, which sum to 1."""
+    places, weights = np.polynomial.legendre.leggauss(nodes)
+    return [float(p + 1) / 2 for p in places], [float(w) / 2 for w in weights]

@@ -1,0 +1,100 @@
+"""Compares renders with spike counts. Letters: H rows, W columns, Q parts of a window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.losses.counts import cumulative_loss
+from reconstruction.training.image_term import ImageTerm, learnt_planes
+from reconstruction.training.term import SpikeSampling
+from reconstruction.training.view import TrainingView
+from rigs.camera import Camera
+
+RateLoss = Callable[
+    [Tensor, Tensor, int], Tensor
+]  # of light and counted rate, spikes per tick, and the window's planes
+PLANES_A_NODE = 8  # planes of a window for each instant rendered
+MOST_NODES = 4  # instants rendered for a window
+
+
+@dataclass(frozen=True)
+class SpikeTerm:
+    """Compares the spikes counted over a random window with the light rendered over it.
+
+    Looks at a part of the view in which something moves, as `sampling` says. Windows are log-uniform in length; the
+    light over one is a Gauss-Legendre quadrature of a few instants. `loss` compares rates over the whole window (None:
+    running totals over as many equal parts of it as there are instants).
+    """
+
+    image: ImageTerm
+    loss: RateLoss | None
+    sampling: SpikeSampling = field(default_factory=SpikeSampling)
+
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
+        """Return the loss of one window."""
+        part = part_with_mover(view, self.sampling.size_px, rng)
+        begin, end = learnt_planes(cloud, view)
+        low, high = (math.log(min(x, end - begin)) for x in self.sampling.planes)
+        window = round(math.exp(rng.uniform(low, high)))
+        first = begin + int(rng.integers(end - begin - window + 1))
+        nodes = min(MOST_NODES, math.ceil(window / PLANES_A_NODE))
+        if self.loss is None:
+            return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
+        seen = self.image.over(cloud, view, part.camera, (first, window, nodes))
+        rate = torch.from_numpy(part.counts(view, first, first + window) / np.float32(window))
+        good = torch.from_numpy(part.good)
+        spikes = self.loss(seen.intensity[..., 0][good], rate[good], window)
+        return spikes / self.image.white + self.image.solid * (1 - seen.alpha).mean()
+
+    def _running_totals(
+        self, cloud: DynamicCloud, view: TrainingView, part: Part, span: tuple[int, int, int]
+    ) -> Tensor:
+        first, length, parts = span
+        starts = [first + i * length for i in range(parts)]
+        renders = [self.image.over(cloud, view, part.camera, (start, length, 1)) for start in starts]
+        counts = np.stack([part.counts(view, start, start + length) for start in starts])
+        light, good = torch.stack([r.intensity[..., 0] for r in renders]), torch.from_numpy(part.good)
+        loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)
+        alpha = torch.stack([r.alpha for r in renders])
+        return loss / self.image.white + self.image.solid * (1 - alpha).mean()
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A rectangle of a view: its camera, its first row and column, and its pixels [H, W] that are not stuck."""
+
+    camera: Camera
+    top: int
+    left: int
+    good: NDArray[np.bool_]
+
+    def of(self, image: NDArray) -> NDArray:
+        """Return the part of an image [H, W] of the whole view."""
+        return image[self.top : self.top + self.camera.height, self.left : self.left + self.camera.width]
+
+    def counts(self, view: TrainingView, first: int, last: int) -> NDArray[np.float32]:
+        """Return the spikes [H, W] over planes [first, last)."""
+        return self.of(view.source.stream.counts(first, last)).astype(np.float32)
+
+
+def part_with_mover(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:
+    """Return a rectangle around a random pixel that moves (around any pixel where none does)."""
+    camera, moving = view.camera, view.source.moving
+    size_px = size_px or (camera.width, camera.height)
+    width, height = min(size_px[0], camera.width), min(size_px[1], camera.height)
+    seen = np.flatnonzero(moving)
+    pixel = int(seen[rng.integers(len(seen))]) if len(seen) else int(rng.integers(moving.size))
+    row, column = divmod(pixel, camera.width)
+    top = int(np.clip(row - height // 2, 0, camera.height - height))
+    left = int(np.clip(column - width // 2, 0, camera.width - width))
+    lens = {"cx": camera.cx - left, "cy": camera.cy - top}
+    cut = replace(camera, width=width, height=height, pixels=None, **lens)
+    return Part(cut, top, left, ~view.source.background.stuck[top : top + height, left : left + width])
