@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 from acquisition.devices import descriptors
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.profile import DIRECT, VENDOR_ID
+from acquisition.devices.profile import VENDOR_ID
+from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.trigger_box import (
     BOX_PRODUCT_ID,
     COMMAND_BYTES,

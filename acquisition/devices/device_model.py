@@ -10,7 +10,8 @@ import time
 from acquisition.devices import descriptors
 from acquisition.devices.control_channel import MessageEnd, StallError
 from acquisition.devices.device_clock import DeviceClock, Pace
-from acquisition.devices.profile import DIRECT, Profile
+from acquisition.devices.profile import Profile
+from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.protocol import NO_PULSE, Block, BlockStatus, encode_block
 from acquisition.devices.registers import (
     PROTOCOL_VERSION,
@@ -258,8 +259,7 @@ class DeviceModel:
         return round((self._emitted_planes / self.tick_rate_hz + self.clock.offset_s) * 1e9)
 
     def _next_block(self) -> bytes:
-        count = self.geometry.planes_per_block
-        status = BlockStatus(0)
+        count, status = self.geometry.planes_per_block, BlockStatus(0)
         if self._pace:
             due = int((self._pace.clock() - self._started_s) * self.tick_rate_hz) - self._emitted_planes
             late = due - self._pace.memory_planes

@@ -19,7 +19,6 @@ from acquisition.devices import descriptors
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock_pipe import MockPipe, Port, UsbfsMemory
-from acquisition.recording.manifest import Trigger
 
 _SUPER_SPEED = 4
 _ABSENT = {"bRefresh": 0, "bSynchAddress": 0, "extra_descriptors": []}
@@ -193,22 +192,6 @@ class MockBackend(IBackend):
         """No kernel driver takes a vendor-class device."""
         dev_handle.port.require()
         return False
-
-
-class MockTriggerLine:
-    """One wire to every camera: a pulse starts all armed ones on the same tick, and more follow each `period_s`."""
-
-    kind: Trigger = "line"
-
-    def __init__(self, models: Sequence[DeviceModel], period_s: float = 1e-3):
-        self._models = tuple(models)
-        self.period_s: float | None = period_s
-
-    def fire(self) -> None:
-        """Send the first pulse."""
-        for model in self._models:
-            model.sync_period_s = self.period_s or 0.0
-            model.trigger()
 
 
 def _at(found: Sequence[dict], number: int, *others: int) -> SimpleNamespace:

@@ -22,7 +22,8 @@ from acquisition.devices.box_model import BoxModel, MockHid
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.faults import give_fault, parse_fault
 from acquisition.devices.mock import MockBackend
-from acquisition.devices.replay import replay_sources
+from acquisition.devices.profile import profiles
+from acquisition.devices.replay import ReplaySource
 from acquisition.devices.trigger_box import TriggerBox, find_box
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
@@ -36,15 +37,16 @@ from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
 from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig
 
-MOST_RIG_ERROR = 20.0
+MOST_RIG_ERROR = 20.0  # degrees, cm and percent
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What simulated cameras see: a named scene, its seed, the sensor model, samples x samples rays a pixel.
+    """Simulated cameras: the named scene before them, its seed, the sensor model, samples x samples rays a pixel.
 
-    Truth is written for every `truth_every`-th plane. `fault` is a fault of one camera, as `noisy:cam12`. The cameras
-    stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them.
+    Truth is written for every `truth_every`-th plane. `fault` gives one camera a fault, as `noisy:cam12`. The cameras
+    stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them. On USB
+    they are devices of the `profile` of that name.
     """
 
     scene: str
@@ -54,6 +56,7 @@ class Simulation:
     truth_every: int = 20
     fault: str = ""
     rig_error: float = 0.0
+    profile: str = "direct"
 
     def __post_init__(self) -> None:
         if self.fault:
@@ -61,16 +64,18 @@ class Simulation:
         if self.sensor not in SENSOR_KINDS:
             raise CameraSetupError(f"found the sensor {self.sensor!r}", f"one of {', '.join(SENSOR_KINDS)}")
         if self.samples < 1 or self.truth_every < 1:
-            found = f"found samples {self.samples}, truth_every {self.truth_every}"
-            raise CameraSetupError(f"{found}", "at least 1 each")
+            raise CameraSetupError(f"found samples {self.samples}, truth_every {self.truth_every}", "at least 1 each")
         if not 0 <= self.rig_error <= MOST_RIG_ERROR:
-            found = f"found the rig error {self.rig_error}"
-            raise CameraSetupError(f"{found}", f"0 to {MOST_RIG_ERROR:g} degrees, cm and percent")
+            expected = f"0 to {MOST_RIG_ERROR:g} degrees, cm and percent"
+            raise CameraSetupError(f"found the rig error {self.rig_error}", expected)
+        if self.profile not in profiles():
+            raise CameraSetupError(f"found the profile {self.profile!r}", f"one of {', '.join(profiles())}")
 
     def built(self, rig: Rig) -> Rig:
-        """The rig as its cameras really stand, which a calibration does not move: they were built by the drawing.
+        """Return the rig as its cameras really stand, which a calibration does not move.
 
-        A calibrated rig without a drawing in the catalog stands as its file has it.
+        The file of an uncalibrated rig is the drawing that its cameras were built by, and they stand misplaced from it.
+        The drawing of a calibrated rig is the catalog's; without one it stands as its file has it.
         """
         if not self.rig_error:
             return rig
@@ -78,7 +83,7 @@ class Simulation:
         return rig if drawing is None else misplaced(drawing, self.rig_error, self.seed)
 
     def drawn(self, rig: Rig) -> Rig:
-        """The rig as a recording states it: nominal where its cameras stand elsewhere and nobody has measured where."""
+        """Return the rig as a recording states it: nominal where its cameras are misplaced and not calibrated."""
         return replace(rig, poses="nominal") if self.rig_error and rig.calibration is None else rig
 
 
@@ -102,7 +107,7 @@ Devices = Simulation | Replay | None
 
 
 def parse_devices(uri: str) -> Devices:
-    """None for `usb:`, what simulated cameras see for `mock:SCENE?field=value&...`, the recording of `replay:REC`.
+    """Return None for `usb:`, a Simulation for `mock:SCENE?field=value&...`, a Replay for `replay:REC`.
 
     Raises CameraSetupError for all else.
     """
@@ -117,44 +122,44 @@ def parse_devices(uri: str) -> Devices:
     fields = [field.name for field in dataclasses.fields(Simulation)][1:]
     for name, value in values.items():
         if name not in fields:
-            raise CameraSetupError(f"found {name}", f"{', '.join(fields)}", where=uri)
-        if name not in ("sensor", "fault"):
+            raise CameraSetupError(f"found {name}", ", ".join(fields), where=uri)
+        if name not in ("sensor", "fault", "profile"):
             values[name] = _number(uri, name, str(value))
     return Simulation(parts.path, **cast(dict, values))
 
 
 def _drawing_of(rig: Rig) -> Rig | None:
-    """The rig of the catalog that has the name and cameras of `rig`, with its sizes and serials."""
+    """Return the rig of the catalog with the name and cameras of `rig`, in its sizes and with its serials."""
     drawing = catalog_rig(rig.name) if rig.name in catalog_names() else None
     if drawing is None or drawing.ids != rig.ids:
         return None
     pairs = zip(drawing.cameras, rig.cameras, strict=True)
-    cameras = (dataclasses.replace(old.scaled(new.width, new.height), serial=new.serial) for old, new in pairs)
+    cameras = (replace(old.scaled(new.width, new.height), serial=new.serial) for old, new in pairs)
     return replace(drawing, cameras=tuple(cameras))
 
 
 def _number(uri: str, name: str, value: str) -> int | float:
-    fits = r"[0-9]+(\.[0-9]+)?" if name == "rig_error" else r"[0-9]+"
+    kind, fits, expected = int, r"[0-9]+", "a whole number"
+    if name == "rig_error":
+        kind, fits, expected = float, r"[0-9]+(\.[0-9]+)?", "a number"
     if not re.fullmatch(fits, value):
-        expected = "a number" if name == "rig_error" else "a whole number"
-        raise CameraSetupError(f"found {name}={value}", f"{expected}", where=uri)
-    return float(value) if name == "rig_error" else int(value)
+        raise CameraSetupError(f"found {name}={value}", expected, where=uri)
+    return kind(value)
 
 
 @contextlib.contextmanager
 def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCameras]:
     """Open all cameras of `rig`, on USB, simulated or replayed, and close them at the end.
 
-    Simulated ones show `planes` planes. They are started by the trigger box; on USB, where none is connected, one after
-    another by command.
-
-    Raises CameraSetupError for the first camera that is missing or does not fit the rig.
+    Simulated cameras show `planes` planes. The trigger box starts the cameras; on USB, where none is connected, they
+    are started one after another by command. Raises CameraSetupError for the first camera that is missing or does not
+    fit the rig.
     """
     if devices is None:
         with _opened(rig, _libusb()) as cameras, _closing(find_box()) as box:
             yield OpenCameras(cameras, box or SoftwareTrigger(cameras))
         return
-    rig = _with_serials(rig)
+    rig = replace(rig, cameras=tuple(replace(c, serial=c.serial or c.id) for c in rig.cameras))
     if isinstance(devices, Replay):
         scene, models = None, _replayed(rig, Recording.open(devices.path))
     else:
@@ -169,34 +174,26 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
 
 
 def _models(rig: Rig, scene: Scene, simulation: Simulation, planes: int) -> list[DeviceModel]:
-    """Simulated cameras that look at `scene` from where the rig's cameras stand."""
+    """Return simulated cameras that look at `scene` from where the rig's cameras stand."""
     threads = max(1, len(os.sched_getaffinity(0)) // len(rig.cameras))  # the cameras are read at the same time
-    models = []
+    profile, models = profiles()[simulation.profile], []
     for number, camera in enumerate(rig.cameras):
-        size = camera.width, camera.height
-        sensor = Sensor(*size, simulation.sensor, simulation.seed, number, threads=threads)
+        layout = PlaneLayout(camera.width, camera.height)
+        sensor = Sensor(layout.width, layout.height, simulation.sensor, simulation.seed, number, threads=threads)
         source = SceneSource(
-            scene,
-            camera,
-            rig.clock,
-            planes,
-            sensor,
-            PlaneLayout(*size),
-            samples=simulation.samples,
-            threads=threads,
+            scene, camera, rig.clock, planes, sensor, layout, samples=simulation.samples, threads=threads
         )
-        models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz))
+        models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz, profile=profile))
     return models
 
 
 def _replayed(rig: Rig, recording: Recording) -> list[DeviceModel]:
-    """Cameras that send the recording's planes again, each in the place of the rig's camera with its id."""
-    sources = dict(zip(recording.camera_ids, replay_sources(recording), strict=True))
-    missing = [camera_id for camera_id in rig.ids if camera_id not in sources]
+    """Return cameras that send the recording's planes again, each in the place of the rig's camera with its id."""
+    missing = [camera_id for camera_id in rig.ids if camera_id not in recording.camera_ids]
     if missing:
-        raise CameraSetupError(
-            f"found no stream of {', '.join(missing)}", f"one for each camera of rig {rig.name}", where=recording.path
-        )
+        found, expected = f"found no stream of {', '.join(missing)}", f"one for each camera of rig {rig.name}"
+        raise CameraSetupError(found, expected, where=recording.path)
+    sources = {camera_id: ReplaySource(recording.stream(camera_id)) for camera_id in recording.camera_ids}
     return [DeviceModel(camera.serial, sources[camera.id], recording.tick_rate_hz) for camera in rig.cameras]
 
 
@@ -217,11 +214,6 @@ def _opened(rig: Rig, backend: IBackend) -> Iterator[tuple[UsbCamera, ...]]:
             cameras.append(UsbCamera.open(camera, rig.tick_rate_hz, backend))
             stack.callback(cameras[-1].close)
         yield tuple(cameras)
-
-
-def _with_serials(rig: Rig) -> Rig:
-    """A simulated camera without a serial in the rig has its id for one."""
-    return dataclasses.replace(rig, cameras=tuple(dataclasses.replace(c, serial=c.serial or c.id) for c in rig.cameras))
 
 
 def _libusb() -> IBackend:

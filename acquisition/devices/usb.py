@@ -16,7 +16,7 @@ from usb.backend import IBackend
 from acquisition.devices.control_channel import MessageChannel, RequestChannel
 from acquisition.devices.discovery import CameraSetupError, device_profile, find_camera
 from acquisition.devices.libusb_pipe import LibusbPipe
-from acquisition.devices.profile import DIRECT, Profile
+from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.protocol import Block, BlockParser, Damage, RepeatFilter
 from acquisition.devices.registers import (
     PROTOCOL_VERSION,
@@ -38,10 +38,10 @@ from rigs.camera import Camera
 _USBFS_MB = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _LATCHES = 3
 _ADVICE = {
-    errno.ENODEV: "it is not connected any more; check its cable and power",
-    errno.EACCES: "access was denied; allow this user to open the device (a udev rule)",
-    errno.EBUSY: "another program holds it; stop that program",
-    errno.EIO: "the transfer failed on the wire; change its cable or port",
+    errno.ENODEV: ("it is not connected any more", "check its cable and power"),
+    errno.EACCES: ("access was denied", "allow this user to open the device (a udev rule)"),
+    errno.EBUSY: ("another program holds it", "stop that program"),
+    errno.EIO: ("the transfer failed on the wire", "change its cable or port"),
 }
 
 
@@ -69,7 +69,7 @@ class UsbCamera:
         self.damages = 0
         self._camera, self._backend, self._device = camera, backend, device
         self._repeated = RepeatFilter()
-        self._profile = device_profile(device) or DIRECT
+        self.profile = device_profile(device) or DIRECT
         self._attach()
 
     def _attach(self) -> None:
@@ -80,10 +80,10 @@ class UsbCamera:
             if isinstance(self._backend, StreamingBackend):
                 pipe = self._backend.open_stream(device)
             else:
-                pipe = LibusbPipe(cast(int, device.bus), cast(int, device.address), self._profile)
-        self._stream = BulkStream(pipe, self._profile.in_flight)
-        messages = self._profile.command_endpoint
-        self._control = MessageChannel(pipe, self._profile) if messages else RequestChannel(device)
+                pipe = LibusbPipe(cast(int, device.bus), cast(int, device.address), self.profile)
+        self._stream = BulkStream(pipe, self.profile.in_flight)
+        messages = self.profile.command_endpoint
+        self._control = MessageChannel(pipe, self.profile) if messages else RequestChannel(device)
         try:
             geometry = Geometry.decode(self._register(Request.GEOMETRY))
         except DeviceError:
@@ -151,7 +151,7 @@ class UsbCamera:
         try:
             wanted.refuse_wild()
         except DeviceError as error:
-            raise CameraSetupError(f"{error}", do="choose another value", where=self.id) from error
+            raise CameraSetupError(error.found, error.expected, "choose another value", where=self.id) from error
         self._command(Request.SET_SENSITIVITY, wanted.encode())
         found = self.sensitivity()
         if found != wanted:
@@ -250,10 +250,16 @@ class UsbCamera:
             raise self._failed(error) from error
 
     def _failed(self, error: usb.core.USBError) -> DeviceError:
+        where = f"{self.id} (serial {self.serial})"
         if error.errno == errno.ENOMEM:
-            return DeviceError(f"{self.id} (serial {self.serial}): {_usbfs_advice(self._profile)}")
-        advice = _ADVICE.get(error.errno or 0, f"{error.strerror}; reconnect it")
-        return DeviceError(f"{self.id} (serial {self.serial}): {advice}")
+            limit = f"{_USBFS_MB.read_text().strip()} MB" if _USBFS_MB.exists() else "its limit"
+            found, do = (
+                f"found the kernel's memory for USB transfers full at {limit}",
+                f"write {RECOMMENDED_USBFS_MB} to",
+            )
+            return DeviceError(found, f"{self.profile.queued_mb:g} MB a camera", f"{do} {_USBFS_MB}", where=where)
+        found, do = _ADVICE.get(error.errno or 0, (str(error.strerror), "reconnect it"))
+        return DeviceError(found, do=do, where=where)
 
 
 class SoftwareTrigger:
@@ -269,11 +275,3 @@ class SoftwareTrigger:
         """Start all."""
         for camera in self._cameras:
             camera.start()
-
-
-def _usbfs_advice(profile: Profile) -> str:
-    limit = f"{_USBFS_MB.read_text().strip()} MB" if _USBFS_MB.exists() else "its limit"
-    return (
-        f"found the kernel's memory for USB transfers full at {limit}, expected {profile.queued_mb:g} MB a camera; "
-        f"write {RECOMMENDED_USBFS_MB} to {_USBFS_MB}"
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +12,7 @@ from pathlib import Path
 
 from acquisition.devices import sysfs
 from acquisition.devices.open import OpenCameras
+from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.protocol import Block
 from acquisition.devices.registers import LinkCounters
 from acquisition.devices.usb import ClockLatch
@@ -18,12 +20,11 @@ from acquisition.errors import DeviceError, DiskError
 from acquisition.progress import Progress, silent
 from acquisition.recording.writer import free_bytes
 from acquisition.session.contact import CLOCK_SPREAD
-from acquisition.session.disk_test import write_speed
+from acquisition.session.disk_speed import write_speed
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
 
-TRANSFERS_MB = 8  # in flight for each camera
 SPARE_MB = 16  # of USB memory for all other devices
 RECOMMENDED_MB = 256
 DISK_RESERVE = 1.1  # times the rig's rate
@@ -77,11 +78,14 @@ class Surroundings:
 def preflight(rig: Rig, around: Surroundings, progress: Progress = silent) -> list[Check]:
     """Every check of `rig`, in order. Cameras are armed and started for a few planes, and stopped; nothing is kept."""
     checks: list[Check] = []
+    queued_mb: list[float] = []
     for number, camera in enumerate(rig.cameras):
         progress(0.4 * number / len(rig.cameras), f"camera {camera.id}")
-        checks += _camera(rig, camera, around)
+        check, profile = _camera(rig, camera, around)
+        checks.append(check)
+        queued_mb.append(profile.queued_mb if profile else max(each.queued_mb for each in profiles().values()))
     progress(0.4, "USB")
-    checks += [_firmware(checks), *_topology(rig, around.sysfs), _usbfs(rig, around.sysfs)]
+    checks += [_firmware(checks), *_topology(rig, around.sysfs), _usbfs(queued_mb, around.sysfs)]
     progress(0.5, "clock latch")
     checks += _run(rig, around, all(check.passed for check in checks[: len(rig.cameras)]))
     progress(0.6, "disk")
@@ -95,26 +99,27 @@ def camera_mb_s(rig: Rig, camera: Camera) -> float:
     return PlaneLayout(camera.width, camera.height).plane_bytes * rig.tick_rate_hz / 1e6
 
 
-def _camera(rig: Rig, camera: Camera, around: Surroundings) -> list[Check]:
+def _camera(rig: Rig, camera: Camera, around: Surroundings) -> tuple[Check, Profile | None]:
+    """Open one camera, and return how that went and what kind of camera it is."""
     name = f"camera {camera.id}"
     expected = f"{camera.width}x{camera.height} at {rig.tick_rate_hz:g} Hz"
     try:
         with around.open_rig(rig.only([camera.id])) as opened:
-            identity = opened.cameras[0].identity()
+            identity, profile = opened.cameras[0].identity(), opened.cameras[0].profile
     except DeviceError as error:
-        found, _, rest = str(error).removeprefix(f"{camera.id}: ").partition(", expected ")
-        change = (rest or found).partition("; ")[2] or "reconnect it"
-        found = found.partition("; ")[0].removeprefix("found ")
-        return [Check(name, False, found, expected, change, {camera.id: {"connected": False, "fault": found}})]
-    facts = {"connected": True, "serial": camera.serial, "firmware": identity.firmware_version}
-    return [Check(name, True, f"{expected}, firmware {identity.firmware_version}", expected, facts={camera.id: facts})]
+        facts = {camera.id: {"connected": False, "fault": error.found}}
+        return Check(name, False, error.found, expected, error.do or "reconnect it", facts), None
+    version = identity.firmware_version
+    facts = {camera.id: {"connected": True, "serial": camera.serial, "firmware": version}}
+    return Check(name, True, f"{expected}, firmware {version}", expected, facts=facts), profile
 
 
-def _firmware(cameras: list[Check]) -> Check:
-    versions = defaultdict(list)
+def _firmware(cameras: Sequence[Check]) -> Check:
+    versions: dict[str, list[str]] = defaultdict(list)
     for check in cameras:
-        if check.passed:
-            versions[check.found.rpartition(" ")[2]].append(check.name.removeprefix("camera "))
+        for camera_id, facts in check.facts.items():
+            if "firmware" in facts:
+                versions[str(facts["firmware"])].append(camera_id)
     expected = "one version in all cameras"
     if len(versions) < 2:
         found = f"version {next(iter(versions))}" if versions else "no camera"
@@ -155,9 +160,9 @@ def _topology(rig: Rig, root: Path | None) -> list[Check]:
     return checks
 
 
-def _usbfs(rig: Rig, root: Path | None) -> Check:
-    needed = TRANSFERS_MB * len(rig.cameras) + SPARE_MB
-    expected = f"at least {needed} MB for {len(rig.cameras)} cameras"
+def _usbfs(queued_mb: Sequence[float], root: Path | None) -> Check:
+    needed = math.ceil(sum(queued_mb)) + SPARE_MB
+    expected = f"at least {needed} MB for {len(queued_mb)} cameras"
     limit = None if root is None else sysfs.usbfs_memory_mb(root)
     if limit is None:
         return Check("USB memory", None, "simulated cameras" if root is None else "no limit stated", expected)

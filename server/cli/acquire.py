@@ -130,7 +130,7 @@ def simulate_command(
     "--devices",
     default="usb:",
     show_default=True,
-    help="usb:, mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20&fault=KIND:camRC, or replay:REC",
+    help="usb:, mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20&fault=KIND:camRC&profile=NAME, or replay:REC",
 )
 @_out
 @_json

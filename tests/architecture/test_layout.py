@@ -13,6 +13,15 @@ VAGUE = {"utils", "util", "helpers", "helper", "common", "misc", "manager", "bas
 MODULES = [path for name in PACKAGES for path in sorted((ROOT / name).rglob("*.py"))]
 KERNELS = [path for name in PACKAGES for path in sorted((ROOT / name).rglob("*.cpp"))]
 FIXED_ELSEWHERE = {"ctrl_transfer"}  # the signature of a pyusb backend
+LONG_CLASSES = {  # lines of the classes that are still too long; none may grow, none may join them
+    "acquisition/devices/device_model.py:DeviceModel": 263,
+    "acquisition/devices/mock.py:MockBackend": 154,
+    "acquisition/devices/usb.py:UsbCamera": 200,
+    "acquisition/recording/stream_writer.py:StreamWriter": 245,
+    "acquisition/session/capture.py:Capture": 161,
+    "server/services/jobs.py:JobService": 223,
+    "server/work/stages.py:Stages": 199,
+}
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -58,6 +67,13 @@ def test_functions_are_short_and_take_few_positional_parameters(path):
     functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, FUNCTIONS)]
     assert [f"{f.name}: {body_lines(f)} lines" for f in functions if body_lines(f) > 40] == []
     assert [f"{f.name}: {positional(f)} positional" for f in functions if positional(f) > 6] == []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_classes_are_short(path):
+    classes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)]
+    lengths = {f"{name_of(path)}:{node.name}": (node.end_lineno or 0) - node.lineno + 1 for node in classes}
+    assert {name: lines for name, lines in lengths.items() if lines > LONG_CLASSES.get(name, 150)} == {}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)

@@ -11,13 +11,14 @@ import libusb_package
 import numpy as np
 import pytest
 import usb.core
+from maintenance import usbip
+from maintenance.trigger_line import TriggerWire
 
-from acquisition.devices import usbip
 from acquisition.devices.device_clock import DeviceClock, Pace
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.discovery import serial_of
-from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.profile import PROFILES, Profile
+from acquisition.devices.mock import MockBackend
+from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.protocol import Block, BlockStatus
 from acquisition.devices.registers import LinkCounters, Sensitivity, State
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
@@ -68,7 +69,7 @@ class MockBench:
         self.backend = MockBackend(self.models)
 
     def fire(self) -> None:
-        MockTriggerLine(self.models).fire()
+        TriggerWire(self.models).fire()
 
     def unplug(self, serial: str = "A1") -> None:
         self.backend.unplug(serial)
@@ -146,7 +147,7 @@ BENCHES = [MockBench, *([UsbIpBench] if usbip.is_available() else [])]
 
 
 @pytest.fixture(
-    params=[(kind, profile) for kind in BENCHES for profile in PROFILES],
+    params=[(kind, profile) for kind in BENCHES for profile in profiles().values()],
     ids=lambda param: f"{param[0].__name__}-{param[1].name}",
 )
 def bench(request):
@@ -517,7 +518,7 @@ def run(bench, tmp_path):
             control.stop.set()
 
         cameras = [UsbCamera.open(camera, RATE, bench.backend) for camera in rig.cameras]
-        line = SoftwareTrigger(cameras) if trigger == "software" else MockTriggerLine(models, period_s=PULSES_S)
+        line = SoftwareTrigger(cameras) if trigger == "software" else TriggerWire(models, period_s=PULSES_S)
         try:
             with RecordingWriter(tmp_path / "rec", rig, 0) as recording, ThreadPoolExecutor(1) as pool:
                 task = pool.submit(play)

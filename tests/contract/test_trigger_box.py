@@ -5,8 +5,8 @@ import time
 import hidraw
 import numpy as np
 import pytest
+from maintenance import usbip
 
-from acquisition.devices import usbip
 from acquisition.devices.box_model import BoxModel, MockHid
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.profile import VENDOR_ID

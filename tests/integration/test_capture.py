@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from maintenance.trigger_line import TriggerWire
 
 from acquisition.devices.device_clock import DeviceClock
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.mock import MockBackend
 from acquisition.devices.open import Replay, Simulation, open_cameras, parse_devices
+from acquisition.devices.profile import profiles
 from acquisition.devices.registers import LinkCounters, Request, Sensitivity
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import BadRecordingError, DeviceError, DiskError
@@ -84,7 +86,7 @@ class Bench:
             for c in self.rig.cameras
         ]
         self.backend = MockBackend(self.models)
-        self.trigger = MockTriggerLine(self.models)
+        self.trigger = TriggerWire(self.models)
 
     def record(self, out, trigger=None, progress=silent) -> None:
         cameras = [UsbCamera.open(c, self.rig.tick_rate_hz, self.backend) for c in self.rig.cameras]
@@ -127,7 +129,7 @@ class DriftingModel(DeviceModel):
 
 def test_each_clock_is_told_from_the_sync_pulses(tmp_path):
     bench = Bench(DriftingModel)
-    bench.trigger = MockTriggerLine(bench.models, period_s=0.5e-3)
+    bench.trigger = TriggerWire(bench.models, period_s=0.5e-3)
     bench.record(tmp_path / "rec")
     manifest = Recording.open(tmp_path / "rec").manifest
     middle_s = PLANES / 20_000 / 2
@@ -147,7 +149,7 @@ class CutModel(DeviceModel):
 
 def test_pulses_missed_behind_the_last_stamp_stand_in_the_manifest(tmp_path):
     bench = Bench(CutModel)
-    bench.trigger = MockTriggerLine(bench.models, period_s=0.5e-3)
+    bench.trigger = TriggerWire(bench.models, period_s=0.5e-3)
     bench.record(tmp_path / "rec")
     manifest = Recording.open(tmp_path / "rec").manifest
     found = manifest.camera("cam12").clock
@@ -284,7 +286,7 @@ def test_a_camera_that_stays_silent_costs_the_others_nothing(tmp_path, monkeypat
 def test_where_no_camera_sends_anything_nothing_is_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.01)
     bench = Bench()
-    bench.trigger = MockTriggerLine([])
+    bench.trigger = TriggerWire([])
     with pytest.raises(DeviceError, match=r"cam00: found no data .* after 0 planes"):
         bench.record(tmp_path / "rec")
     assert list(tmp_path.iterdir()) == []
@@ -370,6 +372,7 @@ def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
         ("mock:fan_and_ball?seed=-3", "expected a whole number"),
         ("mock:fan_and_ball?sensor=perfect", "found the sensor 'perfect'"),
         ("mock:fan_and_ball?samples=0", "at least 1"),
+        ("mock:fan_and_ball?profile=usb4", "found the profile 'usb4', expected one of direct, ft60x"),
     ],
 )
 def test_a_device_uri_that_cannot_be_is_refused(uri, message):
@@ -381,6 +384,17 @@ def test_a_device_uri_says_what_simulated_cameras_see():
     assert parse_devices("usb:") is None
     assert parse_devices("mock:fan_and_ball") == Simulation("fan_and_ball", 0, "real", 2, 20)
     assert parse_devices("mock:x?seed=7&sensor=ideal&samples=1&truth_every=5") == Simulation("x", 7, "ideal", 1, 5)
+
+
+def test_every_profile_can_be_simulated_and_sends_the_same_planes(tmp_path, small):
+    pair, digests = small.only(["cam00", "cam01"]), set()
+    for name in profiles():
+        uri = f"mock:fan_and_ball?samples=1&truth_every=1000&profile={name}"
+        with open_cameras(pair, parse_devices(uri), 5) as opened:
+            assert {camera.profile.name for camera in opened.cameras} == {name}
+        manifest = record(pair, uri, 100, tmp_path / name)
+        digests.add(tuple(camera.sha256 for camera in manifest.cameras))
+    assert len(digests) == 1
 
 
 def test_a_recording_is_replayed_bit_for_bit(tmp_path, small):

@@ -7,15 +7,19 @@ import json
 
 import numpy as np
 import pytest
+from maintenance.trigger_line import TriggerWire
 
+from acquisition.devices import profile as profile_module
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.mock import MockBackend, MockTriggerLine
+from acquisition.devices.mock import MockBackend
 from acquisition.devices.open import OpenCameras
+from acquisition.devices.profiles.direct import DIRECT
+from acquisition.devices.profiles.ft60x import FT60X
 from acquisition.devices.usb import SoftwareTrigger, UsbCamera
 from acquisition.errors import DiskError
-from acquisition.session import disk_test as disk_test_module
+from acquisition.session import disk_speed as disk_speed_module
 from acquisition.session import preflight as preflight_module
-from acquisition.session.disk_test import DiskSpeed, write_speed
+from acquisition.session.disk_speed import DiskSpeed, write_speed
 from acquisition.session.preflight import Check, Surroundings, preflight
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
@@ -87,7 +91,7 @@ class Bench:
                 opened = UsbCamera.open(camera, rig.tick_rate_hz, self.backend)
                 stack.callback(opened.close)
                 cameras.append(self.odd.get(camera.id, lambda found: found)(opened))
-            yield OpenCameras(tuple(cameras), MockTriggerLine(self.models) if self.line else SoftwareTrigger(cameras))
+            yield OpenCameras(tuple(cameras), TriggerWire(self.models) if self.line else SoftwareTrigger(cameras))
 
     def checks(self, rig: Rig = RIG, **around) -> dict[str, Check]:
         before = sorted(self.folder.rglob("*"))
@@ -129,15 +133,15 @@ def test_a_missing_camera_is_named(bench):
     bench.backend.unplug("S4D-12")
     check = bench.checks()["camera cam12"]
     assert check.passed is False
-    assert check.found.startswith("no camera with serial S4D-12 (connected: S4D-00, S4D-01")
+    assert check.found.startswith("found no camera with serial S4D-12 (connected: S4D-00, S4D-01")
     assert check.change == "check its cable and power"
 
 
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        (lambda rig: rig.scaled(200, 125), "a sensor of 400x250"),
-        (lambda rig: dataclasses.replace(rig, tick_rate_hz=1000.0), "20000 Hz"),
+        (lambda rig: rig.scaled(200, 125), "found a sensor of 400x250"),
+        (lambda rig: dataclasses.replace(rig, tick_rate_hz=1000.0), "found 20000 Hz"),
     ],
 )
 def test_a_rig_that_is_not_this_one_fails_for_every_camera(bench, change, found):
@@ -179,6 +183,23 @@ def test_the_usb_memory_says_the_value_needed(bench):
     assert check.change == "write 256 to /sys/module/usbcore/parameters/usbfs_memory_mb"
     bench.usbfs_memory_mb(0)
     assert bench.checks()["USB memory"].found == "any number of MB"
+
+
+def test_the_usb_memory_follows_the_queue_of_each_camera_s_profile(bench, monkeypatch):
+    deep = dataclasses.replace(FT60X, name="deep", product_id=0x1234, in_flight=64)  # 16 MB
+    known = {profile.name: profile for profile in (DIRECT, FT60X, deep)}
+    monkeypatch.setattr(profile_module, "members", lambda *_: known)
+    bench.models[0].profile, bench.models[1].profile = deep, FT60X
+    assert bench.checks()["USB memory"].expected == f"at least {16 + 4 + 7 * 8 + 16} MB for 9 cameras"
+    bench.backend.unplug(bench.models[1].serial)  # which profile it has is not known: the largest queue is assumed
+    assert bench.checks()["USB memory"].expected == f"at least {16 + 16 + 7 * 8 + 16} MB for 9 cameras"
+
+
+def test_a_check_carries_its_facts(bench):
+    bench.backend.unplug("S4D-12")
+    checks = bench.checks()
+    assert checks["camera cam11"].facts == {"cam11": {"connected": True, "serial": "S4D-11", "firmware": 1}}
+    assert checks["camera cam12"].facts == {"cam12": {"connected": False, "fault": checks["camera cam12"].found}}
 
 
 def test_a_machine_without_usb_information_is_not_judged_by_it(bench, tmp_path):
@@ -243,14 +264,14 @@ def test_a_disk_that_cannot_be_written_is_refused(bench, monkeypatch):
 
 @pytest.mark.parametrize("direct", [True, False])
 def test_the_disk_test_writes_for_as_long_as_told_and_leaves_nothing(tmp_path, monkeypatch, direct):
-    monkeypatch.setattr(disk_test_module, "_MOST_BYTES", 32 << 20)
+    monkeypatch.setattr(disk_speed_module, "_MOST_BYTES", 32 << 20)
     if not direct:
-        monkeypatch.setattr(disk_test_module.os, "O_DIRECT", 0)
+        monkeypatch.setattr(disk_speed_module.os, "O_DIRECT", 0)
     seconds = itertools.count(0, 0.01)
     found = write_speed(tmp_path, 1.0, clock=lambda: next(seconds))
     assert found.mb_s > 0
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(disk_test_module.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1000}))
+    monkeypatch.setattr(disk_speed_module.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1000}))
     with pytest.raises(DiskError, match="no room for a disk test"):
         write_speed(tmp_path, 1.0)
 
@@ -292,7 +313,7 @@ def test_the_command_without_cameras_fails_and_without_a_folder_is_refused(spike
 @pytest.mark.parametrize(
     ("fault", "line"),
     [
-        ("missing", "FAIL camera cam12: no camera with serial S4D-12"),
+        ("missing", "FAIL camera cam12: found no camera with serial S4D-12"),
         ("firmware", "FAIL firmware: 1 in cam00"),
         ("deaf", "FAIL clock latch: no plane of cam12 after the trigger"),
         ("late", "FAIL clock latch: at most 1000.0 us, of cam12"),

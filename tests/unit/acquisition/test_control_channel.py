@@ -15,7 +15,9 @@ from acquisition.devices.control_channel import (
     MessageEnd,
     StallError,
 )
-from acquisition.devices.profile import DIRECT, FT60X, profile_of
+from acquisition.devices.profile import profile_of
+from acquisition.devices.profiles.direct import DIRECT
+from acquisition.devices.profiles.ft60x import FT60X
 from acquisition.devices.registers import ClockRegister, LinkCounters, Request, Sensitivity
 from acquisition.errors import DeviceError
 

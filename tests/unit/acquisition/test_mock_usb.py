@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import usb.core
 import usb.util
+from maintenance.trigger_line import TriggerWire
 
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.mock import MockBackend, MockTriggerLine
-from acquisition.devices.profile import DIRECT
+from acquisition.devices.mock import MockBackend
+from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.registers import Request
 from acquisition.spikes.layout import PlaneLayout
 
@@ -67,13 +68,13 @@ def test_a_read_without_data_times_out(device):
 
 def test_a_short_read_is_no_error(device, models):
     device.ctrl_transfer(COMMAND, Request.ARM)
-    MockTriggerLine(models).fire()
+    TriggerWire(models).fire()
     assert len(device.read(DIRECT.stream_endpoint, 1 << 20)) == 64 + 80 * 4 + 32
 
 
 def test_a_halted_pipe_stalls_until_it_is_cleared(device, models, backend):
     device.ctrl_transfer(COMMAND, Request.ARM)
-    MockTriggerLine(models).fire()
+    TriggerWire(models).fire()
     backend.halt("A1")
     for _ in range(2):
         with pytest.raises(usb.core.USBError) as caught:
@@ -117,5 +118,5 @@ def test_a_claimed_interface_is_busy_for_others(device, backend):
 
 def test_one_pulse_starts_every_armed_camera(models):
     models[0].command(Request.ARM)
-    MockTriggerLine(models).fire()
+    TriggerWire(models).fire()
     assert [m.state.name for m in models] == ["RUNNING", "IDLE"]
