@@ -17,6 +17,7 @@ from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
 from reconstruction.losses.counts import absolute_loss, robust_loss, square_loss
 from reconstruction.rendering.render import render
+from reconstruction.run.configuration import SUPERVISIONS
 from reconstruction.training import image_term, spike_term
 from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.image_term import ImageTerm
@@ -134,7 +135,7 @@ def test_a_training_that_goes_on_knows_how_many_instants_an_image_takes():
     assert [two.step(0.6), two.step(0.7)] == [one.step(0.6), one.step(0.7)]
 
 
-@pytest.mark.parametrize("supervised", ["pixels", "l1", "l2", "image-variation", "counts", "cumulative", "both"])
+@pytest.mark.parametrize("supervised", [name for name, chosen in SUPERVISIONS.items() if not chosen.refused])
 def test_every_supervision_moves_a_displaced_mover_back(supervised):
     view = seen(cloud(0.0))
     model = cloud(0.0)
