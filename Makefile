@@ -59,7 +59,7 @@ check: install
 	$(PY) tests/architecture/audit.py
 
 bench: install
-	for name in images pixels poses rasterizer recorder training paper viewpoints leave-out; do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	for name in $$($(PY) -c "from server.cli.bench_runs import BENCHES; print(*BENCHES)"); do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
 	$(MAKE) --no-print-directory stability evidence
 
 stability: install

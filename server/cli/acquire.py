@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,12 +20,13 @@ from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, SCE
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from server.cli.operator import operator_control
-from server.cli.options import SIZE, load_named_rig
+from server.cli.options import PATH, SIZE, json_option, load_named_rig, new_recording
+from server.cli.output import answer
 from server.cli.progress import progress_of
 
 
 class ManyDats(click.Command):
-    """Lets `--dat` take every file up to the next option, as a shell's pattern gives them."""
+    """Lets `--dat` take all files up to the next option, so that a shell pattern works."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Repeat the option before each of its files."""
@@ -40,19 +40,13 @@ class ManyDats(click.Command):
         return super().parse_args(ctx, spread)
 
 
-_out = click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="The recording to make; a new folder."
-)
-_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-
-
 _SCENES_HELP = "; ".join(
     f"{purpose}: {' '.join(names)}"
     for purpose, names in (
-        ("What the cameras look at. To develop on", DEVELOPMENT),
-        ("to evaluate on, and for nothing else", EVALUATION),
-        ("under stress", STRESS),
-        ("to calibrate with", CALIBRATION),
+        ("What the cameras see. For development", DEVELOPMENT),
+        ("for evaluation and nothing else", EVALUATION),
+        ("for stress", STRESS),
+        ("for calibration", CALIBRATION),
     )
 )
 
@@ -60,8 +54,8 @@ _SCENES_HELP = "; ".join(
 @click.command("simulate")
 @click.option("--scene", type=click.Choice(tuple(SCENES)), metavar="NAME", required=True, help=_SCENES_HELP)
 @click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
-@click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes of every camera.")
-@click.option("--size", type=SIZE, help="Pixels of every camera; scales the rig's intrinsics.")
+@click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes from every camera.")
+@click.option("--size", type=SIZE, help="Pixels of every camera; the rig's intrinsics are scaled.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
 @click.option(
@@ -69,19 +63,25 @@ _SCENES_HELP = "; ".join(
     default=2,
     show_default=True,
     type=click.IntRange(min=1, max=8),
-    help="Rays a side of a pixel in each plane; the truth has 4 x 4.",
+    help="Rays along a side of a pixel in each plane; the truth has 4.",
 )
-@click.option("--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="In planes.")
+@click.option(
+    "--truth-every",
+    default=20,
+    show_default=True,
+    type=click.IntRange(min=1),
+    help="Planes between true frames.",
+)
 @click.option(
     "--rig-error",
     default=0.0,
     show_default=True,
     type=click.FloatRange(0, MOST_RIG_ERROR),
-    help="Degrees, cm and percent of the focal length that the cameras are off the rig file, which is then nominal.",
+    help="Put the cameras off the rig file by so many degrees, cm and percent of the focal length; it is then nominal.",
 )
 @click.option("--spikecv", is_flag=True, help="Also write the config.yaml that SpikeCV reads.")
-@_out
-@_json
+@new_recording
+@json_option
 def simulate_command(
     scene: str,
     rig: str,
@@ -103,14 +103,14 @@ def simulate_command(
 
 @click.command("record")
 @click.option("--rig", required=True, help="RIG.toml, or a rig of the catalog.")
-@click.option("--ticks", type=click.IntRange(min=1), help="Planes of every camera.")
+@click.option("--ticks", type=click.IntRange(min=1), help="Planes from every camera.")
 @click.option("--until-stopped", is_flag=True, help="Record until SIGINT (Ctrl-C) or SIGTERM.")
 @click.option(
     "--pre-trigger",
     "pre_trigger_ms",
     type=click.FloatRange(min=0, min_open=True),
     metavar="MS",
-    help="Keep the last MS ms in memory; a line on standard input (Enter) saves from there on.",
+    help="Keep the last MS ms in memory; Enter (a line on standard input) saves them and records on.",
 )
 @click.option(
     "--keep-free", default=256, show_default=True, type=click.IntRange(min=0), help="MB of the disk to leave free."
@@ -124,7 +124,7 @@ def simulate_command(
     show_default=True,
     type=click.FloatRange(0, 50),
     metavar="S",
-    help="Reset a camera that is lost and look for it so long; 0 gives it up at once.",
+    help="Reset a lost camera and look for it for S seconds; 0 gives it up at once.",
 )
 @click.option(
     "--devices",
@@ -132,8 +132,8 @@ def simulate_command(
     show_default=True,
     help="usb:, mock:SCENE?seed=0&sensor=real&samples=2&truth_every=20&fault=KIND:camRC&profile=NAME, or replay:REC",
 )
-@_out
-@_json
+@new_recording
+@json_option
 def record_command(
     rig: str,
     ticks: int | None,
@@ -149,8 +149,8 @@ def record_command(
 ) -> None:
     """Arm all cameras of a rig, start them together, and record.
 
-    A camera that fails costs the others nothing: the recording is kept, marked incomplete, and the exit code is 1; so
-    it is where Ctrl-C ends a run of --ticks. --threshold and --exposure stay in the cameras until they are set anew.
+    If a camera fails, the others record on: the recording is kept, marked incomplete, and the exit code is 1. The same
+    holds when Ctrl-C ends a run of --ticks. --threshold and --exposure stay in the cameras until they are set again.
     """
     if (ticks is None) != until_stopped:
         raise click.UsageError("expected either --ticks N or --until-stopped")
@@ -162,28 +162,28 @@ def record_command(
     _print_recording(out, manifest, as_json)
 
 
-_FORMATS_HELP = "Rows of pixels; with 16 bits behind each; M1K40 segments, decoded to plain planes."
+_FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, decoded to plain planes."
 
 
 @click.command("import", cls=ManyDats)
 @click.option("--dat", "dats", multiple=True, required=True, metavar="FILE...", help="In row order, or camRC=FILE.")
 @click.option(
     "--cameras",
-    type=click.Path(path_type=Path),
+    type=PATH,
     required=True,
     help="transforms.json, a COLMAP model folder, or RIG.toml.",
 )
 @click.option("--tick-rate", "tick_rate_hz", type=float, required=True, help="Planes a second.")
-@click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal ones are estimated later.")
-@click.option("--size", type=SIZE, help="Pixels of every camera, where the cameras' file has none.")
-@click.option("--spikecv", type=click.Path(path_type=Path), help="SpikeCV's config.yaml, which has the size.")
+@click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal poses are estimated later.")
+@click.option("--size", type=SIZE, help="Pixels of every camera, if the cameras' file has none.")
+@click.option("--spikecv", type=PATH, help="SpikeCV's config.yaml, which has the size.")
 @click.option("--format", type=click.Choice(FORMATS), default="vidar", show_default=True, help=_FORMATS_HELP)
 @click.option("--bit-order", type=click.Choice(["lsb", "msb"]), help="[default: lsb]")
-@click.option("--row-order", type=click.Choice(["bottom", "top"]), help="Which is stored first. [default: bottom]")
-@click.option("--allow-partial", is_flag=True, help="Drop what lies beyond the last whole plane, and record how much.")
-@click.option("--align", is_flag=True, help="Estimate when each camera began from light that all of them see change.")
-@_out
-@_json
+@click.option("--row-order", type=click.Choice(["bottom", "top"]), help="The row stored first. [default: bottom]")
+@click.option("--allow-partial", is_flag=True, help="Drop an incomplete last plane, and record its size.")
+@click.option("--align", is_flag=True, help="Estimate when each camera began from changes of light they all see.")
+@new_recording
+@json_option
 def import_command(
     dats: tuple[str, ...],
     cameras: Path,
@@ -194,7 +194,7 @@ def import_command(
     as_json: bool,
     **options,
 ) -> None:
-    """Make a recording of `.dat` files, kept bit for bit but for M1K40 ones, which are decoded to plain planes."""
+    """Make a recording of `.dat` files. All but M1K40 ones, which are decoded to plain planes, stay bit for bit."""
     if spikecv:
         size = _size_of(spikecv, size, options["format"])
     chosen = ImportOptions(size=size, **options)
@@ -204,32 +204,33 @@ def import_command(
 
 
 @click.command("verify")
-@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@_json
+@click.argument("recording", metavar="REC", type=PATH)
+@json_option
 def verify_command(recording: Path, as_json: bool) -> None:
     """Check every byte of a recording: exit 0 sound, 1 damaged, 2 no recording."""
     damages = verify(recording, progress_of("verify"))
     reason = read_manifest(recording).reason
-    if as_json:
-        found = [dataclasses.asdict(damaged) for damaged in damages]
-        click.echo(json.dumps({"recording": str(recording), "sound": not damages, "damages": found, "reason": reason}))
-    else:
-        sound = f"{recording}: sound, incomplete: {reason}" if reason else f"{recording}: sound"
-        click.echo("\n".join(map(str, damages)) or sound)
+    found = [dataclasses.asdict(damaged) for damaged in damages]
+    document = {"recording": str(recording), "sound": not damages, "damages": found, "reason": reason}
+    sound = f"{recording}: sound, incomplete: {reason}" if reason else f"{recording}: sound"
+    answer(document, "\n".join(map(str, damages)) or sound, as_json=as_json)
     raise SystemExit(1 if damages else 0)
 
 
 @click.command("finalise")
-@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@_json
+@click.argument("recording", metavar="REC", type=PATH)
+@json_option
 def finalise_command(recording: Path, as_json: bool) -> None:
-    """Finish what a crash left: keep the blocks its journal proves. Does nothing to a finished recording."""
+    """Finish a recording after a crash: keep the blocks that its journal proves. A finished one stays as it is."""
     found = finalise(recording, progress_of("finalise"))
     _print_recording(found.path, found.manifest, as_json)
 
 
 def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) -> tuple[int, int]:
-    """The pixels a SpikeCV config.yaml states; it counts stored columns, an M1K40's as pixels."""
+    """Return the size (width, height) in pixels that a SpikeCV config.yaml states.
+
+    The file counts stored columns, but those of M1K40 as pixels.
+    """
     config = read_config(spikecv)
     found = config.spike_w - TRAILING_COLUMNS.get(source_format, 0), config.spike_h
     if size and size != found:
@@ -240,7 +241,7 @@ def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) ->
 
 
 def _skews(streams: Mapping[str, Stream], tick_rate_hz: float) -> dict[str, tuple[float, float]]:
-    """Seconds by which each camera began after the first one, and their standard deviation."""
+    """Return the seconds by which each camera began after the first one, and their standard deviations."""
     found = align_by_light({camera_id: firing_rate(stream) for camera_id, stream in streams.items()})
     skews = {}
     for camera_id, planes in found.skew_planes.items():
@@ -256,11 +257,9 @@ def _warn(doubt: str) -> None:
 
 def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
-    if as_json:
-        head = {"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz}
-        click.echo(json.dumps({**head, "status": manifest.status, "reason": manifest.reason, "cameras": cameras}))
-        return
+    head = {"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz}
+    document = {**head, "status": manifest.status, "reason": manifest.reason, "cameras": cameras}
     lost = sum(sum(camera.drops.values()) for camera in manifest.cameras)
     planes = min(camera.planes for camera in manifest.cameras)
     line = f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
-    click.echo(f"{line}; incomplete: {manifest.reason}" if manifest.reason else line)
+    answer(document, f"{line}; incomplete: {manifest.reason}" if manifest.reason else line, as_json=as_json)

@@ -1,6 +1,5 @@
 """`bench`: measurements one can repeat, as one JSON document, a table and a plot."""
 
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,15 @@ import click
 from acquisition.durable import write_json
 from acquisition.scenes.digest import committed_digests, scenes_digest
 from server.cli.bench_runs import BENCHES, Asked
+from server.cli.options import PATH, json_option
+from server.cli.output import answer, columns
+from server.cli.progress import progress_of
+
+_NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
 
 
-@click.command("bench")
-@click.argument("name", type=click.Choice(sorted(BENCHES)))
+@click.command("bench", help=f"Measure NAME.\n\n\b\n{_NAMES}")
+@click.argument("name", type=click.Choice(list(BENCHES)), metavar="NAME")
 @click.option("--scene", "scenes", help="NAME,... [default: the evaluation scenes; pixels: fan_and_ball].")
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
@@ -24,28 +28,21 @@ from server.cli.bench_runs import BENCHES, Asked
 )
 @click.option("--table", "tables", help="paper: NAME,... of its tables [default: all, by priority].")
 @click.option("--limit-s", type=click.FloatRange(min=0), help="leave-out, paper: begin nothing after so many seconds.")
-@click.option("--keep", is_flag=True, help="paper: take results of other code as they are; their rows say so.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for NAME.json and NAME.png; resumes there.")
-@click.option("--json", "as_json", is_flag=True, help="Print the document as JSON.")
-def bench_command(name: str, out: Path | None, as_json: bool, **asked: Any) -> None:
-    """Measure NAME.
-
-    images, leave-out (plans against everything on), paper (all its tables), pixels (calibrated or not), poses (of the
-    cameras), rasterizer, recorder (on the disk of --out), training, viewpoints (that nobody captured).
-    """
+@click.option("--keep", is_flag=True, help="paper: keep results of other code revisions; their rows say so.")
+@click.option("--out", type=PATH, help="Folder for NAME.json and NAME.png; an interrupted bench resumes there.")
+@json_option
+def bench_command(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
+    """Run a bench, keep its document and pictures, and print its summary."""
+    bench = BENCHES[name]
+    # The recorder is measured on the disk of this folder, not on that of the temporary ones.
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
-        bench = BENCHES[name](Asked(out / "work" if out else Path(spare), **asked))
-        document = bench.run()
+        asked = Asked(out / "work" if out else Path(spare), progress_of, **options)
+        document = bench.run(asked)
         document.scenes = scenes_digest(committed_digests())
         found = document.to_json()
         if out:
             out.mkdir(parents=True, exist_ok=True)
             write_json(out / f"{name}.json", found)
-            bench.draw(out, found)
-    click.echo(json.dumps(found) if as_json else _table(found))
-
-
-def _table(document: dict) -> str:
-    width = max(len(key) for key in document["summary"])
-    lines = [f"{key:{width}}  {value:.6g}" for key, value in document["summary"].items()]
-    return "\n".join([*lines, *(f"left out: {o}" for o in document["omissions"])])
+            bench.draw(asked, out, found)
+    summary = columns([(key, f"{value:.6g}") for key, value in found["summary"].items()])
+    answer(found, "\n".join([summary, *(f"left out: {o}" for o in found["omissions"])]), as_json=as_json)

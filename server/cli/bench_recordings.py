@@ -1,4 +1,4 @@
-"""The recordings that benches share: found in their work folder, simulated where there is none."""
+"""The recordings that benches share: kept in their work folder, and simulated if they are not there yet."""
 
 import subprocess
 import sys
@@ -11,16 +11,16 @@ TICKS = 400
 
 
 def recorded(scenes: tuple[str, ...], work: Path, ticks: int = TICKS) -> list[tuple[str, int, Path]]:
-    """A recording of each scene in `work`, by the seed that all benches use: scene, seed, folder."""
+    """Return scene, seed and recording of each scene, by the seed that all benches use."""
     seeds = {scene: DEVELOPMENT_SEEDS[1] if scene in DEVELOPMENT else EVALUATION_SEEDS[0] for scene in scenes}
     return [(scene, seed, recording(scene, seed, work, ticks)) for scene, seed in seeds.items()]
 
 
 def recording(scene: str, seed: int, work: Path, ticks: int = TICKS, rig: str | None = None) -> Path:
-    """The recording of a scene and seed in `work`.
+    """Return the recording of a scene and seed in `work`, simulated if it is not there yet.
 
-    Where there is none `simulate` makes it, in a process of its own, whose threads wait as many pools should. Raises
-    AcquisitionError where that fails.
+    `simulate` runs in a process of its own, where idle threads sleep: it has a pool for each of nine cameras. Raises
+    AcquisitionError if it fails.
     """
     path = work / f"{scene}-{seed}"
     if not path.exists():

@@ -1,20 +1,18 @@
-"""The benches by name: what each runs and what it is seen by. Imports are late: a capture host has no torch."""
+"""The benches by name: how each measures and draws. Imports are late, for a capture host has no torch."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.bench import parser_rows
+from acquisition.progress import Progress
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS
 from server.cli.bench_recordings import recorded, recording
-from server.cli.progress import progress_of
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
@@ -28,9 +26,10 @@ QUICK_TICKS, QUICK_RIG = 120, "ci3x3"
 
 @dataclass(frozen=True)
 class Asked:
-    """The options of the command; `work` keeps what a stopped bench resumes from."""
+    """The options of the command; a stopped bench resumes from what is in `work`."""
 
     work: Path
+    progress_of: Callable[[str], Progress]
     scenes: str | None = None
     quick: bool = False
     metric_files: Path | None = None
@@ -39,205 +38,182 @@ class Asked:
     keep: bool = False
 
     def named(self, default: tuple[str, ...]) -> tuple[str, ...]:
-        """The scenes asked for; the first of them alone with --quick."""
+        """Return the scenes asked for, or `default`; only the first of them with --quick."""
         found = tuple(self.scenes.split(",")) if self.scenes else default
         return found[:1] if self.quick else found
 
-
-@dataclass(frozen=True)
-class Bench(ABC):
-    """One measurement."""
-
-    asked: Asked
-
-    @abstractmethod
-    def run(self) -> BenchDocument:
-        """Measure."""
-
-    def draw(self, out: Path, found: dict) -> None:  # noqa: B027 - where numbers say it all
-        """Write what the document `found` is seen by into `out`."""
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the evaluation scenes; only the first of them with --quick."""
+        return EVALUATION_SEEDS[:1] if self.quick else EVALUATION_SEEDS
 
 
-class Images(Bench):
-    """Spikes to images."""
+class Bench(NamedTuple):
+    """One measurement: `run` measures, `draw` writes the pictures of a document into a folder.
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.images import Extent, ImageBench
+    `trains`: whether one pool of threads does all the work, in this process.
+    """
 
-        names = self.asked.named(EVALUATION)
-        seeds = EVALUATION_SEEDS[:1] if self.asked.quick else EVALUATION_SEEDS
-        extent = Extent(names, seeds, sweeps=not self.asked.quick)
-        return ImageBench(extent, self.asked.work / "images", self.asked.metric_files).run(progress_of("images"))
-
-    def draw(self, out: Path, found: dict) -> None:
-        from reconstruction.bench.contact_sheet import write_sheet
-        from reconstruction.bench.plot_images import plot_images
-
-        plot_images(out / "images.png", found)
-        write_sheet(out / "images-sheet.png", self.asked.work / "images")
+    about: str
+    run: Callable[[Asked], BenchDocument]
+    draw: Callable[[Asked, Path, dict], None] = lambda asked, out, found: None
+    trains: bool = False
 
 
-class Pixels(Bench):
-    """Pixels calibrated, or taken as even."""
+def _images(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.images import Extent, ImageBench
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.pixels import bench_pixels
-
-        seeds = EVALUATION_SEEDS[:1] if self.asked.quick else EVALUATION_SEEDS
-        return bench_pixels(self.asked.scenes or "fan_and_ball", seeds)
+    extent = Extent(asked.named(EVALUATION), asked.seeds, sweeps=not asked.quick)
+    return ImageBench(extent, asked.work / "images", asked.metric_files).run(asked.progress_of("images"))
 
 
-class Poses(Bench):
-    """Where the cameras stand."""
+def _draw_images(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.contact_sheet import write_sheet
+    from reconstruction.bench.plot_images import plot_images
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.pose_clip import PoseClip
-        from reconstruction.bench.pose_methods import BOARD_SCENE, BOARD_TICKS
-        from reconstruction.bench.poses import bench_poses
-
-        work, quick = self.asked.work, self.asked.quick
-        clips = [PoseClip(*found) for found in recorded(self.asked.named(EVALUATION), work)]
-        boards = [] if quick else [PoseClip(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
-        return bench_poses(clips, boards[0] if boards else None, work / "poses", progress_of("poses"), quick=quick)
-
-    def draw(self, out: Path, found: dict) -> None:
-        from reconstruction.bench.plot_poses import plot_poses
-
-        plot_poses(out / "poses.png", found)
+    plot_images(out / "images.png", found)
+    write_sheet(out / "images-sheet.png", asked.work / "images")
 
 
-class Rasterizer(Bench):
-    """Gaussians to pixels."""
+def _pixels(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.pixels import bench_pixels
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.rasterizer import bench_rasterizer
-
-        return bench_rasterizer()
+    return bench_pixels(asked.scenes or "fan_and_ball", asked.seeds)
 
 
-class Recorder(Bench):
-    """The rings and writers on the disk, and the parser that feeds them."""
+def _poses(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.pose_clip import PoseClip
+    from reconstruction.bench.pose_methods import BOARD_SCENE, BOARD_TICKS
+    from reconstruction.bench.poses import bench_poses
 
-    def run(self) -> BenchDocument:
-        quick = self.asked.quick
-        schedule, parsed = (QUICK, _PARSED_BYTES // 10) if quick else (Schedule(), _PARSED_BYTES)
-        document = bench_recorder(self.asked.work / "recorder", schedule, progress_of("recorder"))
-        rows, summary = parser_rows(parsed, document.summary["memcpy_gb_s"])
-        document.rows += rows
-        document.summary |= summary
-        return document
+    work, quick = asked.work, asked.quick
+    clips = [PoseClip(*found) for found in recorded(asked.named(EVALUATION), work)]
+    boards = [] if quick else [PoseClip(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
+    return bench_poses(clips, boards[0] if boards else None, work / "poses", asked.progress_of("poses"), quick=quick)
 
 
-class Training(Bench):
-    """Whole reconstructions at several budgets, and one choice changed at a time."""
+def _draw_poses(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.plot_poses import plot_poses
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.training import Clip, bench_training
-        from reconstruction.bench.variants import AUTO, VARIANTS
-
-        named, variants = self.asked.named((*EVALUATION, *DEVELOPMENT)), list(VARIANTS)
-        if self.asked.scenes:  # a scene that is asked for is run by the whole engine, whichever kind it is
-            variants = [replace(v, scenes=named) if v is AUTO else v for v in variants]
-        if self.asked.quick:
-            variants = [replace(v, budgets_s=v.budgets_s[1:2]) for v in variants[:1]]
-        clips = [Clip(scene, seed, path) for scene, seed, path in recorded(named, self.asked.work)]
-        document = bench_training(clips, variants, self.asked.work, progress_of)
-        document.omissions.append("one seed a scene")
-        return document
-
-    def draw(self, out: Path, found: dict) -> None:
-        from reconstruction.bench.contact_sheet import write_run_strip, write_sheet
-        from reconstruction.bench.plot import plot_training
-
-        plot_training(out / "training.png", found)
-        longest = max(r["budget_s"] for r in found["rows"] if r["method"] == "auto")
-        strips = self.asked.work / "strips"
-        for run in sorted(self.asked.work.glob(f"*-auto-{longest:g}s")):
-            write_run_strip(strips / f"{run.name}.png", run)
-        write_sheet(out / "training-sheet.png", strips, most_px=1200)
+    plot_poses(out / "poses.png", found)
 
 
-class LeaveOut(Bench):
-    """Plans against everything on."""
+def _rasterizer(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.rasterizer import bench_rasterizer
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.leave_out import bench_leave_out
-        from reconstruction.bench.paper.bench import Clock
-
-        asked = self.asked
-        left = Clock(asked.limit_s).until()
-        return bench_leave_out(asked.work / "leave-out", progress_of("leave-out"), quick=asked.quick, time_left=left)
-
-    def draw(self, out: Path, found: dict) -> None:
-        from reconstruction.bench.plot_leave_out import plot_leave_out
-
-        plot_leave_out(out / "leave-out.png", found)
+    return bench_rasterizer()
 
 
-class Paper(Bench):
-    """The protocol of the paper, its tables and its diagrams."""
-
-    @cached_property
-    def protocol(self) -> Protocol:
-        """The part of the protocol that was asked for."""
-        from reconstruction.bench.paper.protocol import PROTOCOL, QUICK
-
-        found = QUICK if self.asked.quick else PROTOCOL
-        if self.asked.tables:
-            found = found.of(tuple(self.asked.tables.split(",")))
-        return found.on(tuple(self.asked.scenes.split(","))) if self.asked.scenes else found
-
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.paper.bench import Clock, bench_paper
-
-        clock = Clock(self.asked.limit_s)
-        return bench_paper(self.protocol, laboratory(self.asked), progress_of("paper"), clock)
-
-    def draw(self, out: Path, found: dict) -> None:
-        from reconstruction.bench.paper.diagrams import write_diagrams
-        from reconstruction.bench.paper.others import open_others
-        from reconstruction.bench.paper.tables import write_tables
-
-        others = open_others(out)
-        write_tables(out / "paper.md", found, self.protocol, others)
-        write_diagrams(out, found, others)
+def _recorder(asked: Asked) -> BenchDocument:
+    schedule, parsed = (QUICK, _PARSED_BYTES // 10) if asked.quick else (Schedule(), _PARSED_BYTES)
+    document = bench_recorder(asked.work / "recorder", schedule, asked.progress_of("recorder"))
+    rows, summary = parser_rows(parsed, document.summary["memcpy_gb_s"])
+    document.rows += rows
+    document.summary |= summary
+    return document
 
 
-class Viewpoints(Bench):
-    """Views that nobody captured, of the runs that `paper` makes at a minute."""
+def _training(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.training import Clip, bench_training
+    from reconstruction.bench.variants import AUTO, VARIANTS
 
-    @cached_property
-    def runs(self) -> tuple[Sequence[Clip], Sequence[RunFolder]]:
-        """A recording of each scene, and the run of it; made where there is none."""
-        from reconstruction.bench.paper.protocol import LONG, OURS, QUICK
-        from reconstruction.bench.training import Clip
-        from reconstruction.run.folder import RunFolder
+    named, variants = asked.named((*EVALUATION, *DEVELOPMENT)), list(VARIANTS)
+    if asked.scenes:  # a scene that is asked for is run by the whole engine, whichever kind it is
+        variants = [replace(v, scenes=named) if v is AUTO else v for v in variants]
+    if asked.quick:
+        variants = [replace(v, budgets_s=v.budgets_s[1:2]) for v in variants[:1]]
+    clips = [Clip(scene, seed, path) for scene, seed, path in recorded(named, asked.work)]
+    document = bench_training(clips, variants, asked.work, asked.progress_of)
+    document.omissions.append("one seed a scene")
+    return document
 
-        method, effort = OURS.method, LONG
-        scenes = self.asked.named(EVALUATION)
-        if self.asked.quick:
-            method, effort, scenes = QUICK.tables[0].rows[0].method, QUICK.batches[0].efforts[0], DEVELOPMENT
-        assert method is not None
-        bench = laboratory(self.asked)
-        cells = [method.on(scene, effort) for scene in scenes]
-        clips = [Clip(cell.scene, cell.seed, bench.recording_of(cell.scene, cell.seed)) for cell in cells]
-        return clips, [RunFolder.open(bench.folder(cell)) for cell in cells]
 
-    def run(self) -> BenchDocument:
-        from reconstruction.bench.viewpoints import bench_viewpoints
+def _draw_training(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.contact_sheet import write_run_strip, write_sheet
+    from reconstruction.bench.plot import plot_training
 
-        return bench_viewpoints(*self.runs, progress_of("viewpoints"))
+    plot_training(out / "training.png", found)
+    longest = max(r["budget_s"] for r in found["rows"] if r["method"] == "auto")
+    strips = asked.work / "strips"
+    for run in sorted(asked.work.glob(f"*-auto-{longest:g}s")):
+        write_run_strip(strips / f"{run.name}.png", run)
+    write_sheet(out / "training-sheet.png", strips, most_px=1200)
 
-    def draw(self, out: Path, found: dict) -> None:
-        from reconstruction.bench.plot_viewpoints import plot_viewpoints, write_flythroughs, write_viewpoint_sheet
 
-        plot_viewpoints(out / "viewpoints.png", found)
-        write_viewpoint_sheet(out / "viewpoints-sheet.png", *self.runs)
-        write_flythroughs(out / "work" / "flythroughs", *self.runs, progress_of("fly-throughs"))
+def _leave_out(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.leave_out import bench_leave_out
+    from reconstruction.bench.paper.bench import Clock
+
+    left, progress = Clock(asked.limit_s).until(), asked.progress_of("leave-out")
+    return bench_leave_out(asked.work / "leave-out", progress, quick=asked.quick, time_left=left)
+
+
+def _draw_leave_out(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.plot_leave_out import plot_leave_out
+
+    plot_leave_out(out / "leave-out.png", found)
+
+
+def _paper(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.paper.bench import Clock, bench_paper
+
+    clock = Clock(asked.limit_s)
+    return bench_paper(_protocol(asked), laboratory(asked), asked.progress_of("paper"), clock)
+
+
+def _draw_paper(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.paper.diagrams import write_diagrams
+    from reconstruction.bench.paper.others import open_others
+    from reconstruction.bench.paper.tables import write_tables
+
+    others = open_others(out)
+    write_tables(out / "paper.md", found, _protocol(asked), others)
+    write_diagrams(out, found, others)
+
+
+def _protocol(asked: Asked) -> Protocol:
+    """Return the part of the paper's protocol that was asked for."""
+    from reconstruction.bench.paper.protocol import PROTOCOL, QUICK
+
+    found = QUICK if asked.quick else PROTOCOL
+    if asked.tables:
+        found = found.of(tuple(asked.tables.split(",")))
+    return found.on(tuple(asked.scenes.split(","))) if asked.scenes else found
+
+
+def _viewpoints(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.viewpoints import bench_viewpoints
+
+    return bench_viewpoints(*_seen(asked), asked.progress_of("viewpoints"))
+
+
+def _draw_viewpoints(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.plot_viewpoints import plot_viewpoints, write_flythroughs, write_viewpoint_sheet
+
+    clips, runs = _seen(asked)
+    plot_viewpoints(out / "viewpoints.png", found)
+    write_viewpoint_sheet(out / "viewpoints-sheet.png", clips, runs)
+    write_flythroughs(out / "work" / "flythroughs", clips, runs, asked.progress_of("fly-throughs"))
+
+
+def _seen(asked: Asked) -> tuple[Sequence[Clip], Sequence[RunFolder]]:
+    """Return a recording of each scene and the run of it that `paper` makes at a minute; make those that lack."""
+    from reconstruction.bench.paper.protocol import LONG, OURS, QUICK
+    from reconstruction.bench.training import Clip
+    from reconstruction.run.folder import RunFolder
+
+    method, effort, scenes = OURS.method, LONG, asked.named(EVALUATION)
+    if asked.quick:
+        method, effort, scenes = QUICK.tables[0].rows[0].method, QUICK.batches[0].efforts[0], DEVELOPMENT
+    assert method is not None
+    bench = laboratory(asked)
+    cells = [method.on(scene, effort) for scene in scenes]
+    clips = [Clip(cell.scene, cell.seed, bench.recording_of(cell.scene, cell.seed)) for cell in cells]
+    return clips, [RunFolder.open(bench.folder(cell)) for cell in cells]
 
 
 def laboratory(asked: Asked) -> Laboratory:
-    """Where the runs of the paper's protocol are made and kept."""
+    """Return the folder in which the runs of the paper's protocol are made and kept."""
     from reconstruction.bench.paper.run import Laboratory
 
     def recording_of(scene: str, seed: int) -> Path:
@@ -245,17 +221,18 @@ def laboratory(asked: Asked) -> Laboratory:
             return recording(scene, seed, asked.work / "paper" / "quick", QUICK_TICKS, QUICK_RIG)
         return recording(scene, seed, asked.work)
 
-    return Laboratory(asked.work / "paper", recording_of, progress_of, asked.keep)
+    return Laboratory(asked.work / "paper", recording_of, asked.progress_of, asked.keep)
 
 
-BENCHES: dict[str, type[Bench]] = {
-    "images": Images,
-    "leave-out": LeaveOut,
-    "paper": Paper,
-    "pixels": Pixels,
-    "poses": Poses,
-    "rasterizer": Rasterizer,
-    "recorder": Recorder,
-    "training": Training,
-    "viewpoints": Viewpoints,
+# In the order of `make bench`: viewpoints and leave-out use the runs of paper.
+BENCHES: dict[str, Bench] = {
+    "images": Bench("spikes to images", _images, _draw_images),
+    "pixels": Bench("calibrated pixels against pixels taken as even", _pixels),
+    "poses": Bench("how well the cameras' poses are found", _poses, _draw_poses),
+    "rasterizer": Bench("Gaussians to pixels", _rasterizer, trains=True),
+    "recorder": Bench("rings, writers and parser, on the disk of --out", _recorder),
+    "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
+    "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
+    "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw_viewpoints),
+    "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw_leave_out),
 }

@@ -1,8 +1,7 @@
-"""`calibrate`: measure a rig's cameras, their pixels or where they stand, and write what was found into a rig file."""
+"""`calibrate` measures the cameras of a rig; `check-rig` compares a stored calibration with a recording."""
 
 import dataclasses
 import datetime
-import json
 from pathlib import Path
 
 import click
@@ -14,29 +13,30 @@ from acquisition.recording.reader import Recording
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.calibrated import Calibrated
+from reconstruction.calibration.check import check_rig
 from reconstruction.calibration.features import long_image
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.calibration.residual_picture import draw_residuals
+from reconstruction.images.pixels import PixelCalibration, estimate_pixels, write_pixels
 from rigs.rig import Rig
-from rigs.toml import dump_rig
-from server.cli.calibrate_pixels import calibrate_pixels
+from rigs.toml import dump_rig, load_rig
+from server.cli.options import PATH, json_option
+from server.cli.output import answer
 from server.cli.progress import progress_of
-
-FOLDER = click.Path(path_type=Path)
 
 
 @click.command("calibrate")
-@click.argument("recording", metavar="REC", type=FOLDER)
-@click.option("--pixels", nargs=2, type=FOLDER, metavar="FLAT_REC DARK_REC", help="Pixels, from even light and none.")
+@click.argument("recording", metavar="REC", type=PATH)
+@click.option("--pixels", nargs=2, type=PATH, metavar="FLAT_REC DARK_REC", help="Pixels, from even light and none.")
 @click.option(
     "--board",
     metavar="SPEC",
     help="Lenses and poses, from a board that REC sees: charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT or "
     "apriltag:COLSxROWS:TAG_MM:GAP_MM:36h11.",
 )
-@click.option("--natural", is_flag=True, help="Poses and focal length, from the scene that REC sees, whatever it is.")
-@click.option("--out", type=FOLDER, required=True, help="RIG.toml to write; what belongs to it goes beside it.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.option("--natural", is_flag=True, help="Poses and focal length, from any textured scene that REC sees.")
+@click.option("--out", type=PATH, required=True, help="RIG.toml to write; its other files go beside it.")
+@json_option
 def calibrate_command(
     recording: Path, pixels: tuple[Path, Path] | None, board: str | None, natural: bool, out: Path, as_json: bool
 ) -> None:
@@ -49,32 +49,91 @@ def calibrate_command(
         calibrate_pixels(recording, pixels, out, as_json=as_json)
         return
     spec = None if natural else parse_board(board or "")
-    opened, date, progress = Recording.open(recording), datetime.date.today().isoformat(), progress_of("calibrate")
+    opened, progress = Recording.open(recording), progress_of("calibrate")
     if spec:
-        found = calibrate_board(opened, spec, date, progress)
+        found = calibrate_board(opened, spec, _today(), progress)
     else:
-        images = {camera: long_image(opened.stream(camera)) for camera in opened.camera_ids}
-        found = calibrate_natural(opened.rig, images, date, progress=progress)
+        found = calibrate_natural(opened.rig, _long_images(opened), _today(), progress=progress)
     write_calibrated(found, out)
     _print_calibrated(found, out, as_json)
 
 
+@click.command("check-rig")
+@click.argument("recording", metavar="REC", type=PATH)
+@click.option("--rig", type=PATH, help="RIG.toml to compare with.  [default: that of REC]")
+@json_option
+@click.pass_context
+def check_rig_command(context: click.Context, recording: Path, rig: Path | None, as_json: bool) -> None:
+    """Find the cameras of REC anew from its scene, and compare them with its rig file; exit 1 if one has moved."""
+    opened = Recording.open(recording)
+    stored = load_rig(rig) if rig else opened.rig
+    today, checks = check_rig(stored, _long_images(opened), _today(), progress_of("check-rig"))
+    moved = [check.camera for check in checks if not check.fits]
+    lines = [
+        f"{check.camera}: {'fits' if check.fits else 'HAS MOVED'}: {check.turn_deg:.3f} degrees, "
+        f"{1000 * check.shift_m:.2f} mm, focal {check.focal_percent:.2f} % off the rig file"
+        for check in checks
+    ]
+    lines.append(f"found {', '.join(moved)} moved; calibrate the rig again" if moved else "the calibration still fits")
+    rows = [dataclasses.asdict(check) for check in checks]
+    document = {"fits": not moved, "moved": moved, "cameras": rows, "found": today.report}
+    answer(document, "\n".join(lines), as_json=as_json)
+    context.exit(1 if moved else 0)
+
+
 def write_calibrated(found: Calibrated, out: Path) -> None:
-    """Write the rig file `out`, its cameras' pixel maps beside it, and a picture of the residuals."""
+    """Write the rig file `out`, and beside it its cameras' pixel maps and a picture of the residuals."""
     out.parent.mkdir(parents=True, exist_ok=True)
     draw_residuals(_picture(out), found)
     write_durably(out, dump_rig(_with_pixels_beside(found.rig, out)))
+
+
+def calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, *, as_json: bool) -> None:
+    """Measure the pixels of the cameras of `recording` from a flat and a dark one; write the rig file `out`."""
+    rig = Recording.open(recording).rig
+    flat, dark = map(Recording.open, pixels)
+    progress, found = progress_of("calibrate"), {}
+    for number, camera in enumerate(rig.cameras):
+        progress(number / len(rig.cameras), camera.id)
+        found[camera.id] = _estimate(camera.id, (camera.width, camera.height), flat, dark)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    cameras = []
+    for camera in rig.cameras:
+        path = _pixel_map(out, camera.id)
+        write_pixels(path, found[camera.id])
+        cameras.append(dataclasses.replace(camera, pixels=path))
+    write_durably(out, dump_rig(dataclasses.replace(rig, cameras=tuple(cameras))))
+    progress(1.0, f"{len(cameras)} cameras")
+    rows = {camera_id: _summary(calibration) for camera_id, calibration in found.items()}
+    lines = [
+        f"{camera_id}: gain spread {row['gain_spread']:.2%}, mean offset {row['mean_offset']:.5f} spikes per tick, "
+        f"{row['hot']} hot, {row['dead']} dead"
+        for camera_id, row in rows.items()
+    ]
+    answer({"rig": str(out), "cameras": rows}, "\n".join(lines), as_json=as_json)
+
+
+def _today() -> str:
+    return datetime.date.today().isoformat()
+
+
+def _long_images(recording: Recording) -> dict[str, np.ndarray]:
+    return {camera: long_image(recording.stream(camera)) for camera in recording.camera_ids}
 
 
 def _with_pixels_beside(rig: Rig, out: Path) -> Rig:
     cameras = []
     for camera in rig.cameras:
         if camera.pixels and camera.pixels.parent.resolve() != out.parent.resolve():
-            beside = out.with_name(f"{out.stem}-{camera.id}-pixels.npz")
+            beside = _pixel_map(out, camera.id)
             write_durably(beside, camera.pixels.read_bytes())
             camera = dataclasses.replace(camera, pixels=beside)
         cameras.append(camera)
     return dataclasses.replace(rig, cameras=tuple(cameras))
+
+
+def _pixel_map(out: Path, camera_id: str) -> Path:
+    return out.with_name(f"{out.stem}-{camera_id}-pixels.npz")
 
 
 def _picture(out: Path) -> Path:
@@ -82,7 +141,7 @@ def _picture(out: Path) -> Path:
 
 
 def _by_camera(found: Calibrated) -> dict[str, dict[str, float]]:
-    """What is left over in each camera, and one standard deviation of what was found about it."""
+    """Return for each camera its remaining residual (px) and the standard deviations of what was estimated."""
     rows = {}
     for camera_id, sd in found.sd.items():
         off = found.residuals[camera_id][:, 2:]
@@ -94,16 +153,40 @@ def _by_camera(found: Calibrated) -> dict[str, dict[str, float]]:
 
 def _print_calibrated(found: Calibrated, out: Path, as_json: bool) -> None:
     report = found.report | {"rig": str(out), "picture": str(_picture(out)), "cameras": _by_camera(found)}
-    if as_json:
-        click.echo(json.dumps(report))
-        return
-    click.echo(f"{out}: {report['summary']}")
-    for camera_id, sd in found.sd.items():
-        rows = found.residuals[camera_id]
-        click.echo(
-            f"{camera_id}: {len(rows)} points, rotation +- {sd.rotation_deg:.4f} degrees, centre +- "
-            f"{1e3 * sd.center_m:.3f} mm, focal length +- {sd.focal_percent:.3f} %"
+    lines = [f"{out}: {report['summary']}"]
+    lines += [
+        f"{camera_id}: {len(found.residuals[camera_id])} points, rotation +- {sd.rotation_deg:.4f} degrees, centre +- "
+        f"{1e3 * sd.center_m:.3f} mm, focal length +- {sd.focal_percent:.3f} %"
+        for camera_id, sd in found.sd.items()
+    ]
+    named = ("focal", "principal_point", "distortion", "metric_scale")
+    lines += [f"{name.replace('_', ' ')}: {report[name]}" for name in named if name in report]
+    answer(report, "\n".join(lines), as_json=as_json)
+
+
+def _estimate(camera_id: str, size: tuple[int, int], flat: Recording, dark: Recording) -> PixelCalibration:
+    streams = []
+    for recording in (flat, dark):
+        try:
+            streams.append(recording.stream(camera_id))
+        except BadRecordingError as error:
+            raise BadRecordingError.at(recording.path, error) from error
+    found = streams[0].layout.width, streams[0].layout.height
+    if found != size:
+        raise BadRecordingError(
+            f"{camera_id}: found {found[0]}x{found[1]} pixels", f"{size[0]}x{size[1]} as in REC", where=flat.path
         )
-    for name in ("focal", "principal_point", "distortion", "metric_scale"):
-        if name in report:
-            click.echo(f"{name.replace('_', ' ')}: {report[name]}")
+    try:
+        return estimate_pixels(*streams)
+    except BadRecordingError as error:
+        raise BadRecordingError.at(camera_id, error) from error
+
+
+def _summary(calibration: PixelCalibration) -> dict[str, float]:
+    good = ~calibration.defect
+    return {
+        "gain_spread": float(calibration.gain[good].std()),
+        "mean_offset": float(np.mean(calibration.offset[good])),
+        "hot": int(calibration.hot.sum()),
+        "dead": int(calibration.dead.sum()),
+    }

@@ -1,4 +1,4 @@
-"""`spike4dgs demo`: the main job on the simulated rig, through the real service."""
+"""`demo`: record and reconstruct the simulated rig through the real service."""
 
 from __future__ import annotations
 
@@ -16,17 +16,13 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 import click
 
 from reconstruction.report.table import score_table
+from server.cli.options import PATH
+from server.cli.output import columns
 from server.cli.progress import progress_of
 from server.cli.serve import stop_process
 from server.errors import ServiceError
 from server.schemas.captures import Capture, CaptureRequest
-from server.schemas.job_types import (
-    Images,
-    Init,
-    Model,
-    ReconstructRequest,
-    Supervision,
-)
+from server.schemas.job_types import ReconstructRequest
 from server.schemas.jobs import Job
 
 if TYPE_CHECKING:
@@ -35,37 +31,41 @@ if TYPE_CHECKING:
 SCENE = "mock:fan_and_ball"
 HOLDOUT = "cam11"
 BUDGET_S = 90.0
-_POLL_S = 0.5
-_START_S = 60.0
-_STOP_S = 20.0
+_CHOICES = ("model", "images", "init", "supervision")
+_POLL_S, _START_S, _STOP_S = 0.5, 60.0, 20.0
 _W = TypeVar("_W", Capture, Job)
 
 
 class DemoError(ServiceError):
-    """The demo's service or one of its tasks failed."""
+    """The service of the demo, or one of its tasks, failed."""
 
 
 class FolderError(ServiceError):
-    """A folder the demo cannot have."""
+    """The folder that the demo was given exists already."""
 
     exit_code = 2
 
 
+def _choices(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the choices of a reconstruction, as the service offers them."""
+    for name in reversed(_CHOICES):
+        names = click.Choice(get_args(ReconstructRequest.model_fields[name].annotation))
+        command = click.option(f"--{name}", type=names, default="auto", show_default=True)(command)
+    return command
+
+
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), help="A new folder.  [default: runs/demo-N]")
+@click.option("--out", type=PATH, help="A new folder.  [default: runs/demo-N]")
 @click.option("--ticks", type=click.IntRange(min=1), default=400, show_default=True, help="Planes to record.")
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint.  [default: {BUDGET_S:g}]")
 @click.option("--steps", type=click.IntRange(min=1), help="Training steps instead of a budget.")
-@click.option("--model", type=click.Choice(get_args(Model)), default="auto", show_default=True)
-@click.option("--images", type=click.Choice(get_args(Images)), default="auto", show_default=True)
-@click.option("--init", type=click.Choice(get_args(Init)), default="auto", show_default=True)
-@click.option("--supervision", type=click.Choice(get_args(Supervision)), default="auto", show_default=True)
+@_choices
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--rig-error", type=float, default=0.0, show_default=True, help="As in simulate: a rig off its drawing.")
+@click.option("--rig-error", type=float, default=0.0, show_default=True, help="As in simulate.")
 def demo_command(
     out: Path | None, ticks: int, budget_s: float | None, steps: int | None, rig_error: float, **options: Any
 ) -> None:
-    """Record the simulated rig and reconstruct the view of a camera nobody trained on, all through the service."""
+    """Record the simulated rig through the service, and reconstruct the view of a camera that is held out."""
     if steps is None and budget_s is None:
         budget_s = BUDGET_S
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
@@ -77,8 +77,9 @@ def demo_command(
             metrics = json.loads(client.artefact(job.id, "metrics.json"))
     except KeyboardInterrupt:
         raise SystemExit(128 + signal.SIGINT) from None
-    for line in _table(metrics):
-        click.echo(line)
+    table = score_table(metrics)
+    headings = (f"centre view ({HOLDOUT})", *table.headings)
+    click.echo(columns([headings, *((name, *cells) for name, cells in table.lines)], numbers=True))
     run = folder / "jobs" / job.id / "run"
     seconds = ", ".join(f"{stage} {took:.1f} s" for stage, took in job.seconds.items())
     click.echo(f"\nstages: {seconds}\nreport: {run / 'report.html'}\norbit:  {run / 'orbit.mp4'}")
@@ -93,7 +94,7 @@ def _run(client: ServiceClient, ticks: int, options: dict[str, Any]) -> Job:
 
 
 def _follow(look: Callable[[], _W]) -> _W:
-    """Show the progress of a capture or job until it is done; raises DemoError with its message where it is not."""
+    """Show the progress of a capture or job until it is done. Raises DemoError with its message if it fails."""
     shown, reporter = None, None
     while True:
         found = look()
@@ -107,13 +108,13 @@ def _follow(look: Callable[[], _W]) -> _W:
         if found.status == "done":
             return found
         if found.status in ("failed", "cancelled"):
-            raise DemoError(found.error or f"found {found.id} {found.status}, expected it done; its log says more")
+            raise DemoError(found.error) if found.error else DemoError(f"found {found.id} {found.status}", "it done")
         time.sleep(_POLL_S)
 
 
 @contextmanager
 def _service(folder: Path, devices: str) -> Iterator[ServiceClient]:
-    """A service with its worker over `folder` on a free port, stopped on the way out."""
+    """Yield a client of a new service with a worker over `folder` on a free port; stop both on the way out."""
     from server.client import ServiceClient
     from server.work.leash import leashed
 
@@ -121,7 +122,7 @@ def _service(folder: Path, devices: str) -> Iterator[ServiceClient]:
     command = leashed([sys.executable, "-P", "-m", "server.cli", "serve", *flags], "SIGTERM")
     log = folder / "service.log"
     with log.open("w") as text:
-        # Its own session: Ctrl-C reaches the demo alone, which then stops the service in order.
+        # In its own session, so that Ctrl-C reaches the demo only, which then stops the service in order.
         service = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=text, start_new_session=True)
     try:
         assert service.stdout is not None
@@ -158,14 +159,3 @@ def _new_folder(out: Path | None) -> Path:
         else:
             return folder.absolute()
     raise AssertionError("the count does not end")
-
-
-def _table(metrics: dict[str, Any]) -> list[str]:
-    """The result beside the floors, in columns."""
-    table = score_table(metrics)
-    rows = [(f"centre view ({HOLDOUT})", *table.headings), *((name, *cells) for name, cells in table.lines)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
-        for row in rows
-    ]

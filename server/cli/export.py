@@ -4,16 +4,18 @@ from pathlib import Path
 
 import click
 
+from reconstruction.export.formats import FORMATS, check_target, checked_format, export_scene
+from reconstruction.export.scene import Choices
+from reconstruction.pipeline.export import trained_scene
+from reconstruction.run.folder import RunFolder
+from server.cli.options import PATH
 from server.cli.progress import progress_of
-
-FOLDER = click.Path(path_type=Path)
-NAMES = "ply, ply-sequence, splat, spz, glb, video, depth, colmap, nerfstudio or viewer"
 
 
 @click.command("export")
-@click.argument("run_folder", metavar="RUN", type=FOLDER)
-@click.option("--format", "name", required=True, help=f"{NAMES}.")
-@click.option("--out", type=FOLDER, required=True, help="The file, or the folder of a format that has several.")
+@click.argument("run_folder", metavar="RUN", type=PATH)
+@click.option("--format", "name", required=True, help=f"One of: {', '.join(FORMATS)}.")
+@click.option("--out", type=PATH, required=True, help="The file, or the folder of a format that has several.")
 @click.option(
     "--at", "at_s", metavar="SECONDS", type=float, help="Instant on the rig clock [default: the clip's middle]."
 )
@@ -32,13 +34,8 @@ def export_command(
     """Write RUN for other tools.
 
     Splats (ply, splat, spz, glb) at one instant, ply-sequence over the clip; a video; depth maps; datasets (colmap,
-    nerfstudio) with cameras, images and points; viewer, what the browser's viewer plays.
+    nerfstudio) with cameras, images and points; viewer, the scene that the browser's viewer plays.
     """
-    from reconstruction.export.formats import check_target, checked_format, export_scene
-    from reconstruction.export.scene import Choices
-    from reconstruction.pipeline.export import trained_scene
-    from reconstruction.run.folder import RunFolder
-
     choices = Choices(at_s, frames, camera)
     check_target(out, folder=checked_format(name, choices).folder, overwrite=overwrite)
     scene = trained_scene(RunFolder.open(run_folder))

@@ -1,4 +1,4 @@
-"""`images`: spikes to pictures, without the weight of the training stack."""
+"""`images`: spikes to pictures."""
 
 from pathlib import Path
 
@@ -14,21 +14,19 @@ from acquisition.spikes.suspicion import suspected_bit_order
 from reconstruction.images.catalogue import ImageMethod, method, names
 from reconstruction.images.pixels import PixelCalibration, read_pixels
 from reconstruction.report.pictures import grey, write_png
-from server.cli.options import PLANES, SIZE
+from server.cli.options import PATH, PLANES, SIZE
 from server.cli.progress import progress_of
-
-FOLDER = click.Path(path_type=Path)
 
 
 @click.command("images")
-@click.argument("source", type=FOLDER)
+@click.argument("source", metavar="SOURCE", type=PATH)
 @click.option("--method", "name", required=True, help=f"One of: {', '.join(names())}.")
-@click.option("--weights", type=FOLDER, help="Weights trained on your own recording, for a learned method.")
+@click.option("--weights", type=PATH, help="Weights trained on your own recording, for a learned method.")
 @click.option("--size", type=SIZE, help="WxH of a bare .dat.")
-@click.option("--tick-rate", type=float, help="Planes per second of a bare .dat.")
+@click.option("--tick-rate", type=float, help="Planes a second of a bare .dat.")
 @click.option("--ticks", type=PLANES, help="Planes to make images at, A:B:STEP [default: every 20th].")
 @click.option("--allow-partial", is_flag=True, help="Drop an incomplete last plane of a bare .dat.")
-@click.option("--out", type=FOLDER, required=True, help="Folder for NNNNNN.npy, valid_NNNNNN.npy and NNNNNN.png.")
+@click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, valid_NNNNNN.npy and NNNNNN.png.")
 def images_command(
     source: Path,
     name: str,
@@ -39,9 +37,9 @@ def images_command(
     allow_partial: bool,
     out: Path,
 ) -> None:
-    """Images from the spikes of REC (one folder a camera) or FILE.dat, in spikes per tick, linear.
+    """Turn the spikes of SOURCE, a recording or a bare .dat file, into images: linear, in spikes per tick.
 
-    Pixels are evened out where the rig of REC has their calibration.
+    A recording gets one folder a camera, and its pixels are evened out if its rig has their calibration.
     """
     estimate = method(name, weights)
     streams, pixels = _streams(source, size, tick_rate, allow_partial), _pixels(source)
@@ -62,7 +60,7 @@ def images_command(
 def _streams(
     source: Path, size: tuple[int, int] | None, tick_rate: float | None, allow_partial: bool
 ) -> dict[str, SpikeStream]:
-    """Streams by the folder their images go to: one a camera for a recording, the top for a bare file."""
+    """Return the streams by the folder of their images: one a camera for a recording, "" for a bare file."""
     if source.is_dir():
         recording = Recording.open(source)
         return {c: recording.stream(c) for c in recording.camera_ids}
@@ -76,7 +74,7 @@ def _streams(
 
 
 def _pixels(source: Path) -> dict[str, PixelCalibration]:
-    """The pixel calibrations of the cameras of a recording that have one."""
+    """Return the pixel calibrations of a recording's cameras, of those that have one."""
     cameras = Recording.open(source).rig.cameras if source.is_dir() else ()
     return {camera.id: read_pixels(camera.pixels) for camera in cameras if camera.pixels}
 

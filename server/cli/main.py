@@ -1,4 +1,4 @@
-"""`spike4dgs`: the command line. Each command is imported only when it is called, so a capture host needs no torch."""
+"""`spike4dgs`: the command line. A command is imported only when it is called, so a capture host needs no torch."""
 
 import importlib
 import os
@@ -10,15 +10,15 @@ import click
 
 from rigs.errors import Spike4dgsError
 
-COMMANDS = {  # name: (module, what it does)
+COMMANDS = {  # name: (module, its line of the help)
     "simulate": ("server.cli.acquire", "Record a scene with simulated cameras."),
-    "preflight": ("server.cli.preflight", "Say what would spoil a recording, and what to change."),
+    "preflight": ("server.cli.preflight", "Find what would spoil a recording, and tell what to change."),
     "record": ("server.cli.acquire", "Record with the cameras of a rig."),
     "import": ("server.cli.acquire", "Make a recording of .dat files and their cameras."),
     "verify": ("server.cli.acquire", "Check that a recording is whole."),
-    "finalise": ("server.cli.acquire", "Finish what a crash left of a recording."),
-    "calibrate": ("server.cli.calibrate", "Measure where a rig's cameras stand, their lenses or their pixels."),
-    "check-rig": ("server.cli.check_rig", "Say whether a stored calibration still fits a recording."),
+    "finalise": ("server.cli.acquire", "Finish a recording that a crash interrupted."),
+    "calibrate": ("server.cli.calibrate", "Measure the poses, lenses or pixels of a rig's cameras."),
+    "check-rig": ("server.cli.calibrate", "Tell whether a stored calibration still fits a recording."),
     "images": ("server.cli.images", "Turn spikes into images."),
     "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),
     "render": ("server.cli.reconstruct", "Render a run from any camera at any time."),
@@ -26,24 +26,21 @@ COMMANDS = {  # name: (module, what it does)
     "evaluate": ("server.cli.reconstruct", "Compare a run with the truth."),
     "bench": ("server.cli.bench", "Measure speed and quality."),
     "stability": ("server.cli.stability", "Run the stress catalogue on every backend of this machine."),
-    "demo": ("server.cli.demo", "The main job on the simulated rig, through the service."),
+    "demo": ("server.cli.demo", "Record and reconstruct the simulated rig through the service."),
     "serve": ("server.cli.serve", "Run the web service."),
-    "token": ("server.cli.token", "Say who may use a service that others reach."),
+    "token": ("server.cli.token", "Decide who may use a service that others reach."),
     "worker": ("server.cli.serve", "Run queued jobs."),
 }
 
 
-_TRAINING = ("paper", "rasterizer", "training")  # benches
-
-
 class LazyGroup(click.Group):
-    """Finds a command by name and imports its module on first use."""
+    """Finds a command by its name and imports its module on first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """One line a command, none of them imported."""
+        """Write one line for each command and import none."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
@@ -55,29 +52,31 @@ class LazyGroup(click.Group):
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] in ("acquisition", "reconstruction", "rigs", "server"):
                 raise
-            raise click.ClickException(
-                f"{cmd_name}: found no package {error.name}, expected it installed; "
-                "run pip install 'spike4dgs[reconstruction,server]'"
-            ) from error
+            found = f"{cmd_name}: found no package {error.name}, expected it installed"
+            raise click.ClickException(f"{found}; run pip install 'spike4dgs[reconstruction,server]'") from error
         return getattr(module, f"{cmd_name.replace('-', '_')}_command")
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="spike4dgs")
 def cli() -> None:
-    """From a 3x3 array of spike cameras to a 4D scene one can fly through."""
+    """Turn the spikes of a 3x3 camera array into a 4D scene that one can fly through."""
 
 
 def _trains(arguments: list[str]) -> bool:
-    """Whether one thread pool does all the work: its barriers may spin, which is a third quicker on idle cores.
+    """Tell whether one thread pool does all the work, so that its barriers may spin: a third faster on idle cores.
 
-    Elsewhere (nine simulated cameras, say, each with a pool) spinning takes the cores from those that have work.
+    Where there are several pools, as with nine simulated cameras, spinning takes the cores from those that have work.
     """
-    return arguments[:1] == ["reconstruct"] or arguments[:2] in [["bench", b] for b in _TRAINING]
+    if arguments[:1] == ["bench"]:
+        from server.cli.bench_runs import BENCHES
+
+        return any(bench.trains for name, bench in BENCHES.items() if arguments[1:2] == [name])
+    return arguments[:1] == ["reconstruct"]
 
 
 def main() -> None:
-    """Console entry: expected errors become one line and an exit code, never a traceback."""
+    """Run a command; an expected error becomes one line and an exit code, never a traceback."""
     if not (_trains(sys.argv[1:]) and os.getloadavg()[0] <= (os.cpu_count() or 1) / 2):
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     mark = os.environ.pop("SPIKE4DGS_FINISHED", None)  # set by the service around a stage's process

@@ -1,4 +1,4 @@
-"""What the person at the terminal tells a running capture: signals end it, a line on standard input saves it."""
+"""Control of a running capture from the terminal: signals end it, a line on standard input saves it."""
 
 import contextlib
 import os
@@ -10,14 +10,14 @@ from collections.abc import Iterator
 
 from acquisition.session.session import Control
 
-_POLL_S = 0.1
+_POLL_S = 0.1  # between looks at standard input
 
 
 @contextlib.contextmanager
 def operator_control(*, saves: bool) -> Iterator[Control]:
-    """Set `stop` on the first SIGINT or SIGTERM (the second one interrupts as usual).
+    """Yield a control whose `stop` the first SIGINT or SIGTERM sets; the second one interrupts as usual.
 
-    Where it `saves`, the first line on standard input sets `save`; its end without a line does not.
+    If it `saves`, the first line on standard input sets `save`; the end of standard input does not.
     """
     control = Control()
     left = threading.Event()
@@ -40,7 +40,10 @@ def operator_control(*, saves: bool) -> Iterator[Control]:
 
 
 def _wait_for_line(control: Control, left: threading.Event) -> None:
-    """Not through sys.stdin: its lock, held by a thread that waits, cannot be taken when the interpreter ends."""
+    """Read standard input by its file descriptor.
+
+    A thread that waits in sys.stdin holds its lock, which the interpreter then cannot take when it ends.
+    """
     handle = sys.__stdin__.fileno() if sys.__stdin__ else -1
     while not left.is_set() and handle >= 0:
         if select.select([handle], [], [], _POLL_S)[0]:

@@ -1,4 +1,4 @@
-"""Values that several commands take."""
+"""Options and values that several commands take."""
 
 import re
 from pathlib import Path
@@ -8,9 +8,14 @@ import click
 from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig, load_rig
 
+PATH = click.Path(path_type=Path)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+new_recording = click.option("--out", type=PATH, required=True, help="The recording to make; a new folder.")
+data_folder = click.option("--data", type=PATH, help="Data folder.  [default: .spike4dgs]")
+
 
 class SizeType(click.ParamType):
-    """WxH, as in 400x250."""
+    """A size WxH, such as 400x250."""
 
     name = "WxH"
 
@@ -24,7 +29,7 @@ class SizeType(click.ParamType):
 
 
 class PlanesType(click.ParamType):
-    """A:B:STEP, planes from A up to but without B."""
+    """Planes A:B:STEP, from A up to but without B."""
 
     name = "A:B:STEP"
 
@@ -43,5 +48,5 @@ PLANES = PlanesType()
 
 
 def load_named_rig(name: str) -> Rig:
-    """The rig file `name`, or the rig of the catalog that is called so."""
+    """Return the rig of the file `name` or, if there is no such file, the rig of the catalog with that name."""
     return catalog_rig(name) if name in catalog_names() and not Path(name).exists() else load_rig(Path(name))

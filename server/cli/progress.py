@@ -14,7 +14,7 @@ JSON_PROGRESS = "SPIKE4DGS_PROGRESS"  # set to "json" by the service around a st
 
 
 def progress_of(name: str) -> Progress:
-    """A reporter for the work called `name`, in the form that suits where standard error goes."""
+    """Return a reporter of the work `name`, in the form that fits where standard error goes."""
     if os.environ.get(JSON_PROGRESS) == "json":
         return _json_lines(name)
     return _bar(name) if sys.stderr.isatty() else _lines(name)

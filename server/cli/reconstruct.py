@@ -1,4 +1,4 @@
-"""`reconstruct`, `render`, `evaluate`: recording to Gaussians to pictures."""
+"""`reconstruct`, `render` and `evaluate`: from a recording to Gaussians to pictures."""
 
 import json
 import signal
@@ -15,20 +15,30 @@ from reconstruction.pipeline.run import reconstruct
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from rigs.exchange.nerfstudio import load_frames
+from server.cli.options import PATH, json_option
+from server.cli.output import answer, scores
 from server.cli.progress import progress_of
 
-FOLDER = click.Path(path_type=Path)
+_MORE = {  # of the help of a choice
+    "init": "auto is natural for a nominal rig",
+    "supervision": "both is image-variation and counts",
+    "refine": "learn poses, gains and lags beside the Gaussians",
+}
+
+
+def _choices(command: Callable[..., None]) -> Callable[..., None]:
+    """Add an option for each choice that has a closed list of names."""
+    for name, names in reversed(list(CHOICES.items())):
+        text = "; ".join([f"One of: {', '.join(names)}", *filter(None, [_MORE.get(name)])])
+        command = click.option(f"--{name}", default="auto", help=f"{text}.")(command)
+    return command
 
 
 @click.command("reconstruct")
-@click.argument("recording", type=FOLDER)
-@click.option("--out", type=FOLDER, required=True, help="Run folder; an unfinished one is resumed.")
-@click.option("--model", default="auto", help=f"One of: {', '.join(CHOICES['model'])}.")
-@click.option("--init", default="auto", help=f"One of: {', '.join(CHOICES['init'])}; auto: natural where nominal.")
-@click.option("--images", default="auto", help=f"One of: {', '.join(CHOICES['images'])}.")
-@click.option("--supervision", default="auto", help=f"One of: {', '.join(CHOICES['supervision'])}.")
+@click.argument("recording", metavar="REC", type=PATH)
+@click.option("--out", type=PATH, required=True, help="Run folder; an unfinished one is resumed.")
+@_choices
 @click.option("--dust3r-checkpoint", metavar="FILE", help="Your DUSt3R weights, for --init dust3r; none are shipped.")
-@click.option("--refine", default="auto", help="auto, on or off: learn poses, gains and lags beside the Gaussians.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")
 @click.option("--views", default="", help="Training cameras, comma-separated [default: all but the held-out one].")
 @click.option("--tick-stride", type=int, default=4, show_default=True, help="Planes between instants used as images.")
@@ -40,13 +50,13 @@ FOLDER = click.Path(path_type=Path)
     type=click.Choice(["auto", "cpu"]),
     default="auto",
     expose_value=False,
-    help="auto is cpu: the only one yet.",
+    help="auto is cpu, the only one so far.",
 )
-@click.option("--stage", type=click.Choice(STAGES), help="Run this stage alone.")
+@click.option("--stage", type=click.Choice(STAGES), help="Run only this stage.")
 @click.option(
-    "--again", type=int, metavar="N", help="With --stage, first forget it and those after it, for the Nth time."
+    "--again", type=int, metavar="N", help="With --stage: forget it and the later ones first; N grows with each repeat."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the metrics as one JSON document.")
+@json_option
 @click.pass_obj
 def reconstruct_command(
     started: float,
@@ -60,7 +70,7 @@ def reconstruct_command(
     as_json: bool,
     **choices: str,
 ) -> None:
-    """Reconstruct REC into the run folder RUN."""
+    """Reconstruct REC into a run folder."""
     if budget_s is None and steps is None:
         budget_s = DEFAULT_BUDGET_S
     named = tuple(v.strip() for v in views.split(",") if v.strip())
@@ -71,13 +81,13 @@ def reconstruct_command(
     run = reconstruct(recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop)
     if run.has("report"):
         metrics = json.loads((run.path / "metrics.json").read_text())
-        click.echo(json.dumps(metrics) if as_json else _lines(metrics) + f"\nreport: {run.path / 'report.html'}")
+        answer(metrics, f"{scores(metrics)}\nreport: {run.path / 'report.html'}", as_json=as_json)
 
 
 @click.command("render")
-@click.argument("run_folder", metavar="RUN", type=FOLDER)
-@click.option("--cameras", type=FOLDER, required=True, help="transforms.json; each frame has a time in seconds.")
-@click.option("--out", type=FOLDER, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
+@click.argument("run_folder", metavar="RUN", type=PATH)
+@click.option("--cameras", type=PATH, required=True, help="transforms.json; each frame has a time in seconds.")
+@click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
 def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     """Render RUN from any cameras at any time, with depth."""
     from reconstruction.rendering.view import look
@@ -100,9 +110,9 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
 
 
 @click.command("evaluate")
-@click.argument("run_folder", metavar="RUN", type=FOLDER)
-@click.option("--truth", type=FOLDER, help="truth/ of a simulated recording; without it, spike counts are the judge.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.argument("run_folder", metavar="RUN", type=PATH)
+@click.option("--truth", type=PATH, help="truth/ of a simulated recording; without it, spike counts judge.")
+@json_option
 def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> None:
     """Score RUN on its held-out camera, beside the floors it must beat."""
     from reconstruction.pipeline.poses import posed
@@ -115,16 +125,12 @@ def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> Non
         )
     known = Truth.open(truth) if truth else None
     metrics = evaluate_run(run, posed(run, Recording.open(run.recording), refined=True), known, progress_of("evaluate"))
-    click.echo(json.dumps(metrics) if as_json else _lines(metrics))
+    answer(metrics, scores(metrics), as_json=as_json)
 
 
 def _stop_on_signals() -> Callable[[], bool]:
-    """Whether SIGTERM or SIGINT has come; training then writes its checkpoint and ends."""
+    """Return a function that tells whether SIGTERM or SIGINT has arrived; training then saves a checkpoint and ends."""
     received: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda n, _: received.append(n))
     return lambda: bool(received)
-
-
-def _lines(metrics: dict) -> str:
-    return "\n".join(f"{k}: {v:.4f}" if isinstance(v, float) else f"{k}: {v}" for k, v in metrics.items())

@@ -1,4 +1,4 @@
-"""`spike4dgs serve` and `spike4dgs worker`."""
+"""`serve` runs the web service, `worker` its queued work."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from rigs.errors import Spike4dgsError
+from server.cli.options import data_folder
 
 if TYPE_CHECKING:
     from server.settings import ServiceSettings
+
+
+KINDS = ("captures", "reconstructions", "tasks")
 
 
 class PortError(Spike4dgsError):
     """An address the service cannot listen on."""
 
     exit_code = 2
-
-
-KINDS = ("captures", "reconstructions", "tasks")
 
 
 class NameType(click.ParamType):
@@ -57,12 +57,12 @@ NAME, QUEUES = NameType(), QueuesType()
 
 
 def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options that the service and its worker share."""
+    """Add the options that the service and its worker share."""
     options = (
-        click.option("--data", type=click.Path(path_type=Path), help="Data folder.  [default: .spike4dgs]"),
+        data_folder,
         click.option("--rig", help="A rig's name in the catalogue or a RIG.toml.  [default: lab3x3]"),
-        click.option("--devices", help="Where the cameras are, such as usb: or mock:SCENE.  [default: usb:]"),
-        click.option("--log", type=click.Choice(["text", "json"]), help="Logs, on standard error.  [default: text]"),
+        click.option("--devices", help="The cameras: usb:, mock:SCENE or replay:REC.  [default: usb:]"),
+        click.option("--log", type=click.Choice(["text", "json"]), help="Form of the log.  [default: text]"),
         click.option("--otel", metavar="URL", help="Send traces to this OpenTelemetry collector (OTLP over HTTP)."),
     )
     for option in reversed(options):
@@ -71,10 +71,16 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @click.command()
-@click.option("--host", help="An address; one that others reach needs a token.  [default: 127.0.0.1]")
+@click.option("--host", help="Address to listen on; one that others reach needs a token.  [default: 127.0.0.1]")
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes any free one.  [default: 8000]")
-@click.option("--allow-host", "hosts", multiple=True, metavar="NAME[:PORT]", help="A host name others may use for it.")
-@click.option("--allow-origin", "origins", multiple=True, metavar="URL", help="A page let in, as https://lab.example.")
+@click.option("--allow-host", "hosts", multiple=True, metavar="NAME[:PORT]", help="A host name that requests may use.")
+@click.option(
+    "--allow-origin",
+    "origins",
+    multiple=True,
+    metavar="URL",
+    help="A page that may send requests, such as https://lab.example.",
+)
 @_rig_options
 @click.option("--with-worker", is_flag=True, help="Run a worker too, and stop it with the service.")
 def serve_command(
@@ -85,7 +91,7 @@ def serve_command(
     with_worker: bool,
     **shared: Any,
 ) -> None:
-    """Serve the page and REST, on loopback unless told otherwise; the address is printed first."""
+    """Serve the page and REST, on loopback unless told otherwise. The first line printed is the address."""
     from server.app import create_app
     from server.hosting import server_of
     from server.settings import settings_of
@@ -110,7 +116,7 @@ def serve_command(
 @click.command()
 @_rig_options
 @click.option("--name", type=NAME, default="worker-0", show_default=True, help="Unique among the workers of a service.")
-@click.option("--queues", type=QUEUES, default=",".join(KINDS), show_default=True, help="What this worker does.")
+@click.option("--queues", type=QUEUES, default=",".join(KINDS), show_default=True, help="The queues it serves.")
 @click.option("--gpu", type=click.IntRange(min=0), help="The accelerator it trains on, one job at a time on this host.")
 def worker_command(name: str, queues: tuple[str, ...], gpu: int | None, **shared: Any) -> None:
     """Run captures and jobs of a data folder until stopped."""
@@ -124,7 +130,7 @@ def worker_command(name: str, queues: tuple[str, ...], gpu: int | None, **shared
 
 
 def _refuse_without_token(settings: ServiceSettings) -> None:
-    """Before anything listens: raises ExposedError where others would reach the service without a token."""
+    """Raise ExposedError if others would reach the service without a token."""
     from server.services.access import AccessService
     from server.store.store import Store
 
@@ -137,10 +143,10 @@ def _refuse_without_token(settings: ServiceSettings) -> None:
 
 @contextmanager
 def listening(host: str, port: int) -> Iterator[socket.socket]:
-    """A socket that listens already, so that nobody is refused between now and the first request.
+    """Yield a socket that listens already, so that no early request is refused.
 
-    It names its protocol: the event loop sends small pieces at once (TCP_NODELAY) on such sockets alone, and an answer
-    would wait 40 ms for its body otherwise. Raises PortError where the port is taken.
+    The socket names its protocol, TCP: only then does the event loop send small pieces at once (TCP_NODELAY), and an
+    answer need not wait 40 ms for its body. Raises PortError if the port is taken.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
@@ -159,7 +165,7 @@ def _worker(arguments: list[str], grace_s: float) -> Iterator[None]:
     from server.work.leash import leashed
 
     command = [sys.executable, "-P", "-m", "server.cli", "worker", *arguments]
-    # Its own session: Ctrl-C reaches this process alone, which then stops the worker in order.
+    # In its own session, so that Ctrl-C reaches this process only, which then stops the worker in order.
     worker = subprocess.Popen(leashed(command, "SIGTERM"), start_new_session=True)
     try:
         yield
@@ -168,7 +174,7 @@ def _worker(arguments: list[str], grace_s: float) -> Iterator[None]:
 
 
 def stop_process(process: subprocess.Popen[bytes], patience_s: float) -> None:
-    """SIGTERM, then SIGKILL after `patience_s`; returns when the process is gone."""
+    """End a process with SIGTERM, and after `patience_s` with SIGKILL; return when it is gone."""
     process.terminate()
     try:
         process.wait(patience_s)

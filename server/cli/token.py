@@ -1,60 +1,51 @@
-"""`spike4dgs token`: who may use a service that others reach."""
+"""`token`: who may use a service that others reach."""
 
-from __future__ import annotations
-
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import get_args
 
 import click
 
+from server.cli.options import data_folder, json_option
+from server.cli.output import answer, columns
 from server.cli.serve import NAME
-
-if TYPE_CHECKING:
-    from server.store.tokens import Tokens
-
-ROLES = ("viewer", "operator")
-
-
-def _data_option(command: Callable[..., None]) -> Callable[..., None]:
-    return click.option("--data", type=click.Path(path_type=Path), help="Data folder.  [default: .spike4dgs]")(command)
+from server.settings import settings_of
+from server.store.store import Store
+from server.store.tokens import Role, Tokens
 
 
 @click.group()
 def token_command() -> None:
-    """Say who may use the service. As soon as there is one token, every request needs one."""
+    """Decide who may use the service. From the first token on, every request needs one."""
 
 
 @token_command.command("add")
 @click.argument("name", type=NAME)
-@click.option("--role", type=click.Choice(ROLES), required=True, help="A viewer reads, an operator does everything.")
-@_data_option
-def add_command(name: str, role: str, data: Path | None) -> None:
-    """Make a token and print it, once: only a digest is kept."""
+@click.option("--role", type=click.Choice(get_args(Role)), required=True, help="A viewer reads, an operator does all.")
+@data_folder
+def add_command(name: str, role: Role, data: Path | None) -> None:
+    """Make a token and print it. It is shown only now: the service keeps a digest."""
     with _tokens(data) as tokens:
-        click.echo(tokens.add(name, "operator" if role == "operator" else "viewer"))
+        click.echo(tokens.add(name, role))
 
 
 @token_command.command("list")
-@_data_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@data_folder
+@json_option
 def list_command(data: Path | None, as_json: bool) -> None:
     """List the tokens' names and roles."""
     with _tokens(data) as tokens:
         found = [{"name": one.name, "role": one.role, "created": one.created} for one in tokens.all()]
-    lines = [f"{one['name']:<24} {one['role']:<10} {one['created']}" for one in found]
-    click.echo(
-        json.dumps(found) if as_json else "\n".join(lines or ["no tokens: the service answers this machine only"])
-    )
+    lines = columns([tuple(one.values()) for one in found]) if found else "no tokens: only this machine is answered"
+    answer(found, lines, as_json=as_json)
 
 
 @token_command.command("remove")
 @click.argument("name", type=NAME)
-@_data_option
+@data_folder
 def remove_command(name: str, data: Path | None) -> None:
-    """Make a token worthless, within two seconds."""
+    """Revoke a token; the service refuses it within two seconds."""
     with _tokens(data) as tokens:
         tokens.remove(name)
         if not tokens.all():
@@ -63,9 +54,6 @@ def remove_command(name: str, data: Path | None) -> None:
 
 @contextmanager
 def _tokens(data: Path | None) -> Iterator[Tokens]:
-    from server.settings import settings_of
-    from server.store.store import Store
-
     store = Store.open(settings_of(rig=None, devices=None, data=data))
     try:
         yield store.tokens

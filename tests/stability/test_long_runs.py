@@ -88,7 +88,7 @@ def test_the_command_keeps_what_it_prints(tmp_path, monkeypatch, full, verdict):
     document = {"rows": [row], "omissions": ["c"], "summary": {"cases": 1, "failed": int(verdict == "fail")}}
     document |= {"curves": {"burst": {}}} if full else {}
     asked = []
-    monkeypatch.setattr(catalogue, "run_catalogue", lambda _, runs: asked.append(runs) or document)
+    monkeypatch.setattr("server.cli.stability.run_catalogue", lambda _, runs: asked.append(runs) or document)
     result = CliRunner().invoke(stability_command, ["--out", str(tmp_path / "new"), *["--full"] * full])
     assert result.exit_code == document["summary"]["failed"]
     assert asked == [LongRuns() if full else None]

@@ -1,0 +1,26 @@
+"""What commands print on standard output: one JSON document, or text in columns."""
+
+import json
+from collections.abc import Sequence
+
+import click
+
+
+def answer(document: object, text: str, *, as_json: bool) -> None:
+    """Print `document` as JSON, or else `text`."""
+    click.echo(json.dumps(document) if as_json else text)
+
+
+def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
+    """Return rows of cells as lines with aligned columns; `numbers` aligns all but the first column to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+
+    def cell(text: str, number: int) -> str:
+        return text.rjust(widths[number]) if numbers and number else text.ljust(widths[number])
+
+    return "\n".join("  ".join(cell(text, number) for number, text in enumerate(row)).rstrip() for row in rows)
+
+
+def scores(metrics: dict[str, object]) -> str:
+    """Return a line for each score of a run."""
+    return "\n".join(f"{k}: {v:.4f}" if isinstance(v, float) else f"{k}: {v}" for k, v in metrics.items())
