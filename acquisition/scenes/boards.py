@@ -1,4 +1,4 @@
-"""Pictures of calibration boards, drawn without OpenCV: a ChArUco board and a grid of AprilTags.
+"""Draws calibration boards without OpenCV: a ChArUco board and a grid of AprilTags.
 
 The code words are facts of the two families: the first of OpenCV's DICT_4X4_50 and of AprilTag 36h11 (Olson,
 "AprilTag: a robust and flexible visual fiducial system", ICRA 2011), a 1 a white cell, row by row from the top left.
@@ -22,9 +22,9 @@ APRILTAG_36H11 = (0x21A146BAB, 0x92D18FE9B, 0x7089014BB, 0x193979E27, 0x44153D3D
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """`picture` [S, S] of 0 and 1; the board is its top left `columns` x `rows` texels, each `texel_m` wide.
+    """A board in the top left `columns` x `rows` texels of `picture` [S, S] of 0 and 1, each `texel_m` wide.
 
-    `spec` is what `calibrate --board` calls it.
+    `spec` is its name for `calibrate --board`.
     """
 
     spec: str
@@ -35,7 +35,7 @@ class Board:
 
 
 def charuco() -> Board:
-    """6 x 4 squares of 100 mm, the first one black, markers of 67.5 mm in the white ones."""
+    """Draw 6 x 4 squares of 100 mm, the first one black, with markers of 67.5 mm in the white ones."""
     square, inset, texel_m = 80, 13, 0.1 / 80
     picture = np.zeros((natural.SIZE, natural.SIZE), dtype=np.float32)
     codes = iter(DICT_4X4_50)
@@ -50,7 +50,7 @@ def charuco() -> Board:
 
 
 def april_grid() -> Board:
-    """4 x 3 tags of 96 mm, 28.8 mm apart; the black squares where the corners of four tags meet are left out."""
+    """Draw 4 x 3 tags of 96 mm, 28.8 mm apart, without the black squares where the corners of four tags meet."""
     tag, gap, texel_m = 80, 24, 0.096 / 80
     picture = np.ones((natural.SIZE, natural.SIZE), dtype=np.float32)
     for n, code in enumerate(APRILTAG_36H11):
@@ -60,7 +60,7 @@ def april_grid() -> Board:
 
 
 def _tag(code: int, side: int, cell: int) -> NDArray[np.float32]:
-    """A tag of `side` x `side` cells in a black border of one cell, `cell` texels each."""
+    """Draw a tag of `side` x `side` cells in a black border of one cell, `cell` texels each."""
     bits = [code >> (side * side - 1 - i) & 1 for i in range(side * side)]
     cells = np.pad(np.array(bits, dtype=np.float32).reshape(side, side), 1)
     return cells.repeat(cell, axis=0).repeat(cell, axis=1)

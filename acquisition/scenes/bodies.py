@@ -1,23 +1,25 @@
-"""What a scene is made of: textured convex shapes, rigidly joined into bodies that move."""
+"""The parts of a scene: textured convex shapes, rigidly joined into bodies that move."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from acquisition.errors import AcquisitionError
-from acquisition.scenes.motion import Motion, Movement
+from acquisition.scenes.motion import Floats, Motion, Movement, Vector
 from rigs.transform import Transform
 
-KINDS = ("rectangle", "box", "sphere", "cylinder")  # the order the native ray caster numbers them in
+UPRIGHT = Transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))  # a cylinder's z along the vertical
+Kind = Literal["rectangle", "box", "sphere", "cylinder"]  # in the order the native ray caster numbers them
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 @dataclass(frozen=True)
 class Finish:
-    """A texture by its index, `texel_m` metres a texel, its 0 and 1 mapped to `albedo`, moved by `shift` texels."""
+    """A texture by its number, `texel_m` metres a texel, its 0 and 1 mapped to `albedo`, moved by `shift` texels."""
 
     texture: int
     texel_m: float
@@ -37,7 +39,7 @@ class Shape:
     cylinder (radius, half height along z, -).
     """
 
-    kind: Literal["rectangle", "box", "sphere", "cylinder"]
+    kind: Kind
     size: tuple[float, ...]
     finish: Finish
     body_from_shape: Transform = field(default_factory=Transform.identity)
@@ -48,7 +50,7 @@ class Shape:
             raise AcquisitionError(f"found a {self.kind} of size {self.size}", f"{KINDS} with positive lengths")
 
     def row(self) -> list[float]:
-        """The shape as the native ray caster reads it [10]."""
+        """Return the shape as the native ray caster reads it [10]."""
         size = [*self.size, 0.0, 0.0][:3]
         finish = self.finish
         return [KINDS.index(self.kind), *size, finish.texture, 1 / finish.texel_m, *finish.shift, *finish.albedo]
@@ -58,8 +60,8 @@ class Shape:
 class Body:
     """Shapes under one name, as `scene.json` calls it, that move as one or each by a motion of its own.
 
-    The body is there from `from_s` up to but without `to_s`. Raises AcquisitionError where shapes and motions differ
-    in number or it never is there.
+    The body is there from `from_s` up to but without `to_s`. Raises AcquisitionError where the numbers of
+    shapes and motions differ, or where the body never is there.
     """
 
     name: str
@@ -92,7 +94,20 @@ class Body:
         return not self.lasting or any(motion.moving for motion in self.motions)
 
 
-def still(name: str, center: tuple[float, float, float], *shapes: Shape, turn_rad: float = 0.0) -> Body:
-    """A body that stands at `center`, turned about the vertical."""
-    c, s = np.cos(turn_rad), np.sin(turn_rad)
-    return Body(name, shapes, Motion(Transform(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.array(center))))
+def still(name: str, center: Vector, *shapes: Shape, turn_rad: float = 0.0) -> Body:
+    """Return a body that stands at `center`, turned about the vertical."""
+    return Body(name, shapes, Motion(at(*center, about(1, turn_rad))))
+
+
+def at(x: float, y: float, z: float, turned: Floats | None = None) -> Transform:
+    """Return the pose of a thing that stands there, in metres, turned by a rotation [3, 3] or upright."""
+    return Transform(np.eye(3) if turned is None else turned, np.array([x, y, z]))
+
+
+def about(axis: int, angle_rad: float) -> Floats:
+    """Return the turn [3, 3] about the x, y or z axis (0, 1, 2)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    turned = np.eye(3)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turned[i, i], turned[i, j], turned[j, i], turned[j, j] = c, -s, s, c
+    return turned

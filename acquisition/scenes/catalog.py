@@ -1,16 +1,17 @@
-"""The named scenes, in closed lists: which are for development, which for evaluation, which for what else.
+"""Lists the named scenes by their use: development, evaluation, stress, calibration.
 
-Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS, and scored on EVALUATION scenes with
+Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They are scored on EVALUATION scenes with
 EVALUATION_SEEDS, which nothing is tuned on. STRESS scenes have one difficulty each; CALIBRATION ones calibrate a rig.
+Every other list of scene names, as of the command line and the benches, is made from these.
 """
 
 from collections.abc import Callable
 
 from acquisition.errors import BadRecordingError
 from acquisition.scenes import calibration, stress
+from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
-from acquisition.scenes.fans import fan
-from acquisition.scenes.impacts import collision
+from acquisition.scenes.fan import fan
 from acquisition.scenes.runner import runner
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.traffic import traffic
@@ -18,9 +19,18 @@ from acquisition.scenes.turntable import turntable
 
 DEVELOPMENT_SEEDS = (1, 2, 3)
 EVALUATION_SEEDS = (101, 102, 103)
-_DEVELOPMENT = (fan_and_ball,)
-_EVALUATION = (traffic, runner, turntable, collision, fan)
-_STRESS = (
+SCENES: dict[str, Callable[[int], Scene]] = {}
+
+
+def _listed(*builders: Callable[[int], Scene]) -> tuple[str, ...]:
+    names = {build.__name__: build for build in builders}
+    SCENES.update(names)
+    return tuple(names)
+
+
+DEVELOPMENT = _listed(fan_and_ball)
+EVALUATION = _listed(traffic, runner, turntable, collision, fan)
+STRESS = _listed(
     stress.static,
     stress.stiff,
     stress.flicker,
@@ -31,7 +41,7 @@ _STRESS = (
     stress.deforming,
     stress.faint,
 )
-_CALIBRATION = (
+CALIBRATION = _listed(
     calibration.flat,
     calibration.dark,
     calibration.board_charuco,
@@ -39,16 +49,13 @@ _CALIBRATION = (
     calibration.board_april,
     calibration.board_april_moving,
 )
-DEVELOPMENT, EVALUATION, STRESS, CALIBRATION = (
-    tuple(build.__name__ for build in builds) for builds in (_DEVELOPMENT, _EVALUATION, _STRESS, _CALIBRATION)
-)
-SCENES: dict[str, Callable[[int], Scene]] = {
-    build.__name__: build for build in (*_DEVELOPMENT, *_EVALUATION, *_STRESS, *_CALIBRATION)
-}
 
 
 def build_scene(name: str, seed: int) -> Scene:
-    """The scene `name`, its textures and small placements drawn from `seed`; an unknown name is a BadRecordingError."""
+    """Build the scene `name`, its textures and small placements drawn from `seed`.
+
+    Raises BadRecordingError for an unknown name or a negative seed.
+    """
     if name not in SCENES:
         raise BadRecordingError(f"found the scene {name!r}", f"one of {', '.join(SCENES)}")
     if seed < 0:

@@ -1,7 +1,4 @@
-"""Things thrown and colliding: each flies freely between the instants at which two of them meet.
-
-All fall alike, so seen from one of them the others fly straight, and the instant of a meeting is a quadratic's root.
-"""
+"""`collision`: balls and boxes are thrown and hit one another in the air, for evaluation only."""
 
 from __future__ import annotations
 
@@ -10,12 +7,68 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acquisition.scenes.motion import GRAVITY_M_S2, Motion, Poses, Vector
-from rigs.transform import Transform
+from acquisition.scenes.bodies import Body, Finish, Shape, at
+from acquisition.scenes.motion import GRAVITY_M_S2, Floats, Motion, Movement, Vector
+from acquisition.scenes.scene import Scene
+from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, Stage
 
+NUMBER = 14
+FLOOR_Y_M = 0.62
+CLIP_S = 0.25  # later everything has left the view
+FINISHES = tuple(Finish(texture, 0.003, (0.1, 1.0)) for texture in (DISCS, BLOCKS, CLOTH))
 GRAVITY = np.array(GRAVITY_M_S2)
+
+Aim = tuple[Vector, Vector, float]  # a place, the velocity there, and the instant
+BALLS: tuple[tuple[str, float, float, Aim], ...] = (  # name, radius, mass, aim
+    ("left_ball", 0.13, 1.0, ((-0.46, -0.17, 1.55), (4.0, -0.5, 0.3), 0.006)),
+    ("right_ball", 0.11, 1.0, ((-0.24, -0.12, 1.55), (-3.5, 0.4, 0.2), 0.006)),
+    ("high_ball", 0.12, 1.0, ((0.12, -0.45, 2.1), (0.6, 4.5, -0.5), 0.011)),
+    ("low_ball", 0.14, 1.5, ((0.17, -0.2, 2.05), (-0.4, -3.5, 0.3), 0.011)),
+    ("driver", 0.1, 0.7, ((0.32, 0.22, 1.6), (5.5, 0.0, 0.0), 0.009)),
+    ("lone_ball", 0.12, 1.0, ((-0.55, 0.3, 2.3), (3.0, -3.5, 0.0), 0.0)),
+)
+BOX = ("struck_box", (0.12, 0.12, 0.12), 1.2, ((0.55, 0.22, 1.6), (-2.4, 0.0, 0.0), 0.009))
+TUMBLERS = (
+    ("red_box", (0.13, 0.07, 0.1), ((-0.5, 0.28, 1.75), (3.2, -2.0, 0.0), 0.0), (0.3, 1.0, 0.5), 45.0),
+    ("tall_box", (0.06, 0.16, 0.07), ((0.75, -0.3, 2.2), (-4.5, -1.0, 0.3), 0.0), (1.0, 0.2, 0.6), -50.0),
+)
+
+
+def collision(seed: int) -> Scene:
+    """Build six balls and three boxes in the air at 2 to 6 m/s; within 10 ms three pairs hit, elastic, closed form."""
+    stage = Stage.numbered(seed, NUMBER)
+    stage.room(FLOOR_Y_M, Finish(BLOCKS, 0.008, (0.01, 0.6)), Finish(DISCS, 0.006, (0.02, 0.6)))
+    stage.block("bench", stage.near(0.0, 0.5, 2.6), (0.7, 0.12, 0.15), Finish(CLOTH, 0.006, (0.04, 0.6)))
+    stage.block("crate", stage.near(-0.62, 0.48, 1.4), (0.11, 0.14, 0.11), Finish(DISCS, 0.003, (0.03, 1.0)), 0.5)
+    stage.pillar("post", stage.near(1.15, 0.0, 2.5), 0.09, 0.62, Finish(BLOCKS, 0.006, (0.03, 1.0)))
+    stage.block("case", stage.near(-1.2, 0.1, 2.9), (0.25, 0.52, 0.2), Finish(DISCS, 0.007, (0.02, 0.6)), -0.3)
+    _throw_things(stage)
+    stage.marker((0.62, -0.68, 2.75), -0.1)
+    return stage.scene("collision", NUMBER, seed)
+
+
+def _throw_things(stage: Stage) -> None:
+    things: list[tuple[str, Shape, Thrown]] = []
+    for number, (name, radius, mass, aim) in enumerate(BALLS):
+        spin = tuple(stage.rng.uniform(-1, 1, 3) + np.array([0, 0, 2]))
+        shape = stage.shape("sphere", (radius,), FINISHES[number % 3])
+        things.append((name, shape, _aimed(aim, radius, mass, spin, 15.0)))
+    name, half, mass, aim = BOX
+    things.append((name, stage.shape("box", half, FINISHES[1]), _aimed(aim, half[0], mass)))
+    for name, half, aim, axis, spin_rad_s in TUMBLERS:
+        things.append((name, stage.shape("box", half, FINISHES[0]), _aimed(aim, 0.01, 1.0, axis, spin_rad_s)))
+    motions = thrown([throw for _, _, throw in things], CLIP_S)
+    stage.bodies += [Body(name, (shape,), motion) for (name, shape, _), motion in zip(things, motions, strict=True)]
+
+
+def _aimed(
+    aim: Aim, radius_m: float, mass_kg: float, spin_axis: Vector = (0.0, 0.0, 1.0), spin_rad_s: float = 0.0
+) -> Thrown:
+    """Return the thing at instant 0 that would fly through its aim if it did not fall; all of them fall alike."""
+    (x, y, z), (vx, vy, vz), instant_s = aim
+    start = (x - vx * instant_s, y - vy * instant_s, z - vz * instant_s)
+    return Thrown(start, (vx, vy, vz), radius_m, mass_kg, spin_axis, spin_rad_s)
 
 
 @dataclass(frozen=True)
@@ -31,20 +84,13 @@ class Thrown:
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class Pieces(Movement):
     """One free flight after another; piece i holds from `starts_s` i (the first before that too) to the next one."""
 
     starts_s: tuple[float, ...]
     flights: tuple[Motion, ...]
 
-    @property
-    def moving(self) -> bool:
-        """Whether the pose ever changes."""
-        return any(flight.moving for flight in self.flights)
-
-    def world_from_body(self, instants_s: NDArray[np.float64]) -> Poses:
-        """Rotations [n, 3, 3] and translations [n, 3] in metres at `instants_s` [n]."""
-        instants_s = np.asarray(instants_s, dtype=np.float64)
+    def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]:
         piece = np.maximum(0, np.searchsorted(self.starts_s, instants_s, side="right") - 1)
         rotations, translations = np.empty((len(instants_s), 3, 3)), np.empty((len(instants_s), 3))
         for i, flight in enumerate(self.flights):
@@ -53,7 +99,11 @@ class Pieces:
 
 
 def thrown(things: Sequence[Thrown], until_s: float) -> tuple[Pieces, ...]:
-    """The motion of each of `things`, which meet without friction or loss until `until_s`, then fly on."""
+    """Return the motion of each of `things`, which meet without friction or loss until `until_s`, then fly on.
+
+    All fall alike, so seen from one of them the others fly straight, and the instant of a meeting is a quadratic's
+    root.
+    """
     now, current = 0.0, list(things)
     starts: list[list[float]] = [[0.0] for _ in things]
     flights = [[_flight(thing, 0.0)] for thing in things]
@@ -71,14 +121,8 @@ def thrown(things: Sequence[Thrown], until_s: float) -> tuple[Pieces, ...]:
 
 
 def _flight(thing: Thrown, since_s: float) -> Motion:
-    return Motion(
-        Transform(np.eye(3), np.array(thing.position_m)),
-        thing.spin_axis,
-        thing.spin_rad_s,
-        thing.velocity_m_s,
-        GRAVITY_M_S2,
-        launch_s=since_s,
-    )
+    spin = (thing.spin_axis, thing.spin_rad_s)
+    return Motion(at(*thing.position_m), *spin, thing.velocity_m_s, GRAVITY_M_S2, launch_s=since_s)
 
 
 def _later(thing: Thrown, seconds: float) -> Thrown:
@@ -88,7 +132,7 @@ def _later(thing: Thrown, seconds: float) -> Thrown:
 
 
 def _meeting_s(a: Thrown, b: Thrown) -> float:
-    """Seconds until |apart + closing s| is the sum of the radii, from outside; infinity where that never is."""
+    """Return the seconds until |apart + closing s| falls to the sum of the radii; infinity where it never does."""
     apart = np.array(b.position_m) - np.array(a.position_m)
     closing = np.array(b.velocity_m_s) - np.array(a.velocity_m_s)
     square, along = closing @ closing, apart @ closing
@@ -97,7 +141,7 @@ def _meeting_s(a: Thrown, b: Thrown) -> float:
 
 
 def _bounced(a: Thrown, b: Thrown) -> tuple[Thrown, Thrown]:
-    """Both after an elastic impact along the line of their centres: momentum and energy stay what they were."""
+    """Return both after an elastic impact along the line of their centres; momentum and energy are kept."""
     apart = np.array(b.position_m) - np.array(a.position_m)
     normal = apart / np.linalg.norm(apart)
     velocity_a, velocity_b = np.array(a.velocity_m_s), np.array(b.velocity_m_s)

@@ -1,4 +1,4 @@
-"""What was evaluated on: a SHA-256 of the evaluation scenes, committed beside this file and printed by every bench.
+"""Identifies the evaluation scenes by a SHA-256, which is committed beside this file and printed by every bench.
 
 It covers shapes, textures, light and poses at fixed instants, rounded far below a pixel or a grey step, so that it is
 the same on every processor. `python -m acquisition.scenes.digest` writes the file anew, which makes earlier figures
@@ -20,7 +20,7 @@ INSTANTS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.1])
 
 
 def scene_digest(scene: Scene) -> str:
-    """SHA-256 of all that decides what a camera sees, in hexadecimal digits."""
+    """Return the SHA-256, in hexadecimal digits, of all that decides what a camera sees."""
     geometry, placed = scene.arrays, scene.placements(INSTANTS_S)
     light = (scene.white, scene.ambient, scene.background, geometry.uneven.offset, geometry.uneven.least)
     found = hashlib.sha256()
@@ -32,17 +32,17 @@ def scene_digest(scene: Scene) -> str:
 
 
 def scenes_digest(digests: dict[str, str]) -> str:
-    """SHA-256 of the digests of single scenes, in the order of their names."""
+    """Return the SHA-256 of the digests of single scenes, in the order of their names."""
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
 
 def evaluation_digests() -> dict[str, str]:
-    """The digest of each evaluation scene with each evaluation seed, by `name-seed`; takes some ten seconds."""
+    """Return the digest of each evaluation scene and seed, by `name-seed`; takes some ten seconds."""
     return {f"{name}-{seed}": scene_digest(build_scene(name, seed)) for name in EVALUATION for seed in EVALUATION_SEEDS}
 
 
 def committed_digests() -> dict[str, str]:
-    """What `evaluation_digests` was when the scenes were settled."""
+    """Read what `evaluation_digests` was when the scenes were settled."""
     return json.loads(COMMITTED.read_text())
 
 

@@ -13,7 +13,7 @@ from acquisition.scenes.motion import Vector
 
 @dataclass(frozen=True)
 class Flicker:
-    """All light falls and rises `rate_hz` times a second, at its least by the share `depth`: a raised cosine."""
+    """Light that falls and rises `rate_hz` times a second by a raised cosine, at its least by the share `depth`."""
 
     rate_hz: float
     depth: float
@@ -24,7 +24,7 @@ class Flicker:
             raise AcquisitionError(f"found flicker of {self.rate_hz} Hz by {self.depth}", "> 0 Hz by 0..1")
 
     def gains(self, instants_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The light at `instants_s` [n] as a share of the brightest [n]."""
+        """Return the light at `instants_s` [n] as a share of the brightest [n]."""
         turns = 2 * np.pi * self.rate_hz * np.asarray(instants_s, dtype=np.float64)
         return 1 - self.depth * (1 - np.cos(turns + self.phase_rad)) / 2
 

@@ -1,4 +1,4 @@
-"""A rig that was not built as drawn: what a nominal rig file is wrong by."""
+"""Misplaces the cameras of a rig, as a rig that was not built as its nominal file says."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _MEAN_OF_NORM = np.sqrt(8 / np.pi)  # mean length of a normal vector in space, i
 
 
 def misplaced(rig: Rig, error: float, seed: int, *, turn_deg: float | None = None) -> Rig:
-    """`rig` with each camera turned by `error` degrees and moved by `error` cm on average, about random axes.
+    """Return `rig` with each camera turned by `error` degrees and moved by `error` cm on average, about random axes.
 
-    One focal length, shared by all lenses, is off by `error` percent, up or down. `turn_deg`: the degrees, where they
-    are another number. The poses are marked nominal.
+    The focal length is off by `error` percent, up or down, alike for all lenses. `turn_deg` states the degrees where
+    they are to be another number. The poses are marked nominal.
     """
     rng = np.random.default_rng([seed, 0xA1])
     percent = error * rng.choice((-1.0, 1.0))

@@ -4,34 +4,49 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from acquisition.errors import AcquisitionError
 from rigs.transform import Transform
 
+Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
-Poses = tuple[NDArray[np.float64], NDArray[np.float64]]  # rotations [n, 3, 3], translations [n, 3] in metres
 GRAVITY_M_S2: Vector = (0.0, 9.81, 0.0)  # +y is down
 
 
-class Movement(Protocol):
-    """The pose of a rigid thing at any instant."""
+class BodyPoses(NamedTuple):
+    """world_from_body at n instants: `rotations` [n, 3, 3] and `translations` [n, 3] in metres."""
+
+    rotations: Floats
+    translations: Floats
+
+    def of(self, body_from_part: Transform) -> BodyPoses:
+        """Return the poses of a part that is fixed to the body."""
+        moved = self.rotations @ body_from_part.translation + self.translations
+        return BodyPoses(self.rotations @ body_from_part.rotation, moved)
+
+
+class Movement:
+    """The pose of a rigid thing at any instant; a subclass states it in `_poses`."""
 
     @property
     def moving(self) -> bool:
         """Whether the pose ever changes."""
-        ...
+        return True
 
-    def world_from_body(self, instants_s: NDArray[np.float64]) -> Poses:
-        """Rotations [n, 3, 3] and translations [n, 3] in metres at `instants_s` [n]."""
-        ...
+    def world_from_body(self, instants_s: ArrayLike) -> BodyPoses:
+        """Return the poses at `instants_s` [n]."""
+        return BodyPoses(*self._poses(np.asarray(instants_s, dtype=np.float64)))
+
+    def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]:
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Movement):
     """Constant spin about a world axis through the body's origin, and free flight of that origin.
 
     With v = `velocity_m_s`, a = `acceleration_m_s2` the origin is at start + v s + a s^2 / 2, where s is the time since
@@ -55,21 +70,22 @@ class Motion:
 
     @property
     def moving(self) -> bool:
-        """Whether the pose ever changes."""
+        """Whether it spins or flies."""
         return self.spin_rad_s != 0 or any(self.velocity_m_s) or any(self.acceleration_m_s2)
 
-    def world_from_body(self, instants_s: NDArray[np.float64]) -> Poses:
-        """Rotations [n, 3, 3] and translations [n, 3] in metres at `instants_s` [n]."""
-        flight = np.asarray(instants_s, dtype=np.float64) - self.launch_s
+    def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]:
+        flight = instants_s - self.launch_s
         since = (flight if math.isinf(self.bounce_s) else flight % self.bounce_s)[:, None]
         velocity, acceleration = np.array(self.velocity_m_s), np.array(self.acceleration_m_s2)
         translations = self.start.translation + velocity * since + acceleration * since**2 / 2
-        spins = [rotation(self.spin_axis, self.spin_rad_s * t) for t in np.asarray(instants_s)]
-        return np.array(spins).reshape(-1, 3, 3) @ self.start.rotation, translations
+        return turns(self.spin_axis, self.spin_rad_s * instants_s) @ self.start.rotation, translations
 
 
-def rotation(axis: Vector, angle_rad: float) -> NDArray[np.float64]:
-    """The turn by `angle_rad` about `axis` [3, 3], by Rodrigues' formula."""
-    x, y, z = np.array(axis) / math.hypot(*axis)
+def turns(axis: ArrayLike, angles_rad: ArrayLike) -> Floats:
+    """Return the turns [n, 3, 3] by `angles_rad` [n] about `axis` [3], by Rodrigues' formula."""
+    axis = np.asarray(axis)
+    x, y, z = axis / math.hypot(*axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * (cross @ cross)
+    square = cross @ cross
+    turned = [np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * square for angle in np.asarray(angles_rad)]
+    return np.array(turned).reshape(-1, 3, 3)

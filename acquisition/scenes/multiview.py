@@ -1,7 +1,7 @@
-"""Random scenes as several cameras see them, and random rigs around them, to train networks of several views on.
+"""Draws random scenes and rigs around them, to train networks of several views on.
 
 The scenes are those of `acquisition.scenes.random`, made as wide as a rig's field, with textures as fine as its pixels
-and often a floor; the rigs vary the lab rig's grid: spacing, distance, lens and which of its places are taken.
+and often a floor. The rigs vary the lab rig's grid: spacing, distance, lens and which of its places are taken.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from acquisition.errors import AcquisitionError
 from acquisition.scenes import natural
-from acquisition.scenes.bodies import Body, Finish, Shape, still
+from acquisition.scenes.bodies import UPRIGHT, Body, Finish, Shape, still
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.random import FOCAL_PX, random_scene
 from acquisition.scenes.scene import Scene
@@ -21,19 +21,19 @@ from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
 
-LAB_WIDTH_PX = 400  # FOCAL_PX belongs to it
-FIELD_PX = 300  # of the lab camera's picture that the bodies are spread over
+LAB_WIDTH_PX = 400  # width of the picture that FOCAL_PX belongs to
+FIELD_PX = 300  # width of the part of the lab camera's picture that the bodies are spread over
 PLACES = tuple((row, column) for row in range(-1, 2) for column in range(-1, 2))
-SPACING_M, DISTANCE_M, LENS = (0.12, 0.28), (1.4, 2.4), (0.85, 1.2)  # lens: of the lab rig's focal length
+SPACING_M, DISTANCE_M, LENS = (0.12, 0.28), (1.4, 2.4), (0.85, 1.2)  # lens: focal length over the lab rig's
 FLOOR_SHARE, STILL_SHARE, NATURAL_SHARE = 0.6, 0.85, 0.5
 FLOOR_Y_M = (0.4, 0.8)
-UPRIGHT = Transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))
 
 
 def random_rig(seed: int, views: int, width: int, height: int, tick_rate_hz: float = 20000.0) -> Rig:
-    """Rig number `seed`: `views` cameras on different places of a 3x3 grid, turned about towards one point.
+    """Draw rig number `seed`: `views` cameras on different places of a 3x3 grid, turned about towards one point.
 
-    Their true poses; `misplaced` makes the nominal ones of it. Raises AcquisitionError for less than 2 or more than 9.
+    Its poses are the true ones; `misplaced` makes nominal ones of them. Raises AcquisitionError for less than 2 or more
+    than 9 views.
     """
     if not 2 <= views <= len(PLACES):
         raise AcquisitionError(f"found a rig of {views} views", f"2 to {len(PLACES)}")
@@ -53,7 +53,7 @@ def random_rig(seed: int, views: int, width: int, height: int, tick_rate_hz: flo
 
 
 def multiview_scene(seed: int, focal_px: float, middle_s: float = 0.0) -> Scene:
-    """Scene number `seed` for cameras with the focal length `focal_px`, its movers in their places at `middle_s`."""
+    """Build scene number `seed` for cameras of focal length `focal_px`, its movers in their places at `middle_s`."""
     scene = random_scene(seed, middle_s, FIELD_PX)
     rng = np.random.default_rng([seed, 0x62])
     pictures = scene.textures
@@ -68,7 +68,7 @@ def multiview_scene(seed: int, focal_px: float, middle_s: float = 0.0) -> Scene:
 
 
 def _seen(rng: np.random.Generator, body: Body, coarser: float, pictures: int, holds: bool) -> Body:
-    """The body with coarser texels of any of the pictures; standing where it `holds`."""
+    """Return the body with coarser texels of any of the pictures; it stands where it `holds`."""
     shapes = []
     for shape in body.shapes:
         finish = replace(shape.finish, texel_m=shape.finish.texel_m * coarser, texture=int(rng.integers(pictures)))

@@ -1,4 +1,4 @@
-"""Seeded, periodic textures with the statistics of photographs, their 1/f spectrum going up to the single texel.
+"""Draws periodic textures with the statistics of photographs; their 1/f spectrum reaches to the single texel.
 
 Dead leaves: opaque leaves of every size, the small ones as much of the picture as the large ones, fall on one another
 at random; that gives the sharp outlines, the occlusions and the 1/f amplitude spectrum of natural pictures (Lee,
@@ -9,15 +9,17 @@ on no processor.
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.scenes.textures import relief
+
 SIZE = 512  # texels a side
-OCTAVES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # least half size of the leaves in texels, up to twice as large
+OCTAVES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # least half sizes in texels; the leaves of each reach twice as far
 LEAST_LIGHT = 0.08  # the darkest leaf; the lightest reflects 1
 GRAIN = 0.35  # standard deviation of the relief on the leaves, in natural logarithm
-COVER = 1.2  # leaves of one octave would cover the picture so many times
+COVER = 1.2  # how many times the leaves of one octave would cover the picture
 
 
 def leaves(rng: np.random.Generator, *, square: bool = False) -> NDArray[np.float32]:
-    """Discs, or upright rectangles where `square`, of log-uniform lightness under 1/f grain; 0..1 [S, S]."""
+    """Draw discs, or upright rectangles where `square`, of log-uniform lightness under 1/f grain; 0..1 [S, S]."""
     counts = [max(1, int(COVER * SIZE**2 / (7 * low**2))) for low in OCTAVES]
     falls = np.split(rng.permutation(sum(counts)) + 1, np.cumsum(counts)[:-1])  # when each leaf falls; 0: never
     latest = np.zeros(SIZE * SIZE, dtype=np.int64)
@@ -28,7 +30,7 @@ def leaves(rng: np.random.Generator, *, square: bool = False) -> NDArray[np.floa
 
 
 def _fall(rng: np.random.Generator, fallen: NDArray[np.int64], low: float, square: bool) -> NDArray[np.int64]:
-    """When the leaf on top of each texel fell [S * S], of leaves of half sizes `low` to 2 `low` texels."""
+    """Return when the top leaf of each texel fell [S * S]; the leaves have half sizes from `low` to 2 `low` texels."""
     count, reach = len(fallen), int(2 * low) + 1
     half = low * rng.uniform(1, 2, (count, 1)) * (rng.uniform(0.5, 1, (count, 2)) if square else 1)
     center = rng.uniform(0, SIZE, (count, 2))
@@ -44,19 +46,15 @@ def _fall(rng: np.random.Generator, fallen: NDArray[np.int64], low: float, squar
 
 
 def cloth(rng: np.random.Generator) -> NDArray[np.float32]:
-    """1/f relief alone, to the texel, of log-normal light; 0..1 [S, S]."""
+    """Draw 1/f relief alone, to the texel, of log-normal light; 0..1 [S, S]."""
     return _steps(np.exp(0.65 * _relief(rng)))
 
 
-def _relief(rng: np.random.Generator, exponent: float = 1.1) -> NDArray[np.float64]:
-    """Normal values of variance 1 whose amplitude falls as 1 / f^`exponent` from 3 cycles a tile to the texel."""
-    frequency = np.hypot(np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)[None, :]) * SIZE
-    amplitude = np.where(frequency >= 3, np.maximum(frequency, 1) ** -exponent, 0)
-    field = np.fft.irfft2(amplitude * np.exp(2j * np.pi * rng.random(frequency.shape)), s=(SIZE, SIZE))
-    return field / field.std()
+def _relief(rng: np.random.Generator) -> NDArray[np.float64]:
+    return relief(rng, SIZE, exponent=1.1, band=(3, np.inf))
 
 
 def _steps(light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Scaled so that all but the lightest fiftieth fits below 1, in 256 steps."""
+    """Scale the light so that all but its brightest fiftieth is below 1, and round it to 256 steps."""
     lightest = np.quantile(light, 0.98)
     return (np.round(np.clip(light / lightest, 0, 1) * 255) / 255).astype(np.float32)

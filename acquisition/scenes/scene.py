@@ -1,4 +1,4 @@
-"""A scene: bodies, their motions, one sun; seen by any pinhole camera at any instants."""
+"""A scene of moving bodies under one sun, seen by any pinhole camera at any instants."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ NOWHERE_M = (0.0, 1e9, -1e9)  # below and behind
 
 
 class Placements(NamedTuple):
-    """world_from_shape at n instants: `rotations` [n, P, 3, 3], `positions` [n, P, 3] in metres; light `gains` [n]."""
+    """world_from_shape of P shapes at n instants, rotations and positions in metres, and the `gains` of the light."""
 
-    rotations: Floats
-    positions: Floats
-    gains: Floats
+    rotations: Floats  # [n, P, 3, 3]
+    positions: Floats  # [n, P, 3]
+    gains: Floats  # [n]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Bodies in the rig frame (metres, x right, y down, z forward) under one sun.
 
-    `white` is the light of a perfectly white surface that faces the sun, in spikes per tick; `ambient` the fraction of
-    it that reaches shadows; `center` the point the scene happens around. Body i has the object id i + 1. A body that is
-    not there yet, or not any more, stands out of every camera's and the sun's sight. The scene has been going on for
-    `begins_s` at the instant 0.
+    `white` is the light of a perfectly white surface that faces the sun, in spikes per tick. `ambient` is the fraction
+    of it that reaches shadows. `center` is the point the scene happens around. Body i has the object id i + 1. A body
+    that is not there yet, or not any more, stands out of sight of every camera and the sun. The scene has been going on
+    for `begins_s` at the instant 0. Raises AcquisitionError for bodies, light or textures that no scene can have.
     """
 
     name: str
@@ -55,9 +55,8 @@ class Scene:
         if not names or len(set(names)) < len(names) or len(names) > 127:
             raise AcquisitionError(f"found the bodies {names}", "1 to 127 different names", where=f"scene {self.name}")
         if not self.white > 0 or not 0 <= self.ambient <= 1 or not np.linalg.norm(self.to_sun) > 0:
-            raise AcquisitionError(
-                "expected white > 0, ambient in 0..1, a direction to the sun", where=f"scene {self.name}"
-            )
+            found = f"found white {self.white}, ambient {self.ambient}, sun {self.to_sun}"
+            raise AcquisitionError(found, "above 0, 0..1, and a direction", where=f"scene {self.name}")
         _ = self.arrays  # refuses too many shapes or a texture that is not there
 
     @property
@@ -90,25 +89,25 @@ class Scene:
         )
 
     def placements(self, instants_s: NDArray[np.float64]) -> Placements:
-        """Where the shapes are at each of `instants_s` [n], and how bright the light is."""
+        """Find where the shapes are at each of `instants_s` [n], and how bright the light is."""
         instants_s = np.asarray(instants_s, dtype=np.float64) + self.begins_s
         rotations, positions = [], []
         for body in self.bodies:
             gone = ~((instants_s >= body.from_s) & (instants_s < body.to_s))
             poses = {motion: motion.world_from_body(instants_s) for motion in body.motions}
             for shape, motion in zip(body.shapes, body.motions, strict=True):
-                turned, moved = poses[motion]
-                rotations.append(turned @ shape.body_from_shape.rotation)
-                positions.append(turned @ shape.body_from_shape.translation + moved)
-                positions[-1][gone] = NOWHERE_M
+                turned, moved = poses[motion].of(shape.body_from_shape)
+                moved[gone] = NOWHERE_M
+                rotations.append(turned)
+                positions.append(moved)
         gains = self.flicker.gains(instants_s) if self.flicker else np.ones(len(instants_s))
         return Placements(np.stack(rotations, axis=1), np.stack(positions, axis=1), gains)
 
     def raycaster(self, camera: Camera, samples: int, threads: int = 0) -> Raycaster:
-        """A ray caster that has already traced what stands still; feed it `placements`."""
+        """Return a ray caster that has already traced what stands still; feed it `placements`."""
         rotations, positions, _ = self.placements(np.zeros(1))
         return Raycaster(self.arrays, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
 
     def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:
-        """What `camera` (poses in the rig frame) sees at `instants_s` [n] with samples x samples rays a pixel."""
+        """Render what `camera` (pose in the rig frame) sees at `instants_s` [n], by samples x samples rays a pixel."""
         return self.raycaster(camera, samples).frames(*self.placements(np.asarray(instants_s, dtype=np.float64)))

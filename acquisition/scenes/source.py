@@ -1,4 +1,4 @@
-"""A simulated camera: renders a scene and fires its sensor, a few planes ahead of whoever reads it."""
+"""Simulates a camera: renders a scene and fires its sensor, a few planes ahead of the reader."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CHUNK = 32  # planes rendered at a time: 13 MB of light at 400x250
 class SceneSource:
     """The planes of one camera in one scene, `ticks` of them, each the light at the middle of its tick.
 
-    A light that crosses an edge within a tick is not smeared: at 5 m/s and 120 rad/s the instant stands for the
-    integral to 64 dB. The cameras of a rig run side by side, so each takes one of the
-    `threads` (0: every core). Raises BadRecordingError when camera, sensor and layout differ in size.
+    A tick's light is that of one instant, not its integral: at 5 m/s and 120 rad/s the two agree to 64 dB. The cameras
+    of a rig run side by side, so by default each takes one of the cores; `threads` 0 takes every core.
+    Raises BadRecordingError when camera, sensor and layout differ in size.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class SceneSource:
         self._ready = np.empty((0, layout.plane_bytes), dtype=np.uint8)
 
     def next_planes(self, count: int) -> NDArray[np.uint8]:
-        """The next packed planes [n, B], n < count only where the clip ends."""
+        """Return the next packed planes [n, B]; n < count only where the clip ends."""
         ready = [self._ready]
         while sum(map(len, ready)) < count and self._rendered < self._ticks:
             ready.append(self._next_chunk())

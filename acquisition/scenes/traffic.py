@@ -3,24 +3,19 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
-from acquisition.scenes import stage
-from acquisition.scenes.bodies import Body, Finish, Shape, still
-from acquisition.scenes.motion import Motion
+from acquisition.scenes.bodies import UPRIGHT, Body, Finish, at, still
+from acquisition.scenes.motion import Motion, Vector
 from acquisition.scenes.scene import Scene
-from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, FINE_M, Look
-from rigs.transform import Transform
+from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, Stage
 
 NUMBER = 11
 ROAD_Y_M = 0.56
 LANE_M = 7.0  # a vehicle that has driven so far comes in again
 
-Part = tuple[tuple[float, float, float], tuple[float, float, float], Look]  # half sizes, middle above the road, look
-GLASS, LAMP = Look(CLOTH, FINE_M, 0.01, 0.15), Look(CLOTH, FINE_M, 0.7, 1.0)
-TYRE, HUB = Look(BLOCKS, 0.0025, 0.01, 0.2), Look(BLOCKS, 0.002, 0.1, 1.0)
-
-RED, WHITE, GREY = Look(CLOTH, FINE_M, 0.1, 1.0), Look(DISCS, FINE_M, 0.1, 1.0), Look(BLOCKS, FINE_M, 0.1, 1.0)
+Part = tuple[Vector, Vector, Finish]  # half sizes, middle above the road, finish
+GLASS, LAMP = Finish(CLOTH, 0.004, (0.01, 0.15)), Finish(CLOTH, 0.004, (0.7, 1.0))
+TYRE, HUB = Finish(BLOCKS, 0.0025, (0.01, 0.2)), Finish(BLOCKS, 0.002, (0.1, 1.0))
+RED, WHITE, GREY = (Finish(picture, 0.004, (0.1, 1.0)) for picture in (CLOTH, DISCS, BLOCKS))
 SALOON: tuple[Part, ...] = (
     ((0.43, 0.085, 0.17), (0.0, 0.19, 0.0), RED),
     ((0.23, 0.075, 0.15), (-0.04, 0.345, 0.0), RED),
@@ -44,20 +39,28 @@ LORRY: tuple[Part, ...] = (
 
 
 def traffic(seed: int) -> Scene:
-    """A saloon at 6 m/s, a van the other way at 4 and a lorry at 2.5 between lamp post, trees and house fronts."""
-    rng = stage.placing(seed, NUMBER)
-    houses = stage.room(rng, ROAD_Y_M, Look(BLOCKS, 0.008, 0.01, 0.6), Look(DISCS, 0.006, 0.02, 0.6))
+    """Build a saloon at 6 m/s, a van the other way at 4 and a lorry at 2.5 before a lamp post, a tree and houses."""
+    stage = Stage.numbered(seed, NUMBER)
+    stage.room(ROAD_Y_M, Finish(BLOCKS, 0.008, (0.01, 0.6)), Finish(DISCS, 0.006, (0.02, 0.6)))
     vehicles = (
-        vehicle(rng, "saloon", SALOON, (-0.3, 1.8), 6.0, axles=(-0.27, 0.28), radius=0.095),
-        vehicle(rng, "van", VAN, (0.5, 2.35), -4.0, axles=(-0.3, 0.32), radius=0.1),
-        vehicle(rng, "lorry", LORRY, (-0.8, 3.0), 2.5, axles=(-0.4, -0.17, 0.5), radius=0.11),
+        _vehicle(stage, "saloon", SALOON, (-0.3, 1.8), 6.0, axles=(-0.27, 0.28), radius=0.095),
+        _vehicle(stage, "van", VAN, (0.5, 2.35), -4.0, axles=(-0.3, 0.32), radius=0.1),
+        _vehicle(stage, "lorry", LORRY, (-0.8, 3.0), 2.5, axles=(-0.4, -0.17, 0.5), radius=0.11),
     )
-    bodies = (*houses, *_street(rng), *vehicles, stage.marker((0.15, -0.62, 2.6), 0.42, 0.1))
-    return stage.staged("traffic", NUMBER, seed, bodies)
+    crown = stage.shape("sphere", (0.3,), Finish(DISCS, 0.006, (0.02, 0.6)), at(0.0, -0.75, 0.0))
+    trunk = stage.shape("cylinder", (0.06, 0.5), Finish(CLOTH, 0.005, (0.02, 0.4)), UPRIGHT)
+    stage.pillar("lamp_post", stage.near(-0.62, -0.3, 1.32), 0.035, 0.86, Finish(BLOCKS, 0.003, (0.05, 0.7)))
+    stage.block("box", stage.near(0.64, 0.36, 1.36), (0.09, 0.2, 0.09), Finish(BLOCKS, 0.003, (0.03, 0.7)), 0.4)
+    stage.bodies.append(still("tree", stage.near(1.2, ROAD_Y_M - 0.5, 3.15), trunk, crown))
+    stage.block("house", stage.near(-1.25, -0.25, 3.3), (0.5, 0.82, 0.1), Finish(DISCS, 0.008, (0.02, 0.7)))
+    stage.block("shop", stage.near(0.55, 0.05, 3.38), (0.4, 0.5, 0.06), Finish(CLOTH, 0.008, (0.05, 0.6)))
+    stage.bodies += vehicles
+    stage.marker((0.15, -0.62, 2.6), 0.1)
+    return stage.scene("traffic", NUMBER, seed)
 
 
-def vehicle(
-    rng: np.random.Generator,
+def _vehicle(
+    stage: Stage,
     name: str,
     parts: Sequence[Part],
     place: tuple[float, float],
@@ -66,40 +69,26 @@ def vehicle(
     axles: Sequence[float],
     radius: float,
 ) -> Body:
-    """Boxes on rolling wheels, at (x, z) `place` at instant 0 on a lane that it drives along again and again."""
+    """Return boxes on rolling wheels, at `place` (x, z) at instant 0 of a lane that they drive again and again."""
     ahead = math.copysign(1.0, speed_m_s)
-    x, z = stage.nudged(rng, place[0], 0.0, place[1])[::2]
+    x, _, z = stage.near(place[0], 0.0, place[1])
 
     def rolling(along: float, up: float, aside: float, spin_rad_s: float) -> Motion:
-        start = Transform(np.eye(3), np.array([ahead * (along - LANE_M / 2), ROAD_Y_M - up, z + aside]))
+        start = at(ahead * (along - LANE_M / 2), ROAD_Y_M - up, z + aside)
         driven_s = (ahead * x + LANE_M / 2) / abs(speed_m_s)
         period_s = LANE_M / abs(speed_m_s)
         return Motion(start, (0, 0, 1), spin_rad_s, (speed_m_s, 0, 0), launch_s=-driven_s, bounce_s=period_s)
 
-    shapes, motions = [], []
     chassis = rolling(0.0, 0.0, 0.0, 0.0)
-    for half, (along, up, aside), look in parts:
-        shapes.append(Shape("box", half, stage.finish(rng, look), stage.at(ahead * along, -up, aside)))
-        motions.append(chassis)
+    moved = [
+        (stage.shape("box", half, finish, at(ahead * along, -up, aside)), chassis)
+        for half, (along, up, aside), finish in parts
+    ]
     for along in axles:
         for aside in (-0.15, 0.15):
-            shapes.append(Shape("cylinder", (radius, 0.035), stage.finish(rng, TYRE)))
-            motions.append(rolling(along, radius, aside, speed_m_s / radius))
-        shapes.append(Shape("cylinder", (radius / 2, 0.04), stage.finish(rng, HUB)))  # on the side the cameras see
-        motions.append(rolling(along, radius, -0.15, speed_m_s / radius))
-    return Body(name, tuple(shapes), tuple(motions))
-
-
-def _street(rng: np.random.Generator) -> tuple[Body, ...]:
-    def skin(picture: int, texel_m: float, low: float, high: float) -> Finish:
-        return stage.finish(rng, Look(picture, texel_m, low, high))
-
-    crown = Shape("sphere", (0.3,), skin(DISCS, 0.006, 0.02, 0.6), stage.at(0.0, -0.75, 0.0))
-    trunk = Shape("cylinder", (0.06, 0.5), skin(CLOTH, 0.005, 0.02, 0.4), stage.UPRIGHT)
-    return (
-        stage.pillar("lamp_post", stage.nudged(rng, -0.62, -0.3, 1.32), 0.035, 0.86, skin(BLOCKS, 0.003, 0.05, 0.7)),
-        stage.block("box", stage.nudged(rng, 0.64, 0.36, 1.36), (0.09, 0.2, 0.09), skin(BLOCKS, 0.003, 0.03, 0.7), 0.4),
-        still("tree", stage.nudged(rng, 1.2, ROAD_Y_M - 0.5, 3.15), trunk, crown),
-        stage.block("house", stage.nudged(rng, -1.25, -0.25, 3.3), (0.5, 0.82, 0.1), skin(DISCS, 0.008, 0.02, 0.7)),
-        stage.block("shop", stage.nudged(rng, 0.55, 0.05, 3.38), (0.4, 0.5, 0.06), skin(CLOTH, 0.008, 0.05, 0.6)),
-    )
+            wheel = stage.shape("cylinder", (radius, 0.035), TYRE)
+            moved.append((wheel, rolling(along, radius, aside, speed_m_s / radius)))
+        hub = stage.shape("cylinder", (radius / 2, 0.04), HUB)  # on the side the cameras see
+        moved.append((hub, rolling(along, radius, -0.15, speed_m_s / radius)))
+    shapes, motions = zip(*moved, strict=True)
+    return Body(name, shapes, motions)

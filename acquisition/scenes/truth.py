@@ -1,10 +1,9 @@
 """Writes `truth/` of a simulated recording: exact light, depth, objects and cameras beside the spikes.
 
-Layout, for every k-th plane of each camera: `camRC/000120.npy` float32 [H, W], the light at (120 + 0.5) / rate;
-`depth_` float32; `id_` int8; `blur_` float32, the mean light of the exposure that `scene.json` states. Viewpoints no
-camera of the rig has are `novelN/`, without blur. `cameras.json` is nerfstudio's and exact.
-
-The first are the paper's clean frames (CI), the `blur_` ones its blurred frames (BI).
+Every k-th plane of each camera has four images [H, W]: `camRC/000120.npy` (float32, the light at (120 + 0.5) / rate),
+`depth_000120.npy` (float32), `id_000120.npy` (int8) and `blur_000120.npy` (float32, the mean light of the exposure that
+`scene.json` states). Viewpoints that no camera of the rig has are `novelN/`, without blur. `cameras.json` is
+nerfstudio's and exact. The light is the paper's clean frame (CI), the blur its blurred frame (BI).
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from rigs.rig import Rig
 from rigs.transform import Transform
 
 BLUR_PLANES = 32  # exposure of a blurred frame, centred on the instant
-BLUR_STRIDE = 4  # planes between the frames it is the mean of
-BLUR_SAMPLES = 2
-NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # in half widths of the rig: one between the cameras, one beside them
+BLUR_STRIDE = 4  # planes between the frames that a blurred frame is the mean of
+BLUR_SAMPLES = 2  # rays a side of a pixel of a blurred frame
+NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # places in half widths of the rig: between the cameras, and beside them
 
 
 def write_truth(
@@ -44,14 +43,14 @@ def write_truth(
     samples: int = 4,
     sensor: SensorKind = "real",
 ) -> None:
-    """Fill the new `folder` with the truth of planes 0, `every`, ... below `ticks`, samples x samples rays a pixel.
+    """Fill the new `folder` with the truth of planes 0, `every`, ... below `ticks`, by samples x samples rays a pixel.
 
     Raises BadRecordingError where the folder exists or there is nothing to write, DiskError when the disk refuses.
     """
     if ticks < 1 or every < 1:
         raise BadRecordingError(f"found {ticks} ticks and truth every {every} planes", "at least 1 of each")
     if folder.exists():
-        raise BadRecordingError("found it there already", "a new folder", "move it away", where=folder)
+        raise BadRecordingError("exists already", "a new folder", "move it away", where=folder)
     planes = list(range(0, ticks, every))
     cameras = (*rig.cameras, *novel_cameras(scene, rig))
     for number, camera in enumerate(cameras):
@@ -66,7 +65,7 @@ def write_truth(
 
 
 def novel_cameras(scene: Scene, rig: Rig) -> tuple[Camera, ...]:
-    """Viewpoints `novel0`, ... that look at the scene's centre with the lens of the rig's first camera."""
+    """Return viewpoints `novel0`, ... that look at the scene's centre with the lens of the rig's first camera."""
     centers = np.array([camera.center for camera in rig.cameras])
     middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
     reach = np.maximum((centers.max(axis=0) - centers.min(axis=0)) / 2, 0.1)
@@ -116,7 +115,7 @@ def _description(scene: Scene, rig: Rig, ticks: int, every: int) -> dict[str, ob
 
 
 def _mover(scene: Scene, name: str) -> dict[str, object]:
-    """Its id and name; where it is not always there, from and to which instant in seconds (None: no end)."""
+    """Return its id and name and, where it is not always there, from and to which instant in seconds (None: no end)."""
     body = scene.bodies[scene.object_ids[name] - 1]
     found: dict[str, object] = {"id": scene.object_ids[name], "name": name}
     if not body.lasting:

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.scenes.bodies import Body, Finish, Shape, still
+from acquisition.scenes.bodies import Body, Finish, Shape, about, at, still
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.collision import Thrown, thrown
 from acquisition.scenes.light import Flicker, Uneven
 from acquisition.scenes.linkage import Hinge, Strip, Sway, Wave
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.scene import Scene
-from acquisition.scenes.stage import about, at
 from rigs.camera import Camera
 from rigs.transform import Transform
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from acquisition.scenes import natural
-from acquisition.scenes.bodies import Body, Finish, Shape
+from acquisition.scenes.bodies import Body, Finish, Shape, still
 from acquisition.scenes.misplaced import misplaced
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.scene import Scene
-from acquisition.scenes.stage import block
 from reconstruction.calibration.check import check_rig
 from reconstruction.calibration.features import find_features, repaired
 from reconstruction.calibration.matches import Gate, Tracks, gated, joined, matched
@@ -44,11 +43,14 @@ def wall(picture):
 
 def blocks(rng):
     return [
-        block(
+        still(
             f"block{i}",
             tuple(rng.uniform((-0.7, -0.4, 1.5), (0.7, 0.4, 2.4))),
-            tuple(rng.uniform(0.1, 0.2, 3)),
-            Finish(0, 0.004, (0.05, 1.0), tuple(rng.uniform(0, natural.SIZE, 2))),
+            Shape(
+                "box",
+                tuple(rng.uniform(0.1, 0.2, 3)),
+                Finish(0, 0.004, (0.05, 1.0), tuple(rng.uniform(0, natural.SIZE, 2))),
+            ),
         )
         for i in range(5)
     ]
