@@ -78,7 +78,7 @@ def _draw_images(asked: Asked, out: Path, found: dict) -> None:
 def _pixels(asked: Asked) -> BenchDocument:
     from reconstruction.bench.pixels import bench_pixels
 
-    return bench_pixels(asked.scenes or "fan_and_ball", asked.seeds)
+    return bench_pixels(asked.scenes or DEVELOPMENT[0], asked.seeds)
 
 
 def _poses(asked: Asked) -> BenchDocument:

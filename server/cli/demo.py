@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import click
 
+from acquisition.scenes.catalog import DEVELOPMENT
 from reconstruction.report.table import score_table
 from server.cli.options import PATH
 from server.cli.output import columns
@@ -28,7 +29,7 @@ from server.schemas.jobs import Job
 if TYPE_CHECKING:
     from server.client import ServiceClient
 
-SCENE = "mock:fan_and_ball"
+SCENE = f"mock:{DEVELOPMENT[0]}"
 HOLDOUT = "cam11"
 BUDGET_S = 90.0
 _CHOICES = ("model", "images", "init", "supervision")
