@@ -13,7 +13,6 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.clips import Truth
 from reconstruction.evaluation.truth import Truth as RunTruth
 from reconstruction.images.catalogue import methods
-from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_span_m, grey, write_png
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
@@ -50,7 +49,7 @@ def write_run_strip(path: Path, run_folder: Path) -> None:
     plane = planes[len(planes) // 2]
     instant_s = recording.rig.clock.instant_s(plane)
     wanted, elsewhere = truth.frame(run.config.holdout, plane), truth.frame(novel, plane)
-    seen, unseen = (look(cloud, cameras[c], instant_s) for c in (run.config.holdout, novel))
+    seen, unseen = (cloud.look(cameras[c], instant_s) for c in (run.config.holdout, novel))
     near, far = depth_span_m(wanted.depth)
     tiles = [
         (f"{run_folder.name}: truth", grey(wanted.intensity, truth.white)),

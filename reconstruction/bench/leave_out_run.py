@@ -27,9 +27,9 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.stages import composite_sources
-from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.render import Rendering
 from reconstruction.run.folder import RunFolder
+from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
@@ -105,7 +105,7 @@ def _quiet(stage: str) -> Progress:
     return silent
 
 
-def _scores(run: RunFolder, cloud: Model) -> dict[str, float]:
+def _scores(run: RunFolder, cloud: SceneModel) -> dict[str, float]:
     """Of the held-out camera, against the truth."""
     recording = posed(run, Recording.open(run.recording), refined=True)
     assert recording.truth is not None

@@ -18,7 +18,6 @@ from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
 from reconstruction.bench.training import Clip
 from reconstruction.bench.viewpoints import frames_at, viewpoints
-from reconstruction.rendering.view import look
 from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import depth_colours, depth_span_m, grey, write_png
 from reconstruction.run.folder import RunFolder
@@ -82,7 +81,7 @@ def write_viewpoint_sheet(path: Path, clips: Sequence[Clip], runs: Sequence[RunF
             if not any(viewpoint.line == line and abs(viewpoint.along_m - along) < 1e-6 for line, along in SHOWN):
                 continue
             frame = frames_at(scene, viewpoint.camera, np.array([middle_s]))[0]
-            view = look(cloud, viewpoint.camera, middle_s)
+            view = cloud.look(viewpoint.camera, middle_s)
             near, far = depth_span_m(frame.depth)
             depth = depth_colours(view.depth, near, far)
             truth, render = (cv2.cvtColor(grey(a.intensity, scene.white), cv2.COLOR_GRAY2BGR) for a in (frame, view))

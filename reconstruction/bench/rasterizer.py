@@ -11,7 +11,7 @@ import torch
 
 from acquisition.bench_document import BenchDocument, fastest_s
 from reconstruction.bench.step import LOSS, PARTS, Step
-from reconstruction.gaussians.dynamic import Instantaneous
+from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.rendering.native import Work, work_of
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.render import Backend, render

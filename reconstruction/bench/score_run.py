@@ -11,9 +11,8 @@ from reconstruction.evaluation.evaluate import held_out_camera, score_against_tr
 from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
-from reconstruction.radiance_fields.model import model_from_state
 from reconstruction.run.folder import RunFolder
-from reconstruction.training.checkpoint import load_checkpoint
+from reconstruction.training.checkpoint import load_checkpoint, model_from_state
 
 STAGES = ("plan", "poses", "images", "points", "train")
 METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25")

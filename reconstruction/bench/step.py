@@ -11,9 +11,12 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Instantaneous, Motion
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.motion_model import Instantaneous
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.losses.ssim import ssim
 from reconstruction.rendering.render import Rendering, render
+from reconstruction.scene_model import TimeSpan
 from reconstruction.training.adam import Adam
 from rigs.camera import Camera
 
@@ -28,12 +31,12 @@ def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
     """`cloud` with its last Gaussians moving a little, alive throughout, in a clip of one second."""
     still = round((1 - MOVING) * len(cloud.means))
     stored = cloud._replace(opacities=cloud.opacities.clamp(0.01, 0.99).logit())
-    motion = Motion.at_rest(torch.full((len(cloud.means) - still,), 0.5), duration=1.0)
+    motion = PolynomialMotion.at_rest(torch.full((len(cloud.means) - still,), 0.5), duration=1.0)
     return DynamicCloud(
         GaussianCloud(*(t[:still].clone() for t in stored)),
         GaussianCloud(*(t[still:].clone() for t in stored)),
         motion,
-        Clip(0.0, 1.0),
+        TimeSpan(0.0, 1.0),
     )
 
 

@@ -20,9 +20,8 @@ from acquisition.scenes.scene import Scene
 from reconstruction.bench.training import Clip
 from reconstruction.evaluation.evaluate import score_view
 from reconstruction.evaluation.truth import TruthFrame
-from reconstruction.radiance_fields.model import Model
-from reconstruction.rendering.view import look
 from reconstruction.run.folder import RunFolder
+from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_cloud
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -99,13 +98,13 @@ def frames_at(scene: Scene, camera: Camera, instants_s: NDArray[np.float64]) -> 
     return [TruthFrame(-1, *found) for found in zip(frames.intensity, frames.depth, moving, strict=True)]
 
 
-def _scores(scene: Scene, cloud: Model, camera: Camera) -> dict[str, float]:
+def _scores(scene: Scene, cloud: SceneModel, camera: Camera) -> dict[str, float]:
     """Means over INSTANTS; `empty` is the share of pixels without a surface where there is one."""
     span = cloud.clip.last_s - cloud.clip.first_s
     instants_s = cloud.clip.first_s + span * np.array(INSTANTS)
     rows: list[dict[str, float]] = []
     for instant_s, frame in zip(instants_s, frames_at(scene, camera, instants_s), strict=True):
-        view = look(cloud, camera, float(instant_s))
+        view = cloud.look(camera, float(instant_s))
         known = np.isfinite(frame.depth)
         empty = float((known & ~np.isfinite(view.depth)).sum() / max(1, known.sum()))
         rows.append(score_view(view, frame, scene.white) | {"empty": empty})

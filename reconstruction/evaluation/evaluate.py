@@ -16,8 +16,7 @@ from reconstruction.evaluation.truth import Truth, TruthFrame, spread
 from reconstruction.images.composite import CompositeSource
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
-from reconstruction.radiance_fields.model import Model
-from reconstruction.rendering.view import View, look
+from reconstruction.scene_model import SceneModel, View
 from rigs.camera import Camera
 from rigs.similarity import align
 
@@ -33,7 +32,9 @@ class HeldOut:
     recording: Recording
 
 
-def score_against_truth(cloud: Model, held_out: HeldOut, truth: Truth, instants: int = INSTANTS) -> dict[str, float]:
+def score_against_truth(
+    cloud: SceneModel, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
+) -> dict[str, float]:
     """Means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
     return _mean_scores(_frames(held_out, truth, instants), truth.white, lambda f: _look(cloud, held_out, f))
 
@@ -56,14 +57,14 @@ def score_floors(
     return {f"{name}.{key}": value for name, rows in scores.items() for key, value in _mean(rows).items()}
 
 
-def score_against_counts(cloud: Model, held_out: HeldOut) -> dict[str, float]:
+def score_against_counts(cloud: SceneModel, held_out: HeldOut) -> dict[str, float]:
     """Where no truth exists: errors of spike counts over 32-plane windows of the held-out camera, in spikes."""
     stream = held_out.recording.stream(held_out.camera.id)
     window = min(COUNT_WINDOW, len(stream))
     errors = []
     for first in spread(list(range(0, len(stream) - window + 1, window)), INSTANTS):
         middle = held_out.recording.rig.clock.instant_s(first + (window - 1) / 2)
-        expected = look(cloud, held_out.camera, middle).intensity * window
+        expected = cloud.look(held_out.camera, middle).intensity * window
         errors.append(expected - stream.counts(first, first + window))
     gaps = np.stack(errors)
     return {"counts.mae": float(np.abs(gaps).mean()), "counts.rmse": float(np.sqrt((gaps**2).mean()))}
@@ -95,8 +96,8 @@ def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
     return frames
 
 
-def _look(cloud: Model, held_out: HeldOut, frame: TruthFrame) -> View:
-    return look(cloud, held_out.camera, held_out.recording.rig.clock.instant_s(frame.plane))
+def _look(cloud: SceneModel, held_out: HeldOut, frame: TruthFrame) -> View:
+    return cloud.look(held_out.camera, held_out.recording.rig.clock.instant_s(frame.plane))
 
 
 def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[TruthFrame], View]) -> dict[str, float]:

@@ -22,7 +22,7 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
-from reconstruction.rendering.view import View
+from reconstruction.scene_model import View
 from rigs.camera import Camera
 
 Image = NDArray[np.float32]

@@ -14,7 +14,6 @@ import numpy as np
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from reconstruction.export.scene import Choices, Scene, splats_at
-from reconstruction.rendering.view import look
 from reconstruction.report.pictures import grey, write_png
 from rigs.exchange.colmap import dump_model, dump_points
 
@@ -31,6 +30,6 @@ def write_colmap(folder: Path, scene: Scene, choices: Choices, progress: Progres
     for name, text in files.items():
         write_durably(model / name, text)
     for i, camera in enumerate(scene.rig.cameras):
-        write_png(pictures / f"{camera.id}.png", grey(look(scene.cloud, camera, instant_s).intensity, scene.white))
+        write_png(pictures / f"{camera.id}.png", grey(scene.cloud.look(camera, instant_s).intensity, scene.white))
         progress((i + 1) / len(scene.rig.cameras), camera.id)
     return {"instant_s": instant_s}

@@ -7,7 +7,6 @@ from pathlib import Path
 from acquisition.durable import write_array
 from acquisition.progress import Progress
 from reconstruction.export.scene import Choices, Scene
-from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_colours, depth_span_m, write_png
 
 
@@ -15,9 +14,9 @@ def write_depth(folder: Path, scene: Scene, choices: Choices, progress: Progress
     """What the camera chosen sees at even instants; all pictures share one scale, that of the clip's middle."""
     folder.mkdir()
     camera, instants, frames = scene.camera(choices), scene.instants_s(choices), []
-    near, far = depth_span_m(look(scene.cloud, camera, scene.middle_s).depth)
+    near, far = depth_span_m(scene.cloud.look(camera, scene.middle_s).depth)
     for i, instant_s in enumerate(instants):
-        depth = look(scene.cloud, camera, instant_s).depth
+        depth = scene.cloud.look(camera, instant_s).depth
         file = f"{i:06d}.npy"
         write_array(folder / file, depth)
         write_png(folder / f"{i:06d}.png", depth_colours(depth, near, far))

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from reconstruction.errors import BadRunError
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
-from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.reference import ALPHA_MIN, LOG_SCALE_MAX, LOG_SCALE_MIN, unit_quats
 from reconstruction.report.pictures import GAMMA
+from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.rig import Rig
 
@@ -36,7 +36,7 @@ class Choices:
 class Scene:
     """A trained run; `targets` reads the training views' target images, by camera, when it is called."""
 
-    cloud: Model
+    cloud: SceneModel
     rig: Rig
     white: float  # spikes per tick
     model: str  # as `--model` names it

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from acquisition.progress import Progress
 from reconstruction.export.scene import Choices, Scene
-from reconstruction.rendering.view import look
 from reconstruction.report.orbit import FRAMES as ORBIT_FRAMES
 from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import Pixels, grey
@@ -25,7 +24,7 @@ def write_video(path: Path, scene: Scene, choices: Choices, progress: Progress) 
 
     def pictures() -> Iterator[Pixels]:
         for i, instant_s in enumerate(instants):
-            yield grey(look(scene.cloud, camera, instant_s).intensity, scene.white)
+            yield grey(scene.cloud.look(camera, instant_s).intensity, scene.white)
             progress((i + 1) / len(instants), f"frame {i + 1} of {len(instants)}")
 
     encode(path, (camera.width, camera.height), pictures())

@@ -21,9 +21,8 @@ from acquisition.progress import Progress
 from reconstruction.export.scene import Choices, Floats, Scene, linear_scales
 from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.rendering.reference import ALPHA_MIN, unit_quats
-from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_span_m
 from rigs.camera import Camera
 
@@ -96,10 +95,10 @@ def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, i
 
 
 def _moving(cloud: DynamicCloud) -> Arrays:
-    return _polynomial(cloud, cloud.motion) if type(cloud.motion) is Motion else _keyframes(cloud)
+    return _polynomial(cloud, cloud.motion) if type(cloud.motion) is PolynomialMotion else _keyframes(cloud)
 
 
-def _polynomial(cloud: DynamicCloud, motion: Motion) -> Arrays:
+def _polynomial(cloud: DynamicCloud, motion: PolynomialMotion) -> Arrays:
     moving, opacities = cloud.moving, cloud.moving.opacity_logits.sigmoid()
     durations = motion.log_durations.exp().clamp(LEAST_DURATION, MOST_DURATION)
     away = (motion.instants - motion.instants.clamp(0, 1)) / durations  # from the clip, where an instant is beyond it
@@ -162,7 +161,7 @@ def _camera_table(camera: Camera, holdout: str | None) -> dict:
 def _seen(scene: Scene) -> dict:
     """The middle of what the default camera sees half-way through the clip, and the span of its depth."""
     camera = scene.camera(Choices())
-    depth = look(scene.cloud, camera, scene.middle_s).depth
+    depth = scene.cloud.look(camera, scene.middle_s).depth
     rows, columns = np.nonzero(np.isfinite(depth))
     z = depth[rows, columns].astype(np.float64)
     if z.size:

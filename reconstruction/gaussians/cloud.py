@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.scene_model import Rate
 
 
 @dataclass
@@ -18,6 +20,13 @@ class GaussianCloud:
     Raises ReconstructionError for shapes that do not fit one another or numbers that are not finite.
     """
 
+    rates: ClassVar[Mapping[str, Rate]] = {
+        "means": Rate(1e-3, "scene"),
+        "quats_wxyz": Rate(1e-2),
+        "log_scales": Rate(4e-2),
+        "opacity_logits": Rate(6e-2),
+        "intensities": Rate(8e-3, "light"),
+    }
     means: Tensor  # [N, 3] m, rig frame
     quats_wxyz: Tensor  # [N, 4] of any length
     log_scales: Tensor  # [N, 3] log m

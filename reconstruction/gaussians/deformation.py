@@ -12,13 +12,15 @@ last layer that starts at zero, so that the field starts as no deformation.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
 
-from reconstruction.gaussians.field import OUTPUTS, DeformationField, affine, box_around, layer
+from reconstruction.gaussians.canonical import OUTPUTS, CanonicalMotion, affine, box_around, layer
+from reconstruction.scene_model import Rate
 
 WIDTH = 64
 INNER = 4
@@ -27,10 +29,11 @@ INPUTS = 3 * (1 + 2 * PLACE_OCTAVES) + 1 + 2 * TIME_OCTAVES
 
 
 @dataclass
-class DeformationMotion(DeformationField):
+class DeformationMotion(CanonicalMotion):
     """The network."""
 
     kind = "deformation"
+    rates: ClassVar[Mapping[str, Rate]] = dict.fromkeys(("entry", "inner", "again", "exit"), Rate(3e-3, deforms=True))
     entry: Tensor  # [W, I + 1], the last column is the bias
     inner: Tensor  # [D, W, W + 1]
     again: Tensor  # [W, I + 1], the input added half-way

@@ -5,10 +5,9 @@ Letters: N still, M moving. Time is in clips: 0 at the clip's start, 1 at its en
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -17,30 +16,19 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion import Instantaneous, Motion, MotionModel
+from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
+from reconstruction.rendering.render import render
+from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
+from rigs.camera import Camera
 
 MODELS: dict[str, type[MotionModel]] = {
-    m.kind: m for m in (Motion, RigidMotion, HexPlaneMotion, SpacetimeMotion, TimestepMotion, DeformationMotion)
+    m.kind: m
+    for m in (PolynomialMotion, RigidMotion, HexPlaneMotion, SpacetimeMotion, TimestepMotion, DeformationMotion)
 }
-
-
-@dataclass(frozen=True)
-class Clip:
-    """The span of the rig clock a model covers, in seconds."""
-
-    first_s: float
-    last_s: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.first_s) and self.last_s > self.first_s):
-            raise ReconstructionError(f"found a clip from {self.first_s} to {self.last_s} s", "a positive length")
-
-    def fraction(self, instant_s: float) -> float:
-        """The instant in clips."""
-        return (instant_s - self.first_s) / (self.last_s - self.first_s)
 
 
 @dataclass
@@ -53,7 +41,7 @@ class DynamicCloud:
     still: GaussianCloud
     moving: GaussianCloud
     motion: MotionModel
-    clip: Clip
+    clip: TimeSpan
     light: Tensor = field(default_factory=lambda: torch.ones(1))
     unit: ClassVar[str] = "Gaussians"
 
@@ -68,25 +56,33 @@ class DynamicCloud:
         )
         if len(moving):
             now = _joined(now, self.motion.at(moving, u))
-        return now if len(self.light) == 1 else now._replace(intensities=now.intensities * self.gain(u))
+        return now if len(self.light) == 1 else now._replace(intensities=now.intensities * gain_at(self.light, u))
 
     @property
     def changes(self) -> bool:
         """Whether it is not the same at all instants."""
         return len(self.moving) > 0 or len(self.light) > 1
 
-    def gain(self, u: float) -> float:
-        """How bright the light is at u, in clips."""
-        return float(self.light[min(max(int(u * len(self.light)), 0), len(self.light) - 1)])
-
-    @property
-    def fixed(self) -> frozenset[str]:
-        """The kinds of tensors that no training changes."""
-        return self.motion.fixed
+    def look(self, camera: Camera, instant_s: float) -> View:
+        """Return what `camera` sees at `instant_s` on the rig clock."""
+        with torch.no_grad():
+            rendering = render(self.at(instant_s), camera, median=True)
+        assert rendering.median is not None
+        return View(rendering.intensity[..., 0].numpy(), rendering.median.numpy())
 
     def positions(self, instant_s: float) -> Tensor:
         """Where all Gaussians are at an instant [N + M, 3], m."""
         return self.at(instant_s).means
+
+    def movers(self, instant_s: float) -> tuple[Tensor, Tensor]:
+        """Return positions [M, 3] in m and opacities [M] of the moving Gaussians at an instant of the rig clock."""
+        now = self.motion.at(self.moving, self.clip.fraction(instant_s))
+        return now.means, now.opacities
+
+    def rates(self) -> Mapping[str, Rate]:
+        """Return the learning rate of every tensor that is learnt, by name."""
+        own = {f"{part}.{kind}": rate for part in ("still", "moving") for kind, rate in GaussianCloud.rates.items()}
+        return own | {f"motion.{kind}": rate for kind, rate in self.motion.rates.items()}
 
     def advance(self, done: float) -> float:
         """Tell the motion how much of the training lies behind: what lies behind of the motion's own stage."""
@@ -108,12 +104,12 @@ class DynamicCloud:
         for key, tensor in self.motion.tensors():
             yield f"motion.{key}", tensor
 
-    def to(self, target: torch.dtype) -> DynamicCloud:
+    def to(self, dtype: torch.dtype) -> DynamicCloud:
         """The same cloud as another float type."""
-        tensors = {k: t.to(target) if t.is_floating_point() else t for k, t in self.state()["tensors"].items()}
+        tensors = {k: t.to(dtype) if t.is_floating_point() else t for k, t in self.state()["tensors"].items()}
         return DynamicCloud.from_state({**self.state(), "tensors": tensors})
 
-    def state(self) -> dict:
+    def state(self) -> dict[str, Any]:
         """Plain tensors, numbers and names, for a checkpoint."""
         return {
             "clip": [self.clip.first_s, self.clip.last_s],
@@ -126,7 +122,7 @@ class DynamicCloud:
     def from_state(cls, state: dict) -> DynamicCloud:
         """The inverse of `state`; raises ReconstructionError for a model or tensors it does not know."""
         parts: dict[str, dict[str, Tensor]] = {"still": {}, "moving": {}, "motion": {}}
-        kind = state.get("model", Motion.kind)
+        kind = state.get("model", PolynomialMotion.kind)
         try:
             for name, tensor in state["tensors"].items():
                 part, key = name.split(".")
@@ -134,7 +130,7 @@ class DynamicCloud:
             motion = MODELS[kind](**parts["motion"])
             first_s, last_s = state["clip"]
             still, moving = (GaussianCloud(**parts[name]) for name in ("still", "moving"))
-            return cls(still, moving, motion, Clip(first_s, last_s), state.get("light", torch.ones(1)))
+            return cls(still, moving, motion, TimeSpan(first_s, last_s), state.get("light", torch.ones(1)))
         except (KeyError, TypeError, ValueError) as error:
             found = f"the model {kind!r} with {', '.join(parts['motion']) or 'no tensors'}"
             raise ReconstructionError(

@@ -10,15 +10,17 @@ Not as there: the last layers start at zero, so that the field starts as no defo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from reconstruction.gaussians.canonical import OUTPUTS, CanonicalMotion, affine, box_around, layer
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.field import OUTPUTS, DeformationField, affine, box_around, layer
+from reconstruction.scene_model import Rate
 
 FEATURES = 16
 WIDTH = 64
@@ -29,10 +31,14 @@ SMOOTH_SPACE, SMOOTH_TIME, TIME_ONE = 1e-4, 1e-2, 1e-4  # weights of the publish
 
 
 @dataclass
-class HexPlaneMotion(DeformationField):
+class HexPlaneMotion(CanonicalMotion):
     """The field."""
 
     kind = "4dgs"
+    rates: ClassVar[Mapping[str, Rate]] = {
+        **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), Rate(2e-2, deforms=True)),
+        **dict.fromkeys(("trunk", "hidden", "heads"), Rate(4e-3, deforms=True)),
+    }
     coarse_space: Tensor  # [3, F, S, S] planes xy, xz, yz
     coarse_time: Tensor  # [3, F, T, S] planes xt, yt, zt
     fine_space: Tensor  # [3, F, 2 S, 2 S]

@@ -10,23 +10,32 @@ stored in their body's frame. Source: Wang et al., "Shape of motion", 2024 (shar
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.course import Course, evaluated
-from reconstruction.gaussians.motion import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.polynomial import WINDOW_RATES
 from reconstruction.gaussians.riding import carried
+from reconstruction.scene_model import Rate
 
 
 @dataclass
 class RigidMotion(MotionModel):
-    """The first A Gaussians ride on body `bodies`; all have a time window as in `Motion`."""
+    """The first A Gaussians ride on body `bodies`; all have a time window as in `PolynomialMotion`."""
 
     kind = "bases"
-    fixed = frozenset({"bodies"})
+    rates: ClassVar[Mapping[str, Rate]] = {
+        "knot_quats": Rate(5e-4),
+        "knot_centers": Rate(1e-4, "scene"),
+        "velocities": Rate(3e-3, "scene"),
+        **WINDOW_RATES,
+    }
     bodies: Tensor  # [A] int64, 0 to K - 1
     knot_quats: Tensor  # [K, P, 4] wxyz, rig from body, neighbours in one hemisphere
     knot_centers: Tensor  # [K, P, 3] m, rig frame

@@ -1,32 +1,37 @@
 """Spacetime Gaussians: each on a cubic path of its own, turning at an even rate, seen around an instant of its own.
 
-Letters as in `motion`: with s = u - `instants` a Gaussian's quaternion is `quats_wxyz + turns s`, made unit by the
-renderer; place and opacity are those of the cubic `Motion`. Source: Li et al., "Spacetime Gaussian feature splatting",
-CVPR 2024, equations 6 to 9 (cubic place, linear quaternion, Gaussian window).
+Letters as in `polynomial`. With s = u - `instants` a Gaussian's quaternion is `quats_wxyz + turns s`, and the renderer
+makes it unit; its place and opacity are those of the cubic `PolynomialMotion`. Source: Li et al., "Spacetime Gaussian
+feature splatting", CVPR 2024, equations 6 to 9 (cubic place, linear quaternion, Gaussian window).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion import Instantaneous, Motion
+from reconstruction.gaussians.motion_model import Instantaneous
+from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.scene_model import Rate
 
 
 @dataclass
-class SpacetimeMotion(Motion):
-    """The cubic `Motion` whose Gaussians also turn."""
+class SpacetimeMotion(PolynomialMotion):
+    """The cubic `PolynomialMotion` whose Gaussians also turn."""
 
     kind = "stg"
+    rates: ClassVar[Mapping[str, Rate]] = {**PolynomialMotion.rates, "turns": Rate(3e-2)}
     turns: Tensor  # [M, 4] change of the stored quaternion per clip
 
     @classmethod
     def started(cls, instants: Tensor, duration: float) -> SpacetimeMotion:
         """Neither moving nor turning yet; each alive around its instant for about `duration` clips."""
-        motion = Motion.at_rest(instants, duration, cubic=True)
+        motion = PolynomialMotion.at_rest(instants, duration, cubic=True)
         return cls(**vars(motion), turns=torch.zeros(len(instants), 4, dtype=instants.dtype))
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:

@@ -10,15 +10,18 @@ Source: Luiten et al., "Dynamic 3D Gaussians", 3DV 2024.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
 from reconstruction.gaussians.rigid import unit
 from reconstruction.gaussians.rigidity import Neighbourhood, neighbourhood, rigidity
+from reconstruction.scene_model import Rate
 
 TIMESTEPS = 13
 FIRST = 0.4  # share of the training that the first timestep takes
@@ -30,7 +33,7 @@ class TimestepMotion(MotionModel):
     """What the timesteps behind left, and who is near whom since the first; nothing here is learnt by descent."""
 
     kind = "d3dgs"
-    fixed = frozenset({"past_means", "past_quats", "current", "indices", "weights", "distances"})
+    rates: ClassVar[Mapping[str, Rate]] = {}
     past_means: Tensor  # [K, M, 3] m, rows from `current` on are of no account
     past_quats: Tensor  # [K, M, 4] unit, likewise
     current: Tensor  # [] int64, the timestep that is being learnt

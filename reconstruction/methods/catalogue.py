@@ -1,8 +1,8 @@
 """Every method by the name an operator gives."""
 
 from reconstruction.methods.d3dgs import D3DGS
+from reconstruction.methods.definition import Method
 from reconstruction.methods.four_dgs import FOUR_DGS
-from reconstruction.methods.method import Method
 from reconstruction.methods.ours import BASES, CUBIC, LINEAR, STATIC
 from reconstruction.methods.spikegs import DY_SPIKEGS, SPIKEGS
 from reconstruction.methods.spikenerf import DY_SPIKENERF, SPIKENERF

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.methods.method import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds
 
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
 
 
 def _linear(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.methods.seeding import seed_cloud
+    from reconstruction.initialization.seeding import seed_cloud
 
     return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants)
 
 
 def _cubic(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.methods.seeding import seed_cloud
+    from reconstruction.initialization.seeding import seed_cloud
 
     return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants, cubic=True)
 
 
 def _bases(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.methods.seeding import seed_rigid
+    from reconstruction.initialization.seeding import seed_rigid
 
     return seed_rigid(seeds.still, seeds.moving, seeds.clip, seeds.instants, seeds.bodies())
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from reconstruction.methods.method import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds
 
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
@@ -23,14 +23,14 @@ SPIKES_ALONE: dict[str, Any] = {"spike_every": 1, "spike_px": None}
 
 
 def _still(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.methods.seeding import seed_cloud
+    from reconstruction.initialization.seeding import seed_cloud
 
     return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants)
 
 
 def _deformed(seeds: Seeds) -> DynamicCloud:
     from reconstruction.gaussians.deformation import DeformationMotion
-    from reconstruction.methods.seeding import seed_field
+    from reconstruction.initialization.seeding import seed_field
 
     return seed_field(seeds.still, seeds.moving, seeds.clip, seeds.seed, DeformationMotion)
 

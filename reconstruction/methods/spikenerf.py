@@ -3,7 +3,7 @@
 Sources: Zhu et al., "SpikeNeRF: learning neural radiance fields from continuous spike stream", CVPR 2024: a radiance
 field, volume rendering, and a loss on long-term spikes through a neuron whose threshold varies from pixel to pixel.
 Dy-SpikeNeRF is named by the authors of Spike4DGS; its form is not public. Ours: cells in place of a network
-(`radiance_fields.field`), the neuron in expectation (`training.ray_term`), the sweep's points to start from, no view
+(`radiance_field`), the neuron in expectation (`training.ray_term`), the points of the sweep to start from, no view
 dependence.
 """
 
@@ -11,17 +11,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.methods.method import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds
 
 if TYPE_CHECKING:
-    from reconstruction.radiance_fields.field import RadianceField
+    from reconstruction.radiance_fields.radiance_field import RadianceField
 
 
 def _start(seeds: Seeds) -> RadianceField:
-    from reconstruction.radiance_fields.seeding import seed_field
+    from reconstruction.radiance_fields.cells import seed_cells
 
     still, moving = ((points.positions, points.intensities) for points in (seeds.still, seeds.moving))
-    return seed_field(still, moving, seeds.clip, seeds.cameras)
+    return seed_cells(still, moving, seeds.clip, seeds.cameras)
 
 
 SPIKENERF = Method("spikenerf", _start, moves=False, supervision="rays", rays=True)

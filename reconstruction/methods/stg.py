@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.methods.method import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds
 
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
 
 
 def _start(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.methods.seeding import seed_spacetime
+    from reconstruction.initialization.seeding import seed_spacetime
 
     return seed_spacetime(seeds.still, seeds.moving, seeds.clip, seeds.instants)
 

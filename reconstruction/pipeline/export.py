@@ -7,12 +7,12 @@ from reconstruction.errors import BadRunError
 from reconstruction.export.scene import Scene
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
-from reconstruction.radiance_fields.model import Model
 from reconstruction.run.folder import RunFolder
+from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_cloud
 
 
-def scene_of(run: RunFolder, recording: Recording, cloud: Model) -> Scene:
+def scene_of(run: RunFolder, recording: Recording, cloud: SceneModel) -> Scene:
     """`cloud` with the cameras of `recording`, which are those the run ended with."""
     targets = lambda: composite_sources(run, recording)  # noqa: E731
     return Scene(cloud, recording.rig, run.white(), run.plan.model, run.config.holdout, targets)

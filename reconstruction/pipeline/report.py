@@ -19,15 +19,14 @@ from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.export import scene_of
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
-from reconstruction.radiance_fields.model import Model, model_from_state
-from reconstruction.rendering.view import look
 from reconstruction.report.curve import draw_curve
 from reconstruction.report.html import embed, report_html
 from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import depth_colours, depth_span_m, difference, encode_png, grey, write_png
 from reconstruction.report.table import score_table
 from reconstruction.run.folder import RunFolder
-from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from reconstruction.scene_model import SceneModel
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud, model_from_state
 from rigs.rig import object_distance_m
 
 CURVE_INSTANTS = 4  # truth instants behind each point of the curve
@@ -112,7 +111,7 @@ def _write_curve(run: RunFolder, held_out: HeldOut | None, truth: Truth | None, 
         draw_curve(run.path / "error_vs_time.png", rows, metric, floors, caption)
 
 
-def _write_page(run: RunFolder, recording: Recording, cloud: Model, truth: Truth | None, metrics: dict) -> None:
+def _write_page(run: RunFolder, recording: Recording, cloud: SceneModel, truth: Truth | None, metrics: dict) -> None:
     curve = run.path / "error_vs_time.png"
     white = truth.white if truth else run.white()
     document = {
@@ -133,7 +132,7 @@ def _write_page(run: RunFolder, recording: Recording, cloud: Model, truth: Truth
     write_durably(run.path / "report.html", report_html(document))
 
 
-def _pictures(run: RunFolder, recording: Recording, cloud: Model, truth: Truth | None) -> list[list[dict]]:
+def _pictures(run: RunFolder, recording: Recording, cloud: SceneModel, truth: Truth | None) -> list[list[dict]]:
     camera = recording.rig.cameras[0]
     if run.config.holdout:
         held_out, truth = held_out_camera(recording, run.config.holdout, run.plan.views, truth)
@@ -143,7 +142,7 @@ def _pictures(run: RunFolder, recording: Recording, cloud: Model, truth: Truth |
     (run.path / "thumbnails").mkdir(exist_ok=True)
     rows = []
     for plane in spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]:
-        view = look(cloud, camera, recording.rig.clock.instant_s(plane))
+        view = cloud.look(camera, recording.rig.clock.instant_s(plane))
         near, far = depth_span_m(view.depth)
         shown = {"render": grey(view.intensity, white), "depth": depth_colours(view.depth, near, far)}
         if truth:

@@ -13,22 +13,21 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.methods.method import Seeds
+from reconstruction.methods.definition import Seeds
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.poses import write_refined
 from reconstruction.pipeline.stages import INSTANTS, composite_sources, moving_planes, read_bodies, read_points
 from reconstruction.pipeline.watch import Watch
-from reconstruction.radiance_fields.model import Model
 from reconstruction.rendering.render import Backend
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import Decision, Plan
 from reconstruction.run.prices import Work
+from reconstruction.scene_model import SceneModel, TimeSpan
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.depth_hold import ConfirmedDepth
@@ -142,7 +141,7 @@ def trainer_of(
 ) -> Trainer:
     """The trainer as a run starts it; float64 takes the reference as its backend."""
     rig, plan = recording.rig, run.plan
-    clip = Clip(0.0, recording.planes / rig.tick_rate_hz)
+    clip = TimeSpan(0.0, recording.planes / rig.tick_rate_hz)
     sources = composite_sources(run, recording)
     if plan.images in GIVEN:
         sources = _given(sources, recording, plan.images)
@@ -165,7 +164,6 @@ def trainer_of(
         **own,
     )
     if dtype != torch.float32:
-        assert isinstance(cloud, DynamicCloud)
         cloud = cloud.to(dtype)
     return Trainer(cloud, views, settings, rig.clock, run.config.seed)
 
@@ -190,14 +188,13 @@ def _given(sources: Mapping[str, CompositeSource], recording: Recording, images:
     return found
 
 
-def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: Recording) -> Plan:
+def _settled(run: RunFolder, clip: TimeSpan, views: list[TrainingView], recording: Recording) -> Plan:
     """The plan with the motion that better explains counts of the training cameras at instants nothing was swept at."""
     planes, clock = between(moving_planes(recording.planes, "bases")), recording.rig.clock
     errors = {}
     for model in ("bases", "linear"):
         run.document["plan"]["model"] = model
         cloud = _seeded(run, clip, recording.rig)
-        assert isinstance(cloud, DynamicCloud)
         errors[model] = count_error(cloud, views, planes, clock)
     model = min(errors, key=errors.__getitem__)
     reason = (
@@ -210,7 +207,7 @@ def _settled(run: RunFolder, clip: Clip, views: list[TrainingView], recording: R
     return plan
 
 
-def _seeded(run: RunFolder, clip: Clip, rig: Rig) -> Model:
+def _seeded(run: RunFolder, clip: TimeSpan, rig: Rig) -> SceneModel:
     still, moving = (read_points(run, kind) for kind in ("still", "moving"))
     cameras = [rig.camera(view) for view in run.plan.views]
     seeds = Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: read_bodies(run))

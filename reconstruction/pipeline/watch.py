@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.stages import short_images
 from reconstruction.run.folder import RunFolder
@@ -47,8 +46,8 @@ class Watch:
         views, freed = self.trainer.views, 0
         if changed:
             masks = {i: views[i].source.moving | mask for i, mask in changed.items()}
-            assert isinstance(self.trainer.cloud, DynamicCloud)
-            which = unsettled(self.trainer.cloud.still.means, [view.camera for view in views], changed)
+            still = self.trainer.cloud.positions(self.trainer.cloud.clip.first_s)[: len(self.trainer.cloud.still)]
+            which = unsettled(still, [view.camera for view in views], changed)
             freed = int(which.sum())
             self.trainer.unsettle(self._retargeted(masks), which)
             pixels = sum(int(mask.sum()) for mask in changed.values())

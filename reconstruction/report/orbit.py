@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.progress import Progress
-from reconstruction.radiance_fields.model import Model
-from reconstruction.rendering.view import look
 from reconstruction.report.pictures import Pixels, depth_colours, depth_span_m, grey
 from reconstruction.report.video import write_video
+from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
@@ -35,7 +34,7 @@ def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRA
 
 def write_orbit(
     path: Path,
-    cloud: Model,
+    cloud: SceneModel,
     rig: Rig,
     centre: Camera,
     white: float,
@@ -45,13 +44,13 @@ def write_orbit(
 ) -> None:
     """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle."""
     clip = cloud.clip
-    near, far = depth_span_m(look(cloud, centre, (clip.first_s + clip.last_s) / 2).depth)
+    near, far = depth_span_m(cloud.look(centre, (clip.first_s + clip.last_s) / 2).depth)
     distance = 2 / (1 / near + 1 / far)
 
     def pictures() -> Iterator[Pixels]:
         for i, camera in enumerate(orbit_cameras(rig, centre, distance, frames)):
             share = i / max(1, frames - 1)
-            view = look(cloud, camera, clip.first_s + share * (clip.last_s - clip.first_s))
+            view = cloud.look(camera, clip.first_s + share * (clip.last_s - clip.first_s))
             yield side_by_side(grey(view.intensity, white), depth_colours(view.depth, near, far))
             progress((i + 1) / frames, f"orbit frame {i + 1} of {frames}")
 

@@ -13,7 +13,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.methods.method import Method
+from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
 from reconstruction.run.configuration import RENAMED, ReconstructionConfig
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken

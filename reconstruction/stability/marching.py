@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from acquisition.native import code_path, code_paths
-from reconstruction.radiance_fields.field import REACH, grid_of
 from reconstruction.radiance_fields.march import Grid, march, march_reference
+from reconstruction.radiance_fields.radiance_field import REACH, grid_of
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import apart
 

@@ -12,16 +12,17 @@ import torch
 from torch import Tensor
 
 from acquisition.native import code_path, code_paths
+from reconstruction.gaussians.canonical import CanonicalMotion
 from reconstruction.gaussians.deformation import DeformationMotion
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
-from reconstruction.gaussians.field import DeformationField
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
+from reconstruction.initialization.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
+from reconstruction.scene_model import TimeSpan
 from reconstruction.stability.probe import Apart, apart
 
-CLIP = Clip(0.0, 0.02)
+CLIP = TimeSpan(0.0, 0.02)
 INSTANTS = 8
 BESIDE = 6  # points at each instant, four of them on a body
 POINTS = INSTANTS * BESIDE
@@ -67,7 +68,7 @@ def _rigid(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
     return _shaken(seed_rigid(Points.none(), _points(scale, count), CLIP, INSTANTS, bodies), scale)
 
 
-def _field(scale: float = 1.0, count: int = POINTS, *, model: type[DeformationField]) -> DynamicCloud:
+def _field(scale: float = 1.0, count: int = POINTS, *, model: type[CanonicalMotion]) -> DynamicCloud:
     """Its last layer, which starts at zero, deforms."""
     cloud = seed_field(Points.none(), _points(scale, count), CLIP, 0, model)
     generator = torch.Generator().manual_seed(1)
@@ -104,7 +105,7 @@ def _shaken(cloud: DynamicCloud, scale: float) -> DynamicCloud:
 def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], dict[str, Tensor]]:
     """Everything at an instant, and the gradients of an uneven sum of it, in float64."""
     own = DynamicCloud.from_state(cloud.state())
-    leaves = {name: t.requires_grad_() for name, t in own.tensors() if name.split(".")[1] not in own.motion.fixed}
+    leaves = {name: t.requires_grad_() for name, t in own.tensors() if name in own.rates()}
     now = own.at(instant_s)
     generator = torch.Generator().manual_seed(2)
     total = sum((t.double() * torch.rand(t.shape, generator=generator)).sum() for t in now)

@@ -14,7 +14,7 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import knot_weights
 from reconstruction.initialization.points import spacing
 from reconstruction.rendering.render import render
@@ -199,7 +199,7 @@ def _passed(_: str) -> Observation:
     error, speeds = 0.0, (0.0, 1e-30, 1e-6, 1e-3, 0.1, 1.0, 3.0, 1e3, 1e30, math.nan)
     for speed in speeds:
         point = GaussianCloud.from_points(torch.tensor([[0.0, 0.0, 2.0]]), torch.ones(1, 1), torch.ones(1), 0.9)
-        motion = Motion.at_rest(torch.tensor([0.5]), 1e3)
+        motion = PolynomialMotion.at_rest(torch.tensor([0.5]), 1e3)
         motion.velocities[:] = torch.tensor([[speed, 0.0, 0.0]])
         found = passed_px(DynamicCloud(point, point, motion, CLIP), [CAMERA], (CLIP.last_s - CLIP.first_s) / 10)
         px = CAMERA.fx * speed / 2.0 / 10

@@ -18,11 +18,11 @@ from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.packing import pack, window_means
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.verdict import refuse_blind
-from reconstruction.gaussians.dynamic import Clip
 from reconstruction.images.catalogue import methods
 from reconstruction.images.methods.tfi import tfi
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.plan import make_plan
+from reconstruction.scene_model import TimeSpan, gain_at
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.images import method_names
 from reconstruction.stability.models import models
@@ -106,10 +106,10 @@ def _long_light(_: str) -> Observation:
     """A gain for every plane: each instant finds its own."""
     cloud = models()["linear"](count=1)
     gains = np.resize(np.arange(1009, dtype=np.int16), PLANES)
-    cloud.light, cloud.clip = torch.from_numpy(gains), Clip(0.0, PLANES / 20000.0)
+    cloud.light, cloud.clip = torch.from_numpy(gains), TimeSpan(0.0, PLANES / 20000.0)
     clock, wrong = RigClock(20000.0), 0
     for plane in (*range(1000), *range(2**23, 2**23 + 1000), *range(PLANES - 1000, PLANES)):
-        wrong += cloud.gain(cloud.clip.fraction(clock.instant_s(plane))) != plane % 1009
+        wrong += gain_at(cloud.light, cloud.clip.fraction(clock.instant_s(plane))) != plane % 1009
     return Observation(f"{wrong} of 3,000 planes take another's gain", float(wrong))
 
 

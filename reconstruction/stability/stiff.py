@@ -26,9 +26,9 @@ from reconstruction.evaluation.truth import Truth
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
-from reconstruction.radiance_fields.model import Model as Trainable
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
+from reconstruction.scene_model import SceneModel
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
@@ -109,7 +109,7 @@ class StiffScene:
         return Trained(losses, score_against_truth(_single(trainer.cloud), camera, truth)["psnr_db"])
 
 
-def _single(cloud: Trainable) -> Trainable:
+def _single(cloud: SceneModel) -> SceneModel:
     """As the native renderer takes it."""
     return cloud.to(torch.float32) if isinstance(cloud, DynamicCloud) else cloud
 

@@ -10,7 +10,9 @@ import torch
 
 from acquisition.durable import write_durably
 from reconstruction.errors import BadRunError
-from reconstruction.radiance_fields.model import Model, model_from_state
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.radiance_fields.radiance_field import RadianceField
+from reconstruction.scene_model import SceneModel
 
 
 def save_checkpoint(path: Path, state: dict) -> None:
@@ -31,6 +33,11 @@ def load_checkpoint(path: Path) -> dict:
         raise BadRunError("found a damaged checkpoint", "one of this version", "train again", where=path) from error
 
 
-def load_cloud(path: Path) -> Model:
-    """The model of a checkpoint or snapshot."""
+def model_from_state(state: dict) -> SceneModel:
+    """Return the model whose `state` this is; raises ReconstructionError for a kind or tensors nobody knows."""
+    return (RadianceField if state.get("model") == RadianceField.kind else DynamicCloud).from_state(state)
+
+
+def load_cloud(path: Path) -> SceneModel:
+    """Read the model of a checkpoint or snapshot."""
     return model_from_state(load_checkpoint(path)["cloud"])

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import torch
 
-from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.rendering.render import render
+from reconstruction.scene_model import SceneModel
 from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
 WINDOW = 9  # planes
 
 
-def count_error(cloud: DynamicCloud, views: Sequence[TrainingView], planes: Sequence[int], clock: RigClock) -> float:
+def count_error(cloud: SceneModel, views: Sequence[TrainingView], planes: Sequence[int], clock: RigClock) -> float:
     """Mean distance, in spikes, of the counts over WINDOW planes around each of `planes` from what the cloud shows.
 
     Over the pixels of the training views that ever see a mover; 0 where there is none.
@@ -29,9 +27,8 @@ def count_error(cloud: DynamicCloud, views: Sequence[TrainingView], planes: Sequ
         for plane in planes:
             first = max(0, plane - WINDOW // 2)
             last = min(len(view.source.stream), first + WINDOW)
-            with torch.no_grad():
-                light = render(cloud.at(clock.instant_s((first + last - 1) / 2)), view.camera).intensity[..., 0]
-            gap = view.source.stream.counts(first, last)[moving] - light.numpy()[moving] * (last - first)
+            light = cloud.look(view.camera, clock.instant_s((first + last - 1) / 2)).intensity
+            gap = view.source.stream.counts(first, last)[moving] - light[moving] * (last - first)
             total, pixels = total + float(np.abs(gap).sum()), pixels + int(moving.sum())
     return total / pixels if pixels else 0.0
 

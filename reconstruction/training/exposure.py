@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.rendering.render import Rendering
+from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.clock import RigClock
 
@@ -40,7 +40,7 @@ class Exposure:
         """Renders that an image takes."""
         return 1 if self.passed_px is None or self.passed_px < FAR_PX else 2
 
-    def look(self, cloud: DynamicCloud, cameras: Sequence[Camera], done: float) -> None:
+    def look(self, cloud: SceneModel, cameras: Sequence[Camera], done: float) -> None:
         """Measure once, as soon as `done` of the training reaches FROM."""
         if self.passed_px is None and done >= FROM:
             self.passed_px = passed_px(cloud, cameras, self.planes / self.clock.tick_rate_hz)
@@ -62,7 +62,7 @@ def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
     return replace(renders[-1][1], median=None, **means)
 
 
-def passed_px(cloud: DynamicCloud, cameras: Sequence[Camera], span_s: float) -> float:
+def passed_px(cloud: SceneModel, cameras: Sequence[Camera], span_s: float) -> float:
     """How far in `span_s` seconds a fast mover gets in the pictures of `cameras`, in px; 0 where nothing moves.
 
     Nine in ten of what moves, is there at the time and lies in the picture are slower. NaN and infinity do not count.
@@ -72,9 +72,9 @@ def passed_px(cloud: DynamicCloud, cameras: Sequence[Camera], span_s: float) -> 
     clip, found = cloud.clip, [np.zeros(1)]
     for middle_s in np.linspace(clip.first_s, clip.last_s, LOOKS + 2)[1:-1]:
         with torch.no_grad():
-            ends = [cloud.motion.at(cloud.moving, clip.fraction(middle_s + s * span_s)) for s in (-0.5, 0.5)]
-        there = (torch.minimum(ends[0].opacities, ends[1].opacities) > LEAST_OPACITY).numpy()
-        points = [end.means.numpy()[there].astype(np.float64) for end in ends]
+            (before, early), (after, late) = (cloud.movers(middle_s + s * span_s) for s in (-0.5, 0.5))
+        there = (torch.minimum(early, late) > LEAST_OPACITY).numpy()
+        points = [means.numpy()[there].astype(np.float64) for means in (before, after)]
         found += [_shifts_px(camera, *points) for camera in cameras]
     return float(np.quantile(np.concatenate(found), FASTEST))
 

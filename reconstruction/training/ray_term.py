@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.losses.counts import robust_loss
-from reconstruction.radiance_fields.field import RadianceField
 from reconstruction.radiance_fields.march import STEP, march
+from reconstruction.radiance_fields.radiance_field import RadianceField
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.image_term import quadrature
 from reconstruction.training.view import TrainingView

@@ -17,7 +17,7 @@ from torch import Tensor
 from reconstruction.calibration.projection import Cameras
 from reconstruction.calibration.uncertainty import aligning
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion import Instantaneous
+from reconstruction.gaussians.motion_model import Instantaneous
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,10 +12,10 @@ from torch import Tensor
 
 from acquisition.members import members
 from reconstruction.errors import ReconstructionError
-from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.radiance_fields.model import Model, model_from_state
 from reconstruction.rendering.render import Backend
+from reconstruction.scene_model import SceneModel
 from reconstruction.training.adam import BETAS, EPS, Adam
+from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.depth_hold import DepthHold
 from reconstruction.training.ending import Ending
@@ -28,49 +28,11 @@ from reconstruction.training.view import TrainingView
 from reconstruction.training.watch import FRESH, freed, set_moving
 from rigs.clock import RigClock
 
-LENGTHS = ("means", "velocities", "accelerations", "jerks", "knot_centers")
-FULL_WHITE = 0.3  # spikes per tick; the rate of light is for scenes as bright as this or brighter
+FINAL_LENGTH, FINAL = 0.05, 1 / 3  # share of its first rate that a tensor of lengths, and any other, ends with
+FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene a step of light is a smaller one
 DEAD = 0.005  # opacity below which a Gaussian is not rendered to any effect
 LIVING_EVERY = 100  # steps between looks at whether any is left
-RATE_OF = {  # tensors of fields that share a rate
-    **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), "planes"),
-    **dict.fromkeys(("trunk", "hidden", "heads"), "layers"),
-    **dict.fromkeys(("entry", "inner", "again", "exit"), "network"),
-    "offsets": "offsets",
-}
 SUPERVISIONS = members("reconstruction.training.supervision", Supervision)
-
-
-@dataclass(frozen=True)
-class Rates:
-    """Adam's learning rates at the start; those of LENGTHS fall to `final` of that, the others to a third.
-
-    Lengths are in units of the scene (the mean distance from the cameras to the points).
-    """
-
-    means: float = 1e-3
-    velocities: float = 3e-3
-    accelerations: float = 5e-2
-    jerks: float = 1.2
-    quats_wxyz: float = 1e-2
-    log_scales: float = 4e-2
-    opacity_logits: float = 6e-2
-    intensities: float = 8e-3
-    instants: float = 4e-3
-    log_durations: float = 2e-2
-    turns: float = 3e-2
-    knot_quats: float = 5e-4
-    knot_centers: float = 1e-4
-    planes: float = 2e-2
-    layers: float = 4e-3
-    network: float = 3e-3
-    densities: float = 0.3
-    offsets: float = 0.05
-    final: float = 0.05
-
-    def lit(self, white: float) -> Rates:
-        """Those of a scene with this data range: where it is dim, a step of light is a smaller one."""
-        return replace(self, intensities=self.intensities * min(1.0, white / FULL_WHITE))
 
 
 @dataclass(frozen=True)
@@ -91,7 +53,6 @@ class TrainerSettings:
 
     supervision: str
     white: float = 0.6
-    rates: Rates = field(default_factory=Rates)
     tick_stride: int = 1
     spike_every: int = 2
     spike_px: tuple[int, int] | None = (160, 128)
@@ -110,7 +71,7 @@ class Trainer:
 
     def __init__(
         self,
-        cloud: Model,
+        cloud: SceneModel,
         views: Sequence[TrainingView],
         settings: TrainerSettings,
         clock: RigClock,
@@ -125,8 +86,8 @@ class Trainer:
         self.exposure = Exposure(settings.image_planes, clock) if settings.deblurs else None
         self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
         self.extent_m = _extent_m(cloud, views)
-        self.rates = settings.rates.lit(settings.white)
-        self.optimizer = _optimizer(cloud, self.extent_m, self.rates)
+        self.units = {"none": 1.0, "scene": self.extent_m, "light": min(1.0, settings.white / FULL_WHITE)}
+        self.optimizer = _optimizer(cloud, self.units)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
         self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
         self.views = self._corrected(views)
@@ -141,7 +102,6 @@ class Trainer:
         """One update; `done` in [0, 1] is how much of the training lies behind, which sets the rates."""
         self._anneal(done, self.cloud.advance(done))
         if self.exposure:
-            assert isinstance(self.cloud, DynamicCloud)
             self.exposure.look(self.cloud, [view.camera for view in self.views], done)
         every = self.settings.spike_every
         due = self.spikes if self.steps % every == every - 1 else None
@@ -198,7 +158,7 @@ class Trainer:
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
         self.cloud = model_from_state(state["cloud"])
-        self.optimizer = _optimizer(self.cloud, self.extent_m, self.rates)
+        self.optimizer = _optimizer(self.cloud, self.units)
         self.optimizer.load_state_dict(state["optimizer"])
         self.rng.bit_generator.state = json.loads(state["rng"])
         self.steps = state["steps"]
@@ -214,7 +174,6 @@ class Trainer:
 
         Adam's moments are carried over; those of a motion that a Gaussian did not have before are zero.
         """
-        assert isinstance(self.cloud, DynamicCloud)
         names = {id(tensor): name for name, tensor in self.cloud.tensors()}
         old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
         moments = {
@@ -227,7 +186,7 @@ class Trainer:
         }
         begun = torch.tensor(float(self.steps))
         self.views, self.cloud = self._corrected(views), freed(self.cloud, which)
-        self.optimizer = _optimizer(self.cloud, self.extent_m, self.rates)
+        self.optimizer = _optimizer(self.cloud, self.units)
         for name, tensor in self.cloud.tensors():
             if tensor.requires_grad:
                 state = {key: moments[key][name].clone() for key in moments}
@@ -263,25 +222,24 @@ def train(
             return
 
 
-def _optimizer(cloud: Model, extent_m: float, rates: Rates) -> torch.optim.Optimizer:
-    groups = []
+def _optimizer(cloud: SceneModel, units: Mapping[str, float]) -> torch.optim.Optimizer:
+    """Return Adam over the tensors that have a rate; `units` says what a rate of each unit is multiplied by."""
+    groups, rates = [], cloud.rates()
     for name, tensor in cloud.tensors():
-        kind = name.split(".")[1]
-        if tensor.numel() == 0 or kind in cloud.fixed:
+        if tensor.numel() == 0 or name not in rates:
             continue
         tensor.requires_grad_(True)
-        length = kind in LENGTHS
-        start = getattr(rates, RATE_OF.get(kind, kind)) * (extent_m if length else 1.0)
-        end = rates.final if length else 1 / 3
-        flags = {"field": kind in RATE_OF, "moves": not name.startswith("still")}
+        rate = rates[name]
+        start, end = rate.start * units[rate.unit], FINAL_LENGTH if rate.unit == "scene" else FINAL
+        flags = {"field": rate.deforms, "moves": not name.startswith("still")}
         groups.append({"params": [tensor], "lr": start, "start": start, "end": end, **flags})
     if all(tensor.dtype == torch.float32 for group in groups for tensor in group["params"]):
         return Adam(groups)
     return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 
 
-def _extent_m(cloud: Model, views: Sequence[TrainingView]) -> float:
+def _extent_m(cloud: SceneModel, views: Sequence[TrainingView]) -> float:
     """Mean distance from the cameras to the points: what a length is measured against."""
     centers = torch.tensor(np.stack([v.camera.center for v in views]), dtype=torch.float32)
-    points = cloud.positions((cloud.clip.first_s + cloud.clip.last_s) / 2).detach()
+    points = cloud.positions(cloud.clip.middle_s).detach()
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())

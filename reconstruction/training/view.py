@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion import Instantaneous
+from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.images.composite import CompositeSource
 from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.refinement import Correction

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.flicker import Light
-from reconstruction.methods.seeding import LONG_LIFE
+from reconstruction.initialization.seeding import LONG_LIFE
+from reconstruction.scene_model import SceneModel
+from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 
@@ -121,7 +122,7 @@ def set_moving(tensors: Mapping[str, Tensor], which: Tensor, fresh: Mapping[str,
     return carried
 
 
-def freed(cloud: DynamicCloud, which: Tensor) -> DynamicCloud:
+def freed(cloud: SceneModel, which: Tensor) -> SceneModel:
     """The cloud with the still Gaussians of `which` [N] moving: at rest so far, and there all the time."""
     state = cloud.state()
-    return DynamicCloud.from_state(state | {"tensors": set_moving(state["tensors"], which, FRESH)})
+    return model_from_state(state | {"tensors": set_moving(state["tensors"], which, FRESH)})

@@ -90,7 +90,6 @@ def reconstruct_command(
 @click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
 def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     """Render RUN from any cameras at any time, with depth."""
-    from reconstruction.rendering.view import look
     from reconstruction.report.pictures import grey, write_png
     from reconstruction.training.checkpoint import load_cloud
 
@@ -101,7 +100,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     progress = progress_of("render")
     for i, frame in enumerate(frames):
-        view = look(cloud, frame.camera, frame.instant_s)
+        view = cloud.look(frame.camera, frame.instant_s)
         write_array(out / f"{i:06d}.npy", view.intensity)
         write_array(out / f"depth_{i:06d}.npy", view.depth)
         write_png(out / f"{i:06d}.png", grey(view.intensity, white))

@@ -17,7 +17,6 @@ from reconstruction.export.formats import export_scene
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.export import trained_scene
 from reconstruction.pipeline.run import reconstruct
-from reconstruction.rendering.view import look
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from rigs.toml import catalog_rig
@@ -80,7 +79,7 @@ def test_a_finished_run_is_refused_and_unchanged(run, recording):
 def test_depth_shows_parallax(run, recording):
     """Two outer cameras see near things shifted against far ones by what the rendered depth says."""
     cloud, rig = load_cloud(run.checkpoint), Recording.open(recording).rig
-    centre = look(cloud, rig.camera("cam11"), 0.003)
+    centre = cloud.look(rig.camera("cam11"), 0.003)
     known = centre.depth[np.isfinite(centre.depth)]
     assert known.size > 0.8 * centre.depth.size
     near, far = np.percentile(known, [5, 95])

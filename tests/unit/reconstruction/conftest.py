@@ -8,21 +8,22 @@ import torch
 
 from reconstruction.export.scene import Scene
 from reconstruction.gaussians import hexplane
+from reconstruction.gaussians.canonical import CanonicalMotion
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
-from reconstruction.gaussians.field import DeformationField
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TIMESTEPS, TimestepMotion
+from reconstruction.scene_model import TimeSpan
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
 
 WHITE = 0.4  # spikes per tick
-CLIP = Clip(0.002, 0.012)
+CLIP = TimeSpan(0.002, 0.012)
 
 
 def needles(count: int, seed: int) -> GaussianCloud:
@@ -41,7 +42,7 @@ def motion_of(kind: str, moving: GaussianCloud):
     draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
     instants, logs = torch.linspace(-0.2, 1.2, count), torch.full((count,), math.log(0.4))
     if kind == "cubic":
-        return Motion(0.3 * draw(count, 3), 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs)
+        return PolynomialMotion(0.3 * draw(count, 3), 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs)
     if kind == "stg":
         turns = draw(count, 4)
         return SpacetimeMotion(0.3 * turns[:, :3], 0.4 * draw(count, 3), 0.5 * draw(count, 3), instants, logs, turns)
@@ -66,7 +67,7 @@ def motion_of(kind: str, moving: GaussianCloud):
             if name != "box":
                 tensor += 0.1 * draw(*tensor.shape)
         return field
-    return Motion(0.3 * draw(count, 3), torch.zeros(0, 3), torch.zeros(0, 3), instants, logs)
+    return PolynomialMotion(0.3 * draw(count, 3), torch.zeros(0, 3), torch.zeros(0, 3), instants, logs)
 
 
 @pytest.fixture
@@ -132,7 +133,7 @@ def cloud_of():
 def field_of():
     """A field over a cloud that deforms nothing yet, or, `trained`, one with numbers everywhere."""
 
-    def make(model: type[DeformationField], cloud: GaussianCloud, *, trained: bool = True) -> DeformationField:
+    def make(model: type[CanonicalMotion], cloud: GaussianCloud, *, trained: bool = True) -> CanonicalMotion:
         generator = torch.Generator().manual_seed(7)
         motion = model.around(cloud.means, 0.1, generator)
         for name, tensor in motion.tensors():

@@ -3,8 +3,10 @@ import pytest
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.rendering.render import Rendering, render
+from reconstruction.scene_model import TimeSpan
 from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -95,7 +97,10 @@ def test_it_pulls_layers_of_an_even_wall_together():
         torch.tensor(places, dtype=torch.float32), torch.full((800, 1), 0.5), torch.full((800,), 0.08), 0.4
     )
     cloud = DynamicCloud(
-        wall, wall.select(torch.zeros(800, dtype=torch.bool)), Motion.at_rest(torch.zeros(0), 1.0), Clip(0.0, 1.0)
+        wall,
+        wall.select(torch.zeros(800, dtype=torch.bool)),
+        PolynomialMotion.at_rest(torch.zeros(0), 1.0),
+        TimeSpan(0.0, 1.0),
     )
     known = ConfirmedDepth.of(np.full((CAMERA.height, CAMERA.width), 2.0, np.float32))
 

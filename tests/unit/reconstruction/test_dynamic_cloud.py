@@ -5,11 +5,12 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.initialization.points import Points
-from reconstruction.methods.seeding import LIFE, seed_cloud
+from reconstruction.initialization.seeding import LIFE, seed_cloud
+from reconstruction.scene_model import TimeSpan
 
-CLIP = Clip(0.0, 0.02)
+CLIP = TimeSpan(0.0, 0.02)
 
 
 def points(count, instant_s=0.01, seed=0):
@@ -72,4 +73,4 @@ def test_state_round_trips():
 
 def test_a_clip_without_length_is_refused():
     with pytest.raises(ReconstructionError, match="expected a positive length"):
-        Clip(0.01, 0.01)
+        TimeSpan(0.01, 0.01)

@@ -12,7 +12,6 @@ import pytest
 
 from reconstruction.export.formats import export_scene
 from reconstruction.export.scene import Choices, splats_at
-from reconstruction.rendering.view import look
 from reconstruction.report.pictures import depth_colours, grey
 from rigs.exchange.colmap import load_model
 from rigs.exchange.nerfstudio import load_frames
@@ -94,9 +93,9 @@ def test_a_video_from_a_camera_shows_what_it_sees(scene_with, tmp_path):
     shown = frames_of(tmp_path / "clip.mp4")
     assert [picture.shape for picture in shown] == [(40, 64)] * 6
     for picture, instant_s in zip(shown, scene.instants_s(Choices(frames=6)), strict=True):
-        own = grey(look(scene.cloud, scene.rig.camera("cam02"), instant_s).intensity, scene.white)[:40]
+        own = grey(scene.cloud.look(scene.rig.camera("cam02"), instant_s).intensity, scene.white)[:40]
         assert np.abs(picture.astype(float) - own).mean() < 3.5  # of 255, H.264's loss; worst measured 2.4
-    other = grey(look(scene.cloud, scene.rig.camera("cam00"), 0.00283).intensity, scene.white)[:40]
+    other = grey(scene.cloud.look(scene.rig.camera("cam00"), 0.00283).intensity, scene.white)[:40]
     assert np.abs(shown[0].astype(float) - other).mean() > 7
     assert np.abs(shown[0].astype(float) - shown[-1]).mean() > 7
 
@@ -115,7 +114,7 @@ def test_depth_maps_are_what_the_camera_sees_with_colours_on_one_scale(scene_wit
     assert manifest["camera"] == "cam01"  # the held-out one
     for i, frame in enumerate(manifest["frames"]):
         depth = np.load(tmp_path / "depth" / frame["file"])
-        own = look(scene.cloud, scene.rig.camera("cam01"), frame["instant_s"]).depth
+        own = scene.cloud.look(scene.rig.camera("cam01"), frame["instant_s"]).depth
         assert depth.dtype == np.float32
         assert np.array_equal(depth, own, equal_nan=True)
         assert np.isnan(depth).any()

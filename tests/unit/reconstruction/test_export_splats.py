@@ -13,7 +13,6 @@ import trimesh
 from reconstruction.export.formats import export_scene
 from reconstruction.export.scene import Choices, splats_at
 from reconstruction.rendering.render import render
-from reconstruction.rendering.view import look
 from rigs.transform import Transform
 
 SH_0 = 0.5 / np.sqrt(np.pi)
@@ -139,7 +138,7 @@ def test_what_is_read_back_shows_the_runs_own_picture(name, kind, scene_with, tm
     decoded = read(path)
     light = np.clip(decoded[4], 0, None) ** 2.2
     for camera in scene.rig.cameras:
-        own = look(scene.cloud, camera, INSTANT_S).intensity / scene.white
+        own = scene.cloud.look(camera, INSTANT_S).intensity / scene.white
         assert own.max() > 0.3
         seen_from = replace(camera, cam_from_rig=camera.cam_from_rig @ RIG_FROM_UP) if upright else camera
         assert np.abs(picture(decoded, seen_from, light).numpy() - own).max() < tolerance

@@ -10,7 +10,6 @@ import torch
 from reconstruction.export.formats import export_scene
 from reconstruction.export.viewer import KEYFRAMES, viewer_of
 from reconstruction.rendering.render import render
-from reconstruction.rendering.view import look
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -81,7 +80,7 @@ def test_every_motion_model_plays_as_the_run_renders_it(kind, scene_with):
         with torch.no_grad():
             shown = [render(tuple(map(torch.from_numpy, tensors)), camera_of(t)).intensity for t in document["cameras"]]
         for camera, picture in zip(scene.rig.cameras, shown, strict=True):
-            own = look(scene.cloud, camera, clip.first_s + u * (clip.last_s - clip.first_s)).intensity / scene.white
+            own = scene.cloud.look(camera, clip.first_s + u * (clip.last_s - clip.first_s)).intensity / scene.white
             assert own.max() > 0.2
             assert np.abs(picture[..., 0].numpy() - own).max() < 1e-5  # worst measured 2e-6
 

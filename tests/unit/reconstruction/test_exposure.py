@@ -3,15 +3,17 @@ import pytest
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.rendering.render import Rendering
+from reconstruction.scene_model import TimeSpan
 from reconstruction.training.exposure import FAR_PX, FROM, Exposure, mean_of, passed_px
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform
 
 WIDTH, HEIGHT, PLANES, RATE_HZ = 72, 56, 64, 20_000.0
-CLOCK, CLIP = RigClock(RATE_HZ), Clip(0.0, PLANES / RATE_HZ)
+CLOCK, CLIP = RigClock(RATE_HZ), TimeSpan(0.0, PLANES / RATE_HZ)
 CAMERA = Camera("cam00", WIDTH, HEIGHT, 60.0, 60.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
 NINE_S = 9 / RATE_HZ
 
@@ -24,7 +26,7 @@ def blobs(speeds: list[float], depth_m: float = 1.5) -> DynamicCloud:
     moving = GaussianCloud.from_points(
         place.expand(count, 3).clone(), torch.full((count, 1), 0.5), torch.full((count,), 0.12), 0.95
     )
-    motion = Motion.at_rest(torch.full((count,), 0.5), 100.0)
+    motion = PolynomialMotion.at_rest(torch.full((count,), 0.5), 100.0)
     motion.velocities[:, 0] = torch.tensor(speeds)
     return DynamicCloud(still, moving, motion, CLIP)
 

@@ -10,18 +10,17 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.gaussians.dynamic import Clip
-from reconstruction.radiance_fields.field import REACH, RadianceField, grid_of
+from reconstruction.radiance_fields.cells import seed_cells
 from reconstruction.radiance_fields.frustum import Frustum
 from reconstruction.radiance_fields.march import march, march_reference
-from reconstruction.radiance_fields.model import model_from_state
-from reconstruction.radiance_fields.seeding import seed_field
-from reconstruction.rendering.view import look
+from reconstruction.radiance_fields.radiance_field import REACH, RadianceField, grid_of
+from reconstruction.scene_model import TimeSpan
+from reconstruction.training.checkpoint import model_from_state
 from rigs.camera import Camera
 from rigs.transform import Transform
 
 SHAPE = (20, 24, 12)  # rows, columns, layers
-CLIP = Clip(0.0, 0.02)
+CLIP = TimeSpan(0.0, 0.02)
 NO_SHIFT = torch.zeros(1, 1, 1, 3)
 
 
@@ -163,46 +162,46 @@ def test_nodes_and_positions_are_inverse_and_rays_meet_what_they_look_at():
 
 @pytest.mark.parametrize("view", CAMERAS, ids=lambda c: c.id)
 def test_a_seeded_wall_is_seen_where_it_is_and_as_bright(view):
-    field = seed_field(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
-    seen = look(field, view, 0.01)
+    field = seed_cells(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
+    seen = field.look(view, 0.01)
     middle = (slice(6, 14), slice(10, 22))
     np.testing.assert_allclose(1 / seen.depth[middle], 1 / 2.0, atol=0.75 * field.frustum.step)  # within a layer
     np.testing.assert_allclose(seen.intensity[middle], 0.3, atol=0.03)
 
 
 def test_one_pixel_is_a_picture():
-    field = seed_field(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
-    assert look(field, CAMERAS[1].scaled(1, 1), 0.01).depth.shape == (1, 1)
+    field = seed_cells(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
+    assert field.look(CAMERAS[1].scaled(1, 1), 0.01).depth.shape == (1, 1)
 
 
 def test_light_that_flickers_dims_the_picture():
-    field = replace(seed_field(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS), light=torch.tensor([1.0, 0.5]))
-    bright, dim = (look(field, CAMERAS[1], s).intensity for s in (0.0, 0.019))
+    field = replace(seed_cells(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS), light=torch.tensor([1.0, 0.5]))
+    bright, dim = (field.look(CAMERAS[1], s).intensity for s in (0.0, 0.019))
     np.testing.assert_allclose(dim, bright / 2, rtol=1e-5)
 
 
 def test_the_deformation_moves_what_moves():
-    field = seed_field(wall(3.0, 0.1), (wall(2.0, 0.5)[0] * [0.1, 0.1, 1], wall(2.0, 0.5)[1]), CLIP, CAMERAS)
+    field = seed_cells(wall(3.0, 0.1), (wall(2.0, 0.5)[0] * [0.1, 0.1, 1], wall(2.0, 0.5)[1]), CLIP, CAMERAS)
     field.offsets[-1, ..., 1] = -4.0  # read four columns further left: it is seen further right
-    early, late = (look(field, CAMERAS[1], s).intensity for s in (0.0, 0.02))
+    early, late = (field.look(CAMERAS[1], s).intensity for s in (0.0, 0.02))
     columns = np.arange(32)
     places = [float((columns * (v > 0.3)).sum() / (v > 0.3).sum()) for v in (early, late)]
     assert places[1] - places[0] == pytest.approx(4.0, abs=0.5)
 
 
 def test_state_comes_back_whole_and_strange_tensors_are_refused():
-    field = seed_field(wall(3.0, 0.1), wall(2.0, 0.5), CLIP, CAMERAS)
+    field = seed_cells(wall(3.0, 0.1), wall(2.0, 0.5), CLIP, CAMERAS)
     state = field.state()
     back = model_from_state(state)
     assert isinstance(back, RadianceField)
-    np.testing.assert_array_equal(look(back, CAMERAS[0], 0.01).intensity, look(field, CAMERAS[0], 0.01).intensity)
+    np.testing.assert_array_equal(back.look(CAMERAS[0], 0.01).intensity, field.look(CAMERAS[0], 0.01).intensity)
     assert len(back) == len(field) == len(field.positions(0.0))
     with pytest.raises(ReconstructionError, match="train again"):
         model_from_state(state | {"tensors": {"field.colours": torch.zeros(1)}})
 
 
 def test_neighbours_that_are_alike_vary_by_nothing():
-    field = seed_field(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
+    field = seed_cells(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
     field.densities.zero_()
     field.intensities.fill_(0.3)
     cells = torch.arange(len(field))

@@ -1,6 +1,6 @@
 """Training with every motion model: exact resume, what is learnt and what is not, and a mover brought back."""
 
-from dataclasses import replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -13,9 +13,10 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.dynamic import MODELS, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion import Motion, MotionModel
+from reconstruction.gaussians.motion_model import MotionModel
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
@@ -24,15 +25,16 @@ from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
 from reconstruction.rendering.render import render
+from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
-from reconstruction.training.trainer import FULL_WHITE, LIVING_EVERY, Rates, Trainer, TrainerSettings
+from reconstruction.training.trainer import FULL_WHITE, LIVING_EVERY, Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform
 
 WIDTH, HEIGHT, PLANES, RATE_HZ = 48, 40, 48, 20_000.0
-CLIP, CLOCK = Clip(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
+CLIP, CLOCK = TimeSpan(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
 CAMERA = Camera("cam00", WIDTH, HEIGHT, 40.0, 40.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
 KINDS = ("polynomial", "bases", "4dgs", "stg", "d3dgs", "deformation")
 
@@ -41,7 +43,7 @@ def motion_of(kind: str, means: torch.Tensor, speed: float) -> MotionModel:
     """Both Gaussians along x at `speed` metres a clip (the field is at rest: it knows no speed)."""
     instants = torch.full((2,), 0.5)
     if kind == "polynomial":
-        motion = Motion.at_rest(instants, 100.0)
+        motion = PolynomialMotion.at_rest(instants, 100.0)
         motion.velocities[:, 0] = speed
         return motion
     if kind == "stg":
@@ -113,7 +115,7 @@ def test_everything_is_learnt_but_what_is_fixed(kind, view):
     for step in range(6):
         assert np.isfinite(trainer.step(0.4 + step / 20))
     for name, tensor in trainer.cloud.tensors():
-        fixed = name.split(".")[1] in trainer.cloud.motion.fixed
+        fixed = name not in trainer.cloud.rates()
         assert tensor.numel() == 0 or torch.equal(before[name], tensor) == fixed, name
 
 
@@ -128,10 +130,12 @@ def test_the_canonical_stage_leaves_the_field_alone(kind, view):
 
 
 @pytest.mark.parametrize("kind", ["bases", "4dgs", "deformation"])
-def test_a_motion_is_learnt_from_standing_still(kind, view):
-    rates = replace(TrainerSettings("pixels").rates, knot_centers=6e-3, planes=5e-2)  # fast, for sixty steps
+def test_a_motion_is_learnt_from_standing_still(kind, view, monkeypatch):
+    monkeypatch.setitem(RigidMotion.rates, "knot_centers", Rate(6e-3, "scene"))  # fast, for sixty steps
+    for planes in ("coarse_space", "coarse_time", "fine_space", "fine_time"):
+        monkeypatch.setitem(HexPlaneMotion.rates, planes, Rate(5e-2, deforms=True))
     trainer = trainer_of(kind, view)
-    trainer = Trainer(trainer.cloud, [view], TrainerSettings("pixels", rates=rates, canonical_until=0.0), CLOCK, seed=1)
+    trainer = Trainer(trainer.cloud, [view], TrainerSettings("pixels", canonical_until=0.0), CLOCK, seed=1)
     for _ in range(60):
         trainer.step(0.2)
     now, then = (trainer.cloud.at(u * CLIP.last_s).means[-2:, 0].detach() for u in (0.9, 0.1))
@@ -155,5 +159,19 @@ def test_a_training_with_nothing_left_to_see_stops_with_the_reason(alive, view):
 def test_a_step_of_light_is_smaller_in_a_dim_scene(view):
     bright, dim = (Trainer(cloud("linear"), [view], TrainerSettings("pixels", white=w), CLOCK, 0) for w in (0.5, 0.01))
     rates = [{group["start"] for group in t.optimizer.param_groups} for t in (bright, dim)]
-    assert rates[0] - rates[1] == {Rates().intensities}
-    assert rates[1] - rates[0] == {Rates().intensities * 0.01 / FULL_WHITE}
+    own = GaussianCloud.rates["intensities"].start
+    assert rates[0] - rates[1] == {own}
+    assert rates[1] - rates[0] == {own * (0.01 / FULL_WHITE)}
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_every_model_says_which_of_its_tensors_are_learnt(kind):
+    fixed = {
+        "bases": {"bodies"},
+        "4dgs": {"box"},
+        "deformation": {"box"},
+        "d3dgs": {"past_means", "past_quats", "current", "indices", "weights", "distances"},
+    }
+    names = {field.name for field in fields(MODELS[kind])}
+    assert names - MODELS[kind].rates.keys() == fixed.get(kind, set())
+    assert MODELS[kind].rates.keys() <= names

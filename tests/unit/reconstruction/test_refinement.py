@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.rendering.render import render
+from reconstruction.scene_model import TimeSpan
 from reconstruction.training.refinement import Refinement
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
@@ -32,9 +33,9 @@ def random_cloud(n, rng):
 def cloud():
     rng = np.random.default_rng(0)
     moving, count = random_cloud(20, rng), 20
-    motion = Motion.at_rest(torch.full((count,), 0.5), 1.0)
+    motion = PolynomialMotion.at_rest(torch.full((count,), 0.5), 1.0)
     motion.velocities += torch.from_numpy(rng.normal(0, 0.3, (count, 3)).astype(np.float32))
-    return DynamicCloud(random_cloud(60, rng), moving, motion, Clip(0.0, 0.02))
+    return DynamicCloud(random_cloud(60, rng), moving, motion, TimeSpan(0.0, 0.02))
 
 
 def refinement(rig: Rig = RIG) -> Refinement:

@@ -5,13 +5,14 @@ import pytest
 import torch
 
 from reconstruction.gaussians.deformation import DeformationMotion
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.methods.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
+from reconstruction.initialization.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
+from reconstruction.scene_model import TimeSpan
 from rigs.transform import Transform
 
-CLIP = Clip(0.0, 0.04)
+CLIP = TimeSpan(0.0, 0.04)
 INSTANTS = 4
 TIMES_S = CLIP.last_s * (np.arange(INSTANTS) + 0.5) / INSTANTS
 

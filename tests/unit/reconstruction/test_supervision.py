@@ -10,7 +10,8 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
@@ -18,6 +19,7 @@ from reconstruction.images.methods.tfp import tfp
 from reconstruction.losses.counts import absolute_loss, robust_loss, square_loss
 from reconstruction.rendering.render import render
 from reconstruction.run.configuration import SUPERVISIONS
+from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.training import image_term, spike_term
 from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.image_term import ImageTerm
@@ -32,7 +34,7 @@ from rigs.transform import Transform
 
 WIDTH, HEIGHT, PLANES, RATE_HZ = 72, 56, 64, 20_000.0
 LOSSES = {"l1": absolute_loss, "l2": square_loss, "counts": robust_loss, "cumulative": None}
-CLIP = Clip(0.0, PLANES / RATE_HZ)
+CLIP = TimeSpan(0.0, PLANES / RATE_HZ)
 CLOCK = RigClock(RATE_HZ)
 STEADY = Light.steady(PLANES)
 CAMERA = Camera("cam00", WIDTH, HEIGHT, 60.0, 60.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
@@ -48,7 +50,7 @@ def cloud(speed: float = 0.0) -> DynamicCloud:
     moving = GaussianCloud.from_points(
         torch.tensor([[0.0, 0.0, 1.5]]), torch.full((1, 1), 0.1), torch.full((1,), 0.12), 0.95
     )
-    motion = Motion.at_rest(torch.tensor([0.5]), 100.0)
+    motion = PolynomialMotion.at_rest(torch.tensor([0.5]), 100.0)
     motion.velocities[:] = torch.tensor([speed, 0.0, 0.0])
     return DynamicCloud(still, moving, motion, CLIP)
 
@@ -136,12 +138,12 @@ def test_a_training_that_goes_on_knows_how_many_instants_an_image_takes():
 
 
 @pytest.mark.parametrize("supervised", [name for name, chosen in SUPERVISIONS.items() if not chosen.refused])
-def test_every_supervision_moves_a_displaced_mover_back(supervised):
+def test_every_supervision_moves_a_displaced_mover_back(supervised, monkeypatch):
+    monkeypatch.setitem(GaussianCloud.rates, "means", Rate(4e-3, "scene"))
     view = seen(cloud(0.0))
     model = cloud(0.0)
     model.moving.means[:] += torch.tensor([0.05, 0.0, 0.0])
-    settings = TrainerSettings(supervised, rates=replace(TrainerSettings("pixels").rates, means=4e-3))
-    trainer = Trainer(model, [view], settings, CLOCK, seed=0)
+    trainer = Trainer(model, [view], TrainerSettings(supervised), CLOCK, seed=0)
     for step in range(30):
         assert np.isfinite(trainer.step(0.2 + step / 100))
     assert abs(float(model.moving.means.detach()[0, 0])) < 0.04
@@ -150,8 +152,8 @@ def test_every_supervision_moves_a_displaced_mover_back(supervised):
 def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
     view, model = seen(cloud(0.0)), cloud(0.0)
     model.moving.means[:] += torch.tensor([0.05, 0.0, 0.0])
-    rates = replace(TrainerSettings("pixels").rates, means=4e-3)
-    settings = TrainerSettings("counts", rates=rates, spike_every=1, spike_px=None, spike_planes=(8, 64))
+    monkeypatch.setitem(GaussianCloud.rates, "means", Rate(4e-3, "scene"))
+    settings = TrainerSettings("counts", spike_every=1, spike_px=None, spike_planes=(8, 64))
     trainer, sizes = Trainer(model, [view], settings, CLOCK, seed=0), []
     part_of = spike_term.part_with_mover
     monkeypatch.setattr(spike_term, "part_with_mover", lambda *a: sizes.append(part_of(*a).camera.width) or part_of(*a))
@@ -165,7 +167,8 @@ def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
 @pytest.mark.parametrize("norm", ["counts", "cumulative"])
 def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
     view, still = seen(cloud(0.0)), cloud(0.0)
-    still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), Motion.at_rest(torch.zeros(0), 1.0), CLIP)
+    motionless = PolynomialMotion.at_rest(torch.zeros(0), 1.0)
+    still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), motionless, CLIP)
     term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), LOSSES[norm], SpikeSampling((32, 33), None)), []
     monkeypatch.setattr(image_term, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
     term(still, view, np.random.default_rng(0))

@@ -4,8 +4,9 @@ import numpy as np
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud, Motion
-from reconstruction.rendering.view import look
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.scene_model import TimeSpan
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -19,14 +20,14 @@ def walls(*layers: tuple[float, float]) -> DynamicCloud:
     quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(len(layers), 1)
     still = GaussianCloud(means, quats, torch.full_like(means, 1.0), logits, torch.full((len(layers), 1), 0.3))
     nothing = still.select(torch.zeros(0, dtype=torch.long))
-    return DynamicCloud(still, nothing, Motion.at_rest(torch.zeros(0), 1.0), Clip(0.0, 1.0))
+    return DynamicCloud(still, nothing, PolynomialMotion.at_rest(torch.zeros(0), 1.0), TimeSpan(0.0, 1.0))
 
 
 def test_a_veil_before_a_wall_does_not_pull_its_depth_forward():
-    view = look(walls((1.0, 0.3), (3.0, 0.9)), CAMERA, 0.5)
+    view = walls((1.0, 0.3), (3.0, 0.9)).look(CAMERA, 0.5)
     assert np.isclose(view.depth[15:25, 19:29], 3.0).all()
     assert (view.intensity[15:25, 19:29] > 0.2).all()
 
 
 def test_where_less_than_half_the_light_is_taken_there_is_no_depth():
-    assert np.isnan(look(walls((1.0, 0.3), (3.0, 0.2)), CAMERA, 0.5).depth).all()
+    assert np.isnan(walls((1.0, 0.3), (3.0, 0.2)).look(CAMERA, 0.5).depth).all()

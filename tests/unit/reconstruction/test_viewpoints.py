@@ -14,9 +14,9 @@ from reconstruction.bench.plot_viewpoints import plot_viewpoints, write_viewpoin
 from reconstruction.bench.training import Clip
 from reconstruction.bench.viewpoints import BEYOND_M, bench_viewpoints, viewpoints
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip as Span
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.scene_model import TimeSpan
 from reconstruction.training.checkpoint import save_checkpoint
 from rigs.toml import catalog_rig
 
@@ -65,7 +65,7 @@ def bench(tmp_path_factory):
         torch.full((n, 1), 0.2),
     )
     none = GaussianCloud(*(tensor[:0] for tensor in vars(wall).values()))
-    cloud = DynamicCloud(wall, none, Motion.at_rest(torch.zeros(0), 1.0), Span(0.0, 0.002))
+    cloud = DynamicCloud(wall, none, PolynomialMotion.at_rest(torch.zeros(0), 1.0), TimeSpan(0.0, 0.002))
     save_checkpoint(folder / "last.pt", {"cloud": cloud.state()})
     run = SimpleNamespace(
         snapshots=lambda: [folder / "last.pt"],

@@ -12,9 +12,9 @@ from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.images.background import background
@@ -23,6 +23,7 @@ from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.methods.tfp import tfp
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import render
+from reconstruction.scene_model import TimeSpan
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
@@ -32,7 +33,7 @@ from rigs.clock import RigClock
 from rigs.transform import Transform
 
 WIDTH, HEIGHT, PLANES, RATE_HZ = 64, 48, 320, 20_000.0
-CLIP, CLOCK = Clip(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
+CLIP, CLOCK = TimeSpan(0.0, PLANES / RATE_HZ), RigClock(RATE_HZ)
 CAMERA = Camera("cam00", WIDTH, HEIGHT, 50.0, 50.0, WIDTH / 2, HEIGHT / 2, Transform.identity())
 PATCH = (slice(10, 26), slice(20, 36))
 STEADY = Light.steady(PLANES)
@@ -106,7 +107,7 @@ def motion_of(kind: str, moving: GaussianCloud):
     if kind in ("4dgs", "deformation"):
         model = HexPlaneMotion if kind == "4dgs" else DeformationMotion
         return model.around(moving.means, 0.3, torch.Generator().manual_seed(0))
-    return Motion.at_rest(instants, 0.2, cubic=kind == "cubic")
+    return PolynomialMotion.at_rest(instants, 0.2, cubic=kind == "cubic")
 
 
 @pytest.mark.parametrize("kind", ["linear", "cubic", "bases", "4dgs", "deformation", "stg"])

@@ -8,20 +8,23 @@ ones, and a deformation stored at knots of space and time. Letters: N still and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.gaussians.dynamic import Clip
 from reconstruction.radiance_fields.frustum import Frustum
-from reconstruction.radiance_fields.march import BLOCK, Grid
+from reconstruction.radiance_fields.march import BLOCK, STEP, Grid, march
+from reconstruction.rendering.pinhole import pinhole_of
+from reconstruction.rendering.render import NEAR_M
+from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
+from rigs.camera import Camera
 
-KIND = "field"
 REACH = (3, 3, 2)  # blocks around moving cells from which the deformation may lead to them
 SMOOTH = 2e-3  # weight of what neighbouring knots differ by, squared, in nodes
 
@@ -41,10 +44,10 @@ class RadianceField:
     densities: Tensor
     intensities: Tensor
     offsets: Tensor
-    clip: Clip
+    clip: TimeSpan
     light: Tensor = field(default_factory=lambda: torch.ones(1))
     unit: ClassVar[str] = "cells"
-    fixed: ClassVar[frozenset[str]] = frozenset()
+    kind: ClassVar[str] = "field"  # the name in a checkpoint
 
     def __post_init__(self) -> None:
         parts = [grid_of(self.still, 0, self.frustum.shape, (0, 0, 0))]
@@ -66,7 +69,7 @@ class RadianceField:
         u = self.clip.fraction(instant_s)
         intensities = self.intensities
         if len(self.light) > 1:
-            intensities = intensities * self.light[min(max(int(u * len(self.light)), 0), len(self.light) - 1)]
+            intensities = intensities * gain_at(self.light, u)
         if not len(self.moving):
             return self.densities, intensities, self.offsets.new_zeros(1, 1, 1, 3)
         place = min(max(u, 0.0), 1.0) * (len(self.offsets) - 1)
@@ -78,6 +81,34 @@ class RadianceField:
         flat = torch.cat([self.still, self.moving]).long()
         nodes = torch.stack(torch.unravel_index(flat, self.frustum.shape), 1)
         return torch.from_numpy(self.frustum.positions(nodes.double().numpy())).float()
+
+    def movers(self, instant_s: float) -> tuple[Tensor, Tensor]:
+        """Return empty positions [0, 3] and opacities [0]: no cell leaves its place."""
+        return torch.zeros(0, 3), torch.zeros(0)
+
+    def look(self, camera: Camera, instant_s: float) -> View:
+        """Return what `camera` sees at `instant_s` on the rig clock."""
+        pinhole_of(camera, NEAR_M)  # refuses a lens that distorts
+        rows, columns = np.indices((camera.height, camera.width)).reshape(2, -1)
+        rays = self.frustum.rays(camera, columns, rows)
+        with torch.no_grad():
+            seen = march(self.grids, rays.lines, torch.full((len(rays),), 0.5), STEP, self.at(instant_s))
+        depth = self.frustum.depths(rays, seen.middle)
+        return View(*(image.view(camera.height, camera.width).numpy() for image in (seen.light, depth)))
+
+    def to(self, dtype: torch.dtype) -> RadianceField:
+        """Return the field itself, in its only float type; raises ReconstructionError for another."""
+        if dtype != torch.float32:
+            raise ReconstructionError(f"found a radiance field asked for as {dtype}", "float32")
+        return self
+
+    def rates(self) -> Mapping[str, Rate]:
+        """Return the learning rate of every tensor that is learnt, by name."""
+        return {
+            "field.densities": Rate(0.3),
+            "field.intensities": Rate(8e-3, "light"),
+            "field.offsets": Rate(0.05, deforms=True),
+        }
 
     def advance(self, done: float) -> float:
         """How much of the training lies behind, of which a field makes one stage."""
@@ -107,10 +138,10 @@ class RadianceField:
         """How much of the light each cell takes [N + M], in [0, 1]."""
         return 1 - torch.exp(-softplus(self.densities.detach()))
 
-    def state(self) -> dict:
+    def state(self) -> dict[str, Any]:
         """Plain tensors, numbers and names, for a checkpoint."""
         return {
-            "model": KIND,
+            "model": self.kind,
             "clip": [self.clip.first_s, self.clip.last_s],
             "frustum": asdict(self.frustum),
             **{name: getattr(self, name).detach().clone() for name in ("light", "still", "moving")},
@@ -123,7 +154,7 @@ class RadianceField:
         try:
             learnt = {name.removeprefix("field."): tensor for name, tensor in state["tensors"].items()}
             kept = {name: state[name] for name in ("light", "still", "moving")}
-            return cls(frustum=Frustum(**state["frustum"]), clip=Clip(*state["clip"]), **learnt, **kept)
+            return cls(frustum=Frustum(**state["frustum"]), clip=TimeSpan(*state["clip"]), **learnt, **kept)
         except (KeyError, TypeError, ValueError) as error:
             raise ReconstructionError(
                 f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}",

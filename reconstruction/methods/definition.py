@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from reconstruction.initialization.points import Points
 
 if TYPE_CHECKING:
-    from reconstruction.gaussians.dynamic import Clip
     from reconstruction.initialization.bodies import Bodies
-    from reconstruction.radiance_fields.model import Model
+    from reconstruction.scene_model import SceneModel, TimeSpan
     from rigs.camera import Camera
 
 
@@ -24,7 +23,7 @@ class Seeds:
 
     still: Points
     moving: Points
-    clip: Clip
+    clip: TimeSpan
     instants: int
     seed: int
     cameras: Sequence[Camera]
@@ -44,7 +43,7 @@ class Method:
     """
 
     name: str
-    start: Callable[[Seeds], Model]
+    start: Callable[[Seeds], SceneModel]
     moves: bool = True
     canonical: float | None = None
     supervision: str = "pixels"

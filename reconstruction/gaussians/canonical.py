@@ -12,21 +12,20 @@ from torch import Tensor
 from torch.nn.functional import linear
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
 
 STRAY = 0.02  # share of points at each end of an axis that the box may leave out
 OUTPUTS = (3, 4, 3)  # position, quaternion, log scales
 
 
 @dataclass
-class DeformationField(MotionModel):
+class CanonicalMotion(MotionModel):
     """Offsets of place, quaternion and log scales; `box` holds the lowest and highest corner of what it covers.
 
     Offsets of places are in units of half the box, so one learning rate fits scenes of any size; beyond the box and the
     clip the field goes on as at its edge.
     """
 
-    fixed = frozenset({"box"})
     box: Tensor  # [2, 3] m
 
     @classmethod

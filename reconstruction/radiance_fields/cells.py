@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.gaussians.dynamic import Clip
-from reconstruction.radiance_fields.field import RadianceField
 from reconstruction.radiance_fields.frustum import Frustum
 from reconstruction.radiance_fields.march import KNOT
+from reconstruction.radiance_fields.radiance_field import RadianceField
+from reconstruction.scene_model import TimeSpan
 from rigs.camera import Camera
 
 AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells
@@ -26,7 +26,7 @@ OPAQUE, CLEAR = 8.0, -4.5  # raw densities: all, and 0.01 of the light a layer
 INSTANTS = 9  # knots of time
 
 
-def seed_field(still: tuple, moving: tuple, clip: Clip, cameras: Sequence[Camera]) -> RadianceField:
+def seed_cells(still: tuple, moving: tuple, clip: TimeSpan, cameras: Sequence[Camera]) -> RadianceField:
     """A field around points, each kind as positions [N, 3] in m and intensities [N] in spikes per tick.
 
     The moving ones are canonical: where they are at rest before the deformation is learnt.

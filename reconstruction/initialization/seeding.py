@@ -4,16 +4,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from reconstruction.gaussians.canonical import CanonicalMotion
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import Clip, DynamicCloud
-from reconstruction.gaussians.field import DeformationField
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion import Motion
+from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, spacing
+from reconstruction.scene_model import TimeSpan
 from rigs.transform import Transform
 
 STILL_OPACITY = 0.7
@@ -25,19 +26,19 @@ ROOM = 10.0  # spacings a field reaches at least
 LARGEST_M = 0.25  # a lone point does not start as a cloud over everything
 
 
-def seed_cloud(still: Points, moving: Points, clip: Clip, instants: int, *, cubic: bool = False) -> DynamicCloud:
+def seed_cloud(still: Points, moving: Points, clip: TimeSpan, instants: int, *, cubic: bool = False) -> DynamicCloud:
     """One Gaussian a point; `instants` is at how many moments of the clip movers were swept."""
-    motion = Motion.at_rest(_fractions(moving, clip), duration=LIFE / instants, cubic=cubic)
+    motion = PolynomialMotion.at_rest(_fractions(moving, clip), duration=LIFE / instants, cubic=cubic)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
 
 
-def seed_spacetime(still: Points, moving: Points, clip: Clip, instants: int) -> DynamicCloud:
+def seed_spacetime(still: Points, moving: Points, clip: TimeSpan, instants: int) -> DynamicCloud:
     """As `seed_cloud`, of Gaussians that can also bend their paths and turn."""
     motion = SpacetimeMotion.started(_fractions(moving, clip), LIFE / instants)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
 
 
-def seed_rigid(still: Points, moving: Points, clip: Clip, instants: int, bodies: Bodies) -> DynamicCloud:
+def seed_rigid(still: Points, moving: Points, clip: TimeSpan, instants: int, bodies: Bodies) -> DynamicCloud:
     """As `seed_cloud`, but points of bodies ride on them all the while their body was seen; the others go straight."""
     order = np.concatenate([np.flatnonzero(bodies.owners >= 0), np.flatnonzero(bodies.owners < 0)])
     placed, owners = moving.select(order), bodies.owners[order]
@@ -61,7 +62,7 @@ def seed_rigid(still: Points, moving: Points, clip: Clip, instants: int, bodies:
 
 
 def seed_field(
-    still: Points, moving: Points, clip: Clip, seed: int, model: type[DeformationField] = HexPlaneMotion
+    still: Points, moving: Points, clip: TimeSpan, seed: int, model: type[CanonicalMotion] = HexPlaneMotion
 ) -> DynamicCloud:
     """One canonical Gaussian a point, deformed by a field that starts from `seed`; no field without points."""
     if len(moving) == 0:
@@ -72,7 +73,7 @@ def seed_field(
     return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
 
 
-def seed_timesteps(still: Points, moving: Points, clip: Clip) -> DynamicCloud:
+def seed_timesteps(still: Points, moving: Points, clip: TimeSpan) -> DynamicCloud:
     """One Gaussian a point, the moving ones at the first timestep."""
     canonical = _gaussians(moving, MOVING_OPACITY)
     motion = TimestepMotion.started(canonical.means)
@@ -103,7 +104,7 @@ def _knots(values: np.ndarray) -> Tensor:
     return torch.from_numpy(knots.astype(np.float32))
 
 
-def _fractions(points: Points, clip: Clip) -> Tensor:
+def _fractions(points: Points, clip: TimeSpan) -> Tensor:
     return torch.tensor([clip.fraction(s) for s in points.instants_s], dtype=torch.float32)
 
 

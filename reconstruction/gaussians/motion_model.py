@@ -1,0 +1,53 @@
+"""What every motion model promises.
+
+Letters: M moving Gaussians. Time u is in clips, 0 at the clip's start and 1 at its end, so that one learning rate fits
+clips of any length.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import ClassVar, NamedTuple
+
+from torch import Tensor
+
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.scene_model import Rate
+
+
+class Instantaneous(NamedTuple):
+    """Gaussians at one instant, as the renderer takes them; all but the opacities are encoded as in the cloud."""
+
+    means: Tensor  # [N, 3] m
+    quats_wxyz: Tensor  # [N, 4] of any length
+    log_scales: Tensor  # [N, 3] log m
+    opacities: Tensor  # [N] 0 to 1, after the motion's gate
+    intensities: Tensor  # [N, C] spikes per tick
+
+
+class MotionModel(ABC):
+    """How M Gaussians move. A subclass is a dataclass; its fields are the tensors that a checkpoint stores."""
+
+    kind: ClassVar[str]  # the name in a checkpoint
+    rates: ClassVar[Mapping[str, Rate]]  # by tensor; training leaves a tensor without a rate as it is
+
+    @abstractmethod
+    def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
+        """Return the M Gaussians at u; differentiable in every stored tensor, finite for any finite u."""
+
+    def tensors(self) -> Iterator[tuple[str, Tensor]]:
+        """Yield every stored tensor with its name."""
+        yield from vars(self).items()
+
+    def span(self) -> tuple[float, float]:
+        """Return the first and last u of the part of the clip that training looks at now."""
+        return 0.0, 1.0
+
+    def advance(self, moving: GaussianCloud, done: float) -> float:
+        """Take note before a step that `done` (0 to 1) of the training is over; return how much of this stage is."""
+        return done
+
+    def penalty(self, moving: GaussianCloud) -> Tensor | None:
+        """Return the scalar that the model's own regulariser adds to the loss, or None where it has none."""
+        return None
