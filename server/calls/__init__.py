@@ -1,1 +1,1 @@
-"""What the client asks of the service, one noun a file."""
+"""The requests of the client, by noun."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Generator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import httpx
 from pydantic import BaseModel
@@ -25,13 +25,13 @@ class RefusedError(ServiceError):
 
 
 class Patience(httpx.Auth):
-    """Sends again, as soon as the service lets it, what was refused as one request too many (429)."""
+    """Repeats a request that was one too many (429) as soon as the service allows it."""
 
     _MOST_TIMES = 5
     _MOST_S = 10
 
     def auth_flow(self, request: httpx.Request) -> Generator[httpx.Request, httpx.Response, None]:
-        """Yield the request until it is let in or the wait is too long; the last answer counts, whatever it is."""
+        """Yield the request until it is accepted or the wait is too long; the last answer counts."""
         for _ in range(self._MOST_TIMES):
             response = yield request
             wait_s = response.headers.get("Retry-After", "")
@@ -44,21 +44,22 @@ class Patience(httpx.Auth):
 
 
 class Transport:
-    """Requests over `http`; raises RefusedError for a problem and httpx.TransportError where nothing answers."""
+    """Requests over `http`; raises RefusedError for a problem and httpx.TransportError if nothing answers."""
 
     def __init__(self, http: httpx.Client) -> None:
         self._http = http
         self._http.auth = Patience()
 
-    def _get(self, path: str, model: type[_M], **parameters: str | int) -> _M:
-        return model.model_validate_json(self._checked(self._http.get(f"/v1{path}", params=parameters)).content)
+    def _send(self, method: str, path: str, **request: Any) -> httpx.Response:
+        return self._checked(self._http.request(method, f"/v1{path}", **request))
 
-    def _post(self, path: str, model: type[_M], request: BaseModel | None = None) -> _M:
+    def _get(self, path: str, model: type[_M], **parameters: str | int) -> _M:
+        return model.model_validate_json(self._send("GET", path, params=parameters).content)
+
+    def _post(self, path: str, model: type[_M], request: BaseModel | None = None, **options: Any) -> _M:
         body = None if request is None else request.model_dump(exclude_none=True)
-        headers = {"Idempotency-Key": uuid.uuid4().hex}  # a transport may send again what got no answer
-        return model.model_validate_json(
-            self._checked(self._http.post(f"/v1{path}", json=body, headers=headers)).content
-        )
+        headers = {"Idempotency-Key": uuid.uuid4().hex}  # a transport may repeat a request that got no answer
+        return model.model_validate_json(self._send("POST", path, json=body, headers=headers, **options).content)
 
     @staticmethod
     def _checked(response: httpx.Response) -> httpx.Response:

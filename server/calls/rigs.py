@@ -1,0 +1,81 @@
+"""A client's requests about rigs and their calibrations."""
+
+from __future__ import annotations
+
+from server.calls.transport import Transport
+from server.etags import tag
+from server.schemas.calibrations import (
+    Calibration,
+    CalibrationChoice,
+    CalibrationInfo,
+    CalibrationRequest,
+    Calibrations,
+    CurrentCalibration,
+    RigCheckRequest,
+)
+from server.schemas.job_types import LookRequest, PreflightRequest
+from server.schemas.jobs import Job
+from server.schemas.rigs import RigInfo, Rigs, RigStatus
+
+
+class RigCalls(Transport):
+    """Looks at rigs, and asks for and chooses their calibrations."""
+
+    def rigs(self) -> list[RigInfo]:
+        """List all rigs."""
+        return self._get("/rigs", Rigs).items
+
+    def rig(self, rig_id: str) -> RigInfo:
+        """Return one rig."""
+        return self._get(f"/rigs/{rig_id}", RigInfo)
+
+    def rig_status(self, rig_id: str) -> RigStatus:
+        """Tell how a rig is."""
+        return self._get(f"/rigs/{rig_id}/status", RigStatus)
+
+    def preflight(self, rig_id: str, request: PreflightRequest | None = None) -> Job:
+        """Check everything that could spoil a recording."""
+        return self._post(f"/rigs/{rig_id}/preflight", Job, request)
+
+    def look(self, rig_id: str, request: LookRequest | None = None) -> Job:
+        """Take a picture with all cameras."""
+        return self._post(f"/rigs/{rig_id}/look", Job, request)
+
+    def look_picture(self, rig_id: str) -> bytes:
+        """Return what the cameras saw at the last look, as PNG."""
+        return self._send("GET", f"/rigs/{rig_id}/look.png").content
+
+    def calibrate(self, rig_id: str, request: CalibrationRequest) -> Job:
+        """Queue a calibration of a rig."""
+        return self._post(f"/rigs/{rig_id}/calibrations", Job, request)
+
+    def calibrations(self, rig_id: str) -> list[CalibrationInfo]:
+        """List all calibrations of a rig, newest first."""
+        return self._get(f"/rigs/{rig_id}/calibrations", Calibrations).items
+
+    def calibration(self, rig_id: str, version: int) -> Calibration:
+        """Return one calibration; 0 is the rig as it was drawn."""
+        return self._get(f"/rigs/{rig_id}/calibrations/{version}", Calibration)
+
+    def calibration_toml(self, rig_id: str, version: int) -> str:
+        """Return the rig file of a calibration."""
+        return self._send("GET", f"/rigs/{rig_id}/calibrations/{version}/rig.toml").text
+
+    def calibration_picture(self, rig_id: str, version: int) -> bytes:
+        """Return the picture of a calibration's residuals, a PNG."""
+        return self._send("GET", f"/rigs/{rig_id}/calibrations/{version}/picture").content
+
+    def current_calibration(self, rig_id: str) -> CurrentCalibration:
+        """Return the calibration in use."""
+        return self._get(f"/rigs/{rig_id}/calibration", CurrentCalibration)
+
+    def choose_calibration(self, seen: CurrentCalibration, choice: CalibrationChoice) -> CurrentCalibration:
+        """Use another version or a rig file instead of the calibration `seen`; refused if that has changed since."""
+        headers = {"If-Match": tag(seen.rig, seen.revision)}
+        body = choice.model_dump(exclude_none=True)
+        answer = self._send("PUT", f"/rigs/{seen.rig}/calibration", json=body, headers=headers)
+        return CurrentCalibration.model_validate_json(answer.content)
+
+    def check_calibration(self, rig_id: str, capture_id: str) -> Job:
+        """Queue a comparison of the current calibration with a capture."""
+        return self._post(f"/rigs/{rig_id}/calibration/check", Job, RigCheckRequest(capture=capture_id))
