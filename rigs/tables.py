@@ -18,7 +18,7 @@ def located(where: str) -> Iterator[None]:
     try:
         yield
     except RigError as error:
-        raise RigError(f"{where}: {error}") from error
+        raise RigError.at(where, error) from error
 
 
 class Fields:

@@ -11,9 +11,8 @@ from server.calls.captures import CaptureCalls
 from server.calls.events import EventCalls
 from server.calls.rigs import RigCalls
 from server.calls.transport import RefusedError
-from server.schemas.artefacts import Artefact, Artefacts
 from server.schemas.job_types import BatchRequest, JobBase, PriorityRequest, RestartRequest
-from server.schemas.jobs import Job, Jobs, Step, Steps
+from server.schemas.jobs import Artefact, Artefacts, Job, Jobs, Step, Steps
 from server.schemas.system import Check, Info, WorkerInfo, Workers
 
 __all__ = ["RefusedError", "ServiceClient"]

@@ -1,31 +1,29 @@
-"""The job engine as the service uses it: names, queues, and what a client may ask of a workflow."""
+"""The job engine as the service uses it: names, queues, and the questions and orders of a client."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
 from dbos import error as engine_errors
 
+from reconstruction.run.configuration import STAGES
 from server.errors import StateError
 from server.pickles import refuse_pickles
 from server.schemas.progress import Status
 from server.settings import ServiceSettings
 from server.store.engine_tables import EngineTables
-from server.store.entries import Entry
+from server.store.entries import Listed, Open
+from server.store.tables import Entry
 
 APPLICATION = "spike4dgs"
 # Workflows replay their steps by position: change this when, and only when, the order of stages changes.
 APPLICATION_VERSION = "3"
 WORKFLOW = "entry"
 
-RECONSTRUCTIONS = "reconstructions"  # what trains: one at a time a worker
+RECONSTRUCTIONS = "reconstructions"  # queue of trainings: one at a time a worker
+TASKS = "tasks"  # queue of work that takes a processor for seconds or minutes
 _CONNECTIONS = 20  # as many as half the web process's threads
-TASKS = "tasks"  # what takes a processor for seconds or minutes
-
-STAGES: dict[str, tuple[str, ...]] = {"reconstruct": ("plan", "poses", "images", "points", "train", "report")}
-
 _STATUS: dict[str, Status] = {
     "ENQUEUED": "queued",
     "DELAYED": "queued",
@@ -33,30 +31,17 @@ _STATUS: dict[str, Status] = {
     "SUCCESS": "done",
     "CANCELLED": "cancelled",
 }
+Queued = Entry | Listed | Open
 
 
 def stages_of(entry_type: str) -> tuple[str, ...]:
-    """The stages of a kind of work, in order."""
-    return STAGES.get(entry_type, (entry_type,))
+    """Return the stages of a kind of work, in order."""
+    return STAGES if entry_type == "reconstruct" else (entry_type,)
 
 
 def capture_queue(rig_id: str) -> str:
-    """The queue of what records with a rig."""
+    """Return the queue of recordings with a rig."""
     return f"captures-{rig_id}"
-
-
-class Queued(Protocol):
-    """What has an id and, where there is anything to do, a queue."""
-
-    @property
-    def id(self) -> str:
-        """The entry's id."""
-        ...
-
-    @property
-    def queue(self) -> str | None:
-        """Where it is queued, if it is."""
-        ...
 
 
 class Engine:
@@ -69,7 +54,7 @@ class Engine:
             system_database_pool_size=_CONNECTIONS,
             serializer=DBOSPortableJSONSerializer(),
             application_name=APPLICATION,
-            retry_connection_errors=False,  # who asks is told, rather than kept waiting for the database
+            retry_connection_errors=False,  # the caller is told, rather than kept waiting for the database
         )
         self._tables = EngineTables(settings)
 
@@ -79,7 +64,7 @@ class Engine:
         self._tables.close()
 
     def check(self) -> None:
-        """Raises where the database does not answer."""
+        """Raise where the database does not answer."""
         self._client.check_connection()
 
     def enqueue(self, entry: Entry) -> None:
@@ -94,35 +79,39 @@ class Engine:
         }
         self._client.enqueue(options, entry.id, list(stages_of(entry.type)))
 
+    def status(self, entry: Queued) -> Status:
+        """Return the status of one entry, as `statuses` does."""
+        return self.statuses([entry])[entry.id]
+
     def statuses(self, entries: Sequence[Queued]) -> dict[str, Status]:
-        """The status of each entry; one without work is done, one that is yet to be queued is queued."""
+        """Return the status of each entry; one without work is done, one that is yet to be queued is queued."""
         return {entry_id: status or "queued" for entry_id, status in self.known(entries).items()}
 
     def known(self, entries: Sequence[Queued]) -> dict[str, Status | None]:
-        """The same, but None for what should be queued and is not, nor ever was since the engine forgot it."""
+        """Return the same, but None for an entry with a queue that the engine does not know, or no longer."""
         found = self._tables.statuses([entry.id for entry in entries if entry.queue is not None])
         known: dict[str, Status] = {entry_id: _STATUS.get(status, "failed") for entry_id, status in found.items()}
         return {entry.id: known.get(entry.id) if entry.queue else "done" for entry in entries}
 
     def active(self, queue: str) -> str | None:
-        """An entry of the queue that is queued or running, if any."""
+        """Return an entry of the queue that is queued or running, if any."""
         found = self._client.list_workflows(
             queue_name=queue, status=["ENQUEUED", "PENDING"], limit=1, load_input=False, load_output=False
         )
         return found[0].workflow_id if found else None
 
     def count(self) -> dict[tuple[str, Status], int]:
-        """How many entries of each queue are queued or running."""
+        """Return how many entries of each queue are queued or running."""
         found = self._tables.count(["ENQUEUED", "PENDING"])
         return {(queue, _STATUS[status]): number for (queue, status), number in found.items()}
 
     def running(self) -> dict[str, str]:
-        """Every running entry's id, and the worker that has it."""
+        """Return every running entry's id, and the worker that has it."""
         found = self._client.list_workflows(status="PENDING", load_input=False, load_output=False)
         return {one.workflow_id: one.executor_id or "" for one in found}
 
     def ended(self) -> list[str]:
-        """All entries the engine remembers that are neither queued nor running."""
+        """Return all entries the engine remembers that are neither queued nor running."""
         found = self._client.list_workflows(
             name=WORKFLOW, status=["SUCCESS", "ERROR", "CANCELLED"], load_input=False, load_output=False
         )
@@ -156,5 +145,5 @@ class Engine:
             raise StateError(f"found {entry.id} queued or deleted meanwhile", "it ended", "look again") from error
 
     def forget(self, entry_id: str) -> None:
-        """Delete what the engine knows of an entry."""
+        """Delete the engine's memory of an entry."""
         self._client.delete_workflow(entry_id)

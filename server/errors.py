@@ -1,8 +1,9 @@
-"""What the service refuses."""
+"""Errors of the service; `server.middleware.problems` maps each to an HTTP status."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 
 from rigs.errors import Spike4dgsError
@@ -39,11 +40,11 @@ class IdempotencyError(ServiceError):
 
 
 class PreconditionError(ServiceError):
-    """What was to be changed is no longer what the client saw."""
+    """The thing to be changed is no longer what the client saw."""
 
 
 class PreconditionRequiredError(ServiceError):
-    """A change was asked for without saying what it is a change of."""
+    """A request for a change does not say which version it changes."""
 
 
 class RigMismatchError(ServiceError):
@@ -51,27 +52,27 @@ class RigMismatchError(ServiceError):
 
 
 class OffsetError(ServiceError):
-    """A piece of an upload that does not begin where the last one ended; `headers` have where that is."""
+    """A piece of an upload does not begin where the last one ended; `headers` have where that is."""
 
     def __init__(self, found: int, expected: int) -> None:
-        super().__init__(f"found the offset {found}, expected {expected}; send the bytes from there on")
+        super().__init__(f"found the offset {found}", str(expected), "send the bytes from there on")
         self.headers = {"Upload-Offset": str(expected)}
 
 
 class UploadSizeError(ServiceError):
-    """An upload that is longer than it may be, or than it was said to be."""
+    """An upload is longer than it may be, or than it was said to be."""
 
 
 class UploadDiskError(ServiceError):
-    """The disk has no room for an upload; what came before, `offset` bytes, is kept."""
+    """The disk has no room for an upload; the `offset` bytes that came before are kept."""
 
     def __init__(self, reason: str, offset: int) -> None:
-        super().__init__(f"found no room on the disk ({reason}), expected enough for the upload; free some and go on")
+        super().__init__(f"found no room on the disk ({reason})", "enough for the upload", "free some and go on")
         self.headers = {"Upload-Offset": str(offset)}
 
 
 class DigestError(ServiceError):
-    """What was sent is not what was announced."""
+    """The bytes that were sent are not the ones that were announced."""
 
 
 class UnauthorizedError(ServiceError):
@@ -88,7 +89,7 @@ class BusyClientError(ServiceError):
     """The client asks too often; it may ask again when `headers` say."""
 
     def __init__(self, wait_s: int) -> None:
-        super().__init__(f"found too many requests of one client, expected fewer; ask again in {wait_s} s")
+        super().__init__("found too many requests of one client", "fewer", f"ask again in {wait_s} s")
         self.headers = {"Retry-After": str(wait_s)}
 
 
@@ -111,16 +112,25 @@ class TokenError(ServiceError):
 
 
 class ExposedError(ServiceError):
-    """The service would be reached from elsewhere by anyone."""
+    """Anyone elsewhere could reach the service."""
 
     exit_code = 2
 
 
 class TargetError(ServiceError):
-    """A webhook's address that is not spoken to."""
+    """A webhook's address is not one that this service speaks to."""
 
 
 class WorkerRunningError(ServiceError):
     """Another worker has this name."""
 
     exit_code = 2
+
+
+@contextmanager
+def referred() -> Iterator[None]:
+    """Raise UnknownReferenceError for a NotFoundError of the block: the request's body names it, not its path."""
+    try:
+        yield
+    except NotFoundError as error:
+        raise UnknownReferenceError(error.found, error.expected, error.do, where=error.where) from error

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,5 +23,7 @@ class Estimate:
 
 def shrunk(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """An image averaged down to the size of `camera`."""
+    import cv2
+
     small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.float32)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +13,8 @@ def nearest(points: NDArray, others: NDArray, count: int = 1) -> tuple[NDArray[n
 
     Distances are exact to float32, also far from the origin. `others` holds at least `count` points, `points` one.
     """
+    import cv2
+
     middle = others.mean(axis=0)
     near, far = (np.ascontiguousarray(p - middle, dtype=np.float32) for p in (points, others))
     indices, squared = cv2.flann.Index(far, {"algorithm": SINGLE_TREE}).knnSearch(near, count, params={})

@@ -134,7 +134,7 @@ def _refuse_without_token(settings: ServiceSettings) -> None:
     from server.services.access import AccessService
     from server.store.store import Store
 
-    store = Store.open(settings)
+    store = Store(settings)
     try:
         AccessService(store.tokens, settings).check_exposure()
     finally:

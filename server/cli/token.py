@@ -54,7 +54,7 @@ def remove_command(name: str, data: Path | None) -> None:
 
 @contextmanager
 def _tokens(data: Path | None) -> Iterator[Tokens]:
-    store = Store.open(settings_of(rig=None, devices=None, data=data))
+    store = Store(settings_of(rig=None, devices=None, data=data))
     try:
         yield store.tokens
     finally:

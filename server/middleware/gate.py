@@ -15,7 +15,7 @@ from server.middleware.limits import ClientRates, address_of
 from server.middleware.problems import problem_of
 from server.services.access import AccessService
 from server.settings import ServiceSettings
-from server.store.tokens import Token
+from server.store.tables import Token
 
 OPEN = ("/v1/healthz",)  # a watchdog of the service has no token
 

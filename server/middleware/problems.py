@@ -18,6 +18,7 @@ from acquisition.errors import DiskError
 from rigs.errors import RigError, Spike4dgsError
 from server import errors
 from server.middleware.headers import protect
+from server.store.database import is_full, reason_of
 
 _MOST_FAULTS = 20  # of one request, so that an answer stays short
 _STATUS: dict[int, tuple[type[Exception], ...]] = {
@@ -79,10 +80,9 @@ def problem_of(error: Exception) -> JSONResponse:
 
 
 def _refused_by_database(error: SQLAlchemyError) -> JSONResponse:
-    reason = str(getattr(error, "orig", error)).splitlines()[0]
-    if "disk is full" in reason:
+    if is_full(error):
         return problem(507, "No space left for the database; free some", "disk-full")
-    return problem(503, f"the database refused: {reason[:200]}", "database")
+    return problem(503, f"the database refused: {reason_of(error)[:200]}", "database")
 
 
 def install(app: FastAPI) -> None:

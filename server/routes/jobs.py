@@ -19,12 +19,11 @@ from server.routes.parameters import (
     located,
     not_modified,
 )
-from server.schemas.artefacts import Artefacts
 from server.schemas.job_types import BatchRequest, JobRequest, PriorityRequest, RestartRequest
-from server.schemas.jobs import Job, Jobs, Steps
+from server.schemas.jobs import Artefacts, Job, Jobs, Steps
 from server.schemas.progress import Status
-from server.store.artefacts import StoredArtefact
 from server.store.entries import Filter
+from server.store.tables import StoredArtefact
 
 router = APIRouter(tags=["jobs"])
 _FILE: dict[int | str, dict[str, Any]] = {

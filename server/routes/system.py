@@ -10,7 +10,7 @@ from server.middleware.problems import problem
 from server.routes.parameters import TheServices
 from server.schemas.job_types import JOB_TYPES
 from server.schemas.system import Check, Info, Workers
-from server.store.tokens import Token
+from server.store.tables import Token
 
 router = APIRouter(tags=["system"])
 

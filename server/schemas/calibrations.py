@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from server.schemas.job_types import BoardSpec, EntryId, JobBase
-from server.schemas.progress import Request
+from server.schemas.progress import Items, Request
 
 MOST_TOML = 64_000  # characters; nine cameras take 3,000
 
@@ -38,7 +38,7 @@ class CalibrationRequest(JobBase):
 
 
 class RigCheckRequest(JobBase):
-    """Whether the current calibration still fits what a capture saw."""
+    """A comparison of the current calibration with what a capture saw."""
 
     capture: EntryId
 
@@ -78,14 +78,12 @@ class CalibrationInfo(BaseModel):
     sha256: str
 
 
-class Calibrations(BaseModel):
+class Calibrations(Items[CalibrationInfo]):
     """The calibrations of a rig, newest first, without the nominal one."""
-
-    items: list[CalibrationInfo]
 
 
 class Calibration(CalibrationInfo):
-    """A calibration and how good it is; `report` is all that was said when it was found.
+    """A calibration and how good it is; `report` is the whole account of how it was found.
 
     `cameras` is empty where no poses were found; `picture` says whether there is one of the residuals.
     """

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS
-from server.schemas.progress import Progress, Request, Status
+from server.schemas.progress import Page, Progress, Request, Status, example
 
 # No control characters, no line ends, nothing that turns the direction of the text around it.
 SHOWN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ufeff]+$"
@@ -21,11 +21,7 @@ class CaptureRequest(Request):
     spike) and `exposure` (part of a tick that gathers light) are thousandths and stay in the cameras.
     """
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [{"ticks": 2000, "name": "fan, first try"}, {"until_stopped": True, "pre_trigger_ms": 50}]
-        }
-    )
+    model_config = example({"ticks": 2000, "name": "fan, first try"}, {"until_stopped": True, "pre_trigger_ms": 50})
 
     ticks: Annotated[int | None, Field(ge=1, le=10_000_000)] = None
     until_stopped: bool = False
@@ -93,11 +89,8 @@ class Capture(Progress):
     status: Status
 
 
-class Captures(BaseModel):
+class Captures(Page[Capture]):
     """Captures, newest first; `next` is the cursor of the next page."""
-
-    items: list[Capture]
-    next: str | None = None
 
 
 class GapInfo(BaseModel):
@@ -109,7 +102,7 @@ class GapInfo(BaseModel):
 
 
 class CameraFileInfo(BaseModel):
-    """One camera's stream; `gaps` are the first of `gaps_total`, `partial_bytes` lay behind the last whole plane."""
+    """One camera's stream; `gaps` are the first of `gaps_total`, `partial_bytes` follow the last whole plane."""
 
     id: str
     width: int
@@ -138,7 +131,7 @@ class Verified(BaseModel):
 
 
 class ManifestInfo(BaseModel):
-    """What a recording holds and what it lacks; `reason` says why an incomplete one is one."""
+    """The contents of a recording and what it lacks; `reason` says why it is incomplete."""
 
     capture: str
     tick_rate_hz: float

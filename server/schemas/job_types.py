@@ -1,45 +1,26 @@
-"""What may be asked of a job: what is done with a capture, or with what another job made."""
+"""The types of jobs: each works on a capture, or on the results of another job."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from server.schemas.captures import Name
-from server.schemas.progress import Request
-
-Images = Literal["auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot", "msdi"]
-ImageMethod = Literal["tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "spk2imgnet", "blindspot", "msdi"]
-Init = Literal["auto", "sweep", "natural", "sfm", "msdi"]
-Model = Literal[
-    "auto",
-    "static",
-    "linear",
-    "cubic",
-    "bases",
-    "4dgs",
-    "stg",
-    "d3dgs",
-    "spikegs",
-    "dy-spikegs",
-    "spikenerf",
-    "dy-spikenerf",
-]
-Supervision = Literal["auto", "pixels", "l1", "l2", "image-variation", "variation", "counts", "cumulative", "both"]
-Refine = Literal["auto", "on", "off"]
-Stage = Literal["plan", "poses", "images", "points", "train", "report"]
-ExportFormat = Literal["ply", "ply-sequence", "splat", "spz", "glb", "video", "depth", "colmap", "nerfstudio"]
+from server.schemas.choices import ExportFormat, ImageMethod, Images, Init, Model, Refine, Stage, Supervision
+from server.schemas.progress import Request, example
 
 CameraId = Annotated[str, Field(pattern=r"^cam\d\d$")]
 EntryId = Annotated[str, Field(max_length=40)]
 Planes = Annotated[str, Field(pattern=r"^\d{1,8}:\d{1,8}(:\d{1,8})?$")]
 RigId = Annotated[str, Field(min_length=1, max_length=64)]
+_CAPTURE = {"capture": "c20260101-120000-0a1b2c3d"}
+_JOB = {"job": "j20260101-121500-4e5f6a7b"}
 BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5,80}$")]
 
 
 class JobBase(Request):
-    """What every job may be given: a name, and a priority: the lower is done the earlier."""
+    """The options of every job: a name, and a priority, of which the lower is done earlier."""
 
     name: Name | None = None
     priority: Annotated[int, Field(ge=1, le=1000)] = 100
@@ -52,7 +33,7 @@ class OfCapture(JobBase):
 
 
 class OfJob(JobBase):
-    """A job that works on what a finished reconstruction left."""
+    """A job that works on the results of a finished reconstruction."""
 
     job: EntryId
 
@@ -63,14 +44,7 @@ class ReconstructRequest(OfCapture):
     `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one.
     """
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {"capture": "c20260101-120000-0a1b2c3d", "holdout": "cam11", "budget_s": 300},
-                {"type": "reconstruct", "capture": "c20260101-120000-0a1b2c3d"},
-            ]
-        }
-    )
+    model_config = example(_CAPTURE | {"holdout": "cam11", "budget_s": 300}, {"type": "reconstruct"} | _CAPTURE)
 
     type: Literal["reconstruct"] = "reconstruct"
     model: Model = "auto"
@@ -95,13 +69,7 @@ class ReconstructRequest(OfCapture):
 class ImagesRequest(OfCapture):
     """Intensity images of every camera at the planes A:B:STEP."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {"type": "images", "capture": "c20260101-120000-0a1b2c3d", "method": "tfi", "ticks": "0:400:20"}
-            ]
-        }
-    )
+    model_config = example({"type": "images"} | _CAPTURE | {"method": "tfi", "ticks": "0:400:20"})
 
     type: Literal["images"]
     method: ImageMethod
@@ -111,21 +79,11 @@ class ImagesRequest(OfCapture):
 class CalibrateRequest(OfCapture):
     """A calibration of the rig from a capture: from a board that is waved before it, or from whatever it sees.
 
-    With `dark`, a capture without light, it is one of the pixels, and `capture` is one under even light. What is found
-    becomes a version of the calibration of `rig`, if one is named, and the current one where it is to `apply`.
+    With `dark`, a capture without light, the pixels are calibrated, and `capture` is one under even light. The result
+    becomes a version of the calibration of `rig`, if one is named, and with `apply` the current one.
     """
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "type": "calibrate",
-                    "capture": "c20260101-120000-0a1b2c3d",
-                    "board": "charuco:6x4:100:67.5:DICT_4X4_50",
-                }
-            ]
-        }
-    )
+    model_config = example({"type": "calibrate"} | _CAPTURE | {"board": "charuco:6x4:100:67.5:DICT_4X4_50"})
 
     type: Literal["calibrate"]
     board: BoardSpec | None = None
@@ -143,22 +101,18 @@ class CalibrateRequest(OfCapture):
 
 
 class CheckRigRequest(OfCapture):
-    """Whether the calibration that a capture was recorded with, or the current one of `rig`, still fits it."""
+    """A check whether the calibration that a capture was recorded with, or the current one of `rig`, still fits it."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"type": "check-rig", "capture": "c20260101-120000-0a1b2c3d"}]}
-    )
+    model_config = example({"type": "check-rig"} | _CAPTURE)
 
     type: Literal["check-rig"]
     rig: RigId | None = None
 
 
 class VerifyRequest(OfCapture):
-    """Whether every byte of a capture is as it was written."""
+    """A check whether every byte of a capture is as it was written."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"type": "verify", "capture": "c20260101-120000-0a1b2c3d"}]}
-    )
+    model_config = example({"type": "verify"} | _CAPTURE)
 
     type: Literal["verify"]
 
@@ -166,9 +120,7 @@ class VerifyRequest(OfCapture):
 class EvaluateRequest(OfJob):
     """Scores of a reconstruction on its held-out camera."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"type": "evaluate", "job": "j20260101-121500-4e5f6a7b"}]}
-    )
+    model_config = example({"type": "evaluate"} | _JOB)
 
     type: Literal["evaluate"]
 
@@ -176,11 +128,7 @@ class EvaluateRequest(OfJob):
 class RenderRequest(OfJob):
     """Pictures and depth from other cameras; `cameras` is the upload of a transforms.json whose frames have a time."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [{"type": "render", "job": "j20260101-121500-4e5f6a7b", "cameras": "u20260101-120000-0a1b2c3d"}]
-        }
-    )
+    model_config = example({"type": "render"} | _JOB | {"cameras": "u20260101-120000-0a1b2c3d"})
 
     type: Literal["render"]
     cameras: EntryId
@@ -189,11 +137,7 @@ class RenderRequest(OfJob):
 class ExportRequest(OfJob):
     """A reconstruction in another program's format; `at_s` and `frames` are as of `spike4dgs export`."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [{"type": "export", "job": "j20260101-121500-4e5f6a7b", "format": "spz", "at_s": 0.01}]
-        }
-    )
+    model_config = example({"type": "export"} | _JOB | {"format": "spz", "at_s": 0.01})
 
     type: Literal["export"]
     format: ExportFormat
@@ -203,14 +147,14 @@ class ExportRequest(OfJob):
 
 
 class PreflightRequest(JobBase):
-    """Everything that would spoil a recording, looked at: cameras, links, clocks, and the disk for `disk_seconds`."""
+    """A check for everything that would spoil a recording: cameras, links, clocks, and the disk for `disk_seconds`."""
 
     type: Literal["preflight"] = "preflight"
     disk_seconds: Annotated[float, Field(ge=0.1, le=30, allow_inf_nan=False)] = 2.0
 
 
 class LookRequest(JobBase):
-    """A picture of what a rig's cameras see now, made of so few planes that nothing is kept of them."""
+    """A picture of what a rig's cameras see now, made of a few planes that are not kept."""
 
     type: Literal["look"] = "look"
     ticks: Annotated[int, Field(ge=1, le=2000)] = 100
@@ -233,14 +177,7 @@ JobRequest = Annotated[
     Discriminator(_type_of),
 ]
 JOB_TYPES: dict[str, type[JobBase]] = {
-    "reconstruct": ReconstructRequest,
-    "images": ImagesRequest,
-    "calibrate": CalibrateRequest,
-    "check-rig": CheckRigRequest,
-    "verify": VerifyRequest,
-    "evaluate": EvaluateRequest,
-    "render": RenderRequest,
-    "export": ExportRequest,
+    tag.tag: model for model, tag in map(get_args, get_args(get_args(JobRequest)[0]))
 }
 RIG_JOB_TYPES: dict[str, type[JobBase]] = {"preflight": PreflightRequest, "look": LookRequest}
 RigJobRequest = Annotated[PreflightRequest | LookRequest, Discriminator("type")]
@@ -249,26 +186,15 @@ RigJobRequest = Annotated[PreflightRequest | LookRequest, Discriminator("type")]
 class BatchRequest(Request):
     """Jobs to queue together: all of them or, where one is refused, none."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "jobs": [
-                        {"type": "verify", "capture": "c20260101-120000-0a1b2c3d"},
-                        {"capture": "c20260101-120000-0a1b2c3d", "steps": 500},
-                    ]
-                }
-            ]
-        }
-    )
+    model_config = example({"jobs": [{"type": "verify"} | _CAPTURE, _CAPTURE | {"steps": 500}]})
 
     jobs: Annotated[list[JobRequest], Field(min_length=1, max_length=1000)]
 
 
 class PriorityRequest(Request):
-    """A new priority of a queued job: the lower is done the earlier."""
+    """A new priority of a queued job: the lower is done earlier."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"priority": 10}]})
+    model_config = example({"priority": 10})
 
     priority: Annotated[int, Field(ge=1, le=1000)]
 
@@ -276,6 +202,6 @@ class PriorityRequest(Request):
 class RestartRequest(Request):
     """The stage from which on an ended reconstruction is done again."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"stage": "train"}]})
+    model_config = example({"stage": "train"})
 
     stage: Stage

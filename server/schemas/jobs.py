@@ -1,4 +1,4 @@
-"""Jobs, done or to be done."""
+"""Jobs, done or to be done, and what they have made."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel
 
 from server.schemas.job_types import JobRequest, RigJobRequest
-from server.schemas.progress import Progress, Status
+from server.schemas.progress import Items, Page, Progress, Status
 
 
 class Job(Progress):
@@ -23,11 +23,8 @@ class Job(Progress):
     rig: str | None = None
 
 
-class Jobs(BaseModel):
+class Jobs(Page[Job]):
     """Jobs, newest first; `next` is the cursor of the next page."""
-
-    items: list[Job]
-    next: str | None = None
 
 
 class Step(BaseModel):
@@ -38,7 +35,18 @@ class Step(BaseModel):
     seconds: float | None
 
 
-class Steps(BaseModel):
+class Steps(Items[Step]):
     """The stages of a job, in order."""
 
-    items: list[Step]
+
+class Artefact(BaseModel):
+    """A file a job has made; its size in bytes."""
+
+    name: str
+    media_type: str
+    bytes: int
+    sha256: str
+
+
+class Artefacts(Items[Artefact]):
+    """The files a job has made so far."""

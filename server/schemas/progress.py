@@ -1,17 +1,37 @@
-"""How far work is."""
+"""What all requests, pages and reports of progress have in common."""
 
-from typing import Literal
+from __future__ import annotations
+
+from typing import Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
 Status = Literal["queued", "running", "done", "failed", "cancelled"]
 ACTIVE: tuple[Status, ...] = ("queued", "running")
+Item = TypeVar("Item")
 
 
 class Request(BaseModel):
     """A request with an unknown member is refused; every kind of request shows an example of itself."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+def example(*shown: dict[str, Any]) -> ConfigDict:
+    """Return the configuration of a request whose schema shows these examples."""
+    return ConfigDict(json_schema_extra={"examples": list(shown)})
+
+
+class Items(BaseModel, Generic[Item]):
+    """A list, whole."""
+
+    items: list[Item]
+
+
+class Page(Items[Item], Generic[Item]):
+    """A part of a list; `next` is the cursor of the next page."""
+
+    next: str | None = None
 
 
 class Progress(BaseModel):

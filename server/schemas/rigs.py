@@ -2,7 +2,7 @@
 
 from pydantic import BaseModel
 
-from server.schemas.progress import Status
+from server.schemas.progress import Items, Status
 
 
 class CameraInfo(BaseModel):
@@ -26,14 +26,12 @@ class RigInfo(BaseModel):
     busy: str | None
 
 
-class Rigs(BaseModel):
+class Rigs(Items[RigInfo]):
     """The rigs of this service."""
-
-    items: list[RigInfo]
 
 
 class Room(BaseModel):
-    """What the disk still holds: `seconds` of recording with all cameras."""
+    """The room left on the disk: `seconds` of recording with all cameras."""
 
     free_bytes: int
     bytes_per_s: float
@@ -59,9 +57,9 @@ class RigCheck(BaseModel):
 
 
 class CameraState(BaseModel):
-    """A camera as the last preflight found it; what it could not measure is None.
+    """A camera as the last preflight found it; values that it could not measure are None.
 
-    `skew_us` is its first plane's distance from the zero of its clock; what `fault` says is why it is not connected.
+    `skew_us` is the distance of its first plane from the zero of its clock; `fault` says why it is not connected.
     """
 
     id: str
@@ -88,7 +86,7 @@ class Preflight(BaseModel):
 
 
 class Work(BaseModel):
-    """What the rig is doing: a capture or a job, and how far it is; `message` has the cameras' health and buffers."""
+    """The capture or job that uses the rig, and how far it is; `message` has the cameras' health and buffers."""
 
     id: str
     type: str
@@ -98,14 +96,14 @@ class Work(BaseModel):
 
 
 class Look(BaseModel):
-    """The newest picture of what the cameras see, `age_s` old."""
+    """The newest picture from the cameras, `age_s` old."""
 
     age_s: float
     etag: str
 
 
 class RigStatus(BaseModel):
-    """How a rig is: `worker` says whether one is alive that reaches its cameras."""
+    """The state of a rig: `worker` says whether one is alive that reaches its cameras."""
 
     rig: str
     worker: bool

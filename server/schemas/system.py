@@ -1,12 +1,14 @@
-"""What the service is and how it is."""
+"""The service itself and its workers."""
 
 from typing import Literal
 
 from pydantic import BaseModel
 
+from server.schemas.progress import Items
+
 
 class Info(BaseModel):
-    """What this service is; `role` is what the request's token allows, null where none is needed."""
+    """The service's name, version and stages; `role` is that of the request's token, null where none is needed."""
 
     name: str
     version: str
@@ -30,7 +32,5 @@ class WorkerInfo(BaseModel):
     age_s: float
 
 
-class Workers(BaseModel):
+class Workers(Items[WorkerInfo]):
     """The workers that are alive."""
-
-    items: list[WorkerInfo]

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 
 from server.schemas.captures import Name
-from server.schemas.progress import Request
+from server.schemas.progress import Page, Request
 
 UploadId = Annotated[str, Field(max_length=40)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="In 64 small hexadecimal digits.")]
@@ -33,8 +33,5 @@ class Upload(BaseModel):
     state: Literal["open", "committed"]
 
 
-class Uploads(BaseModel):
+class Uploads(Page[Upload]):
     """Uploads, newest first; `next` is the cursor of the next page."""
-
-    items: list[Upload]
-    next: str | None = None

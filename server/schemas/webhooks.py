@@ -1,4 +1,4 @@
-"""Webhooks: who is told of what, and what was said to them."""
+"""Webhooks: who is told of which events, and how they answered."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from server.schemas.progress import Request, Status
+from server.schemas.progress import Items, Request, Status
 
 Statuses = Annotated[list[Status], Field(min_length=1, max_length=5)]
 
@@ -33,10 +33,8 @@ class NewWebhook(Webhook):
     secret: str
 
 
-class Webhooks(BaseModel):
+class Webhooks(Items[Webhook]):
     """All webhooks."""
-
-    items: list[Webhook]
 
 
 class Delivery(BaseModel):
@@ -49,14 +47,12 @@ class Delivery(BaseModel):
     due_in_s: float | None
 
 
-class Deliveries(BaseModel):
+class Deliveries(Items[Delivery]):
     """Deliveries, newest first."""
-
-    items: list[Delivery]
 
 
 class Trial(BaseModel):
-    """Whether a test delivery was accepted, and what was said."""
+    """Whether a test delivery was accepted, and the answer."""
 
     ok: bool
     said: str

@@ -1,4 +1,4 @@
-"""Which token a request carries, and what it allows."""
+"""Finds the token that a request carries, and whether it allows the request."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from collections.abc import Callable
 
 from server.errors import ExposedError, ForbiddenError, UnauthorizedError
 from server.settings import ServiceSettings
-from server.store.tokens import Token, Tokens, digest_of
+from server.store.tables import Token
+from server.store.tokens import Tokens, digest_of
 
 _FRESH_S = 2.0
 _READS = ("GET", "HEAD", "OPTIONS")
 
 
 class AccessService:
-    """Compares what requests carry with the tokens that are kept, read again every two seconds."""
+    """Compares the secrets of requests with the tokens that are kept, which are read again every two seconds."""
 
     def __init__(self, tokens: Tokens, settings: ServiceSettings, clock: Callable[[], float] = time.monotonic) -> None:
         self._tokens = tokens
@@ -28,7 +29,7 @@ class AccessService:
 
     @property
     def stale(self) -> bool:
-        """Whether the next answer needs the database."""
+        """Return whether the next answer needs the database."""
         return self._read_at is None or self._clock() - self._read_at >= _FRESH_S
 
     def refresh(self) -> None:
@@ -40,10 +41,10 @@ class AccessService:
                 self._read_at = at
 
     def admit(self, method: str, authorization: str | None) -> Token | None:
-        """The token of a request, None where none is needed.
+        """Return the token of a request, None where none is needed.
 
-        Raises UnauthorizedError without a known token, and ForbiddenError where a viewer would change something. One is
-        needed as soon as there is any, and always where the service may be reached from elsewhere.
+        A token is needed as soon as there is any, and always where the service may be reached from elsewhere. Raises
+        UnauthorizedError without a known one, and ForbiddenError where a viewer would change something.
         """
         if not self._known and not self._exposed:
             return None
@@ -53,7 +54,7 @@ class AccessService:
         return token
 
     def check_exposure(self) -> None:
-        """Raises ExposedError where the service would be reached from elsewhere and has no token."""
+        """Raise ExposedError where the service would be reached from elsewhere and has no token."""
         self.refresh()
         if self._exposed and not self._known:
             raise ExposedError(
@@ -67,6 +68,6 @@ class AccessService:
         given = digest_of(secret.strip()) if scheme.lower() == "bearer" else ""
         found = [token for token in self._known if hmac.compare_digest(token.digest, given)]
         if not found:
-            what = "another token" if given else "no token"
-            raise UnauthorizedError(f"found {what}", "Authorization: Bearer and a token of this service")
+            fault = "found another token" if given else "found no token"
+            raise UnauthorizedError(fault, "Authorization: Bearer and a token of this service")
         return found[0]

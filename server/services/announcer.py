@@ -2,46 +2,32 @@
 
 from __future__ import annotations
 
-import logging
-import threading
 import time
 from datetime import datetime
-
-from dbos import error as engine_errors
-from sqlalchemy.exc import SQLAlchemyError
 
 from server.engine import Engine
 from server.schemas.progress import ACTIVE, Status
 from server.services.queue import Queue
+from server.services.repeated import Repeated
 from server.services.retention import Retention
-from server.store.entries import Entry
 from server.store.store import Store
+from server.store.tables import Entry
 
 _LOOK_S = 0.5
 _LOST_S = 5.0
 _TIDY_S = 3600.0
-_LOG = logging.getLogger(__name__)
 
 
 class Announcer:
-    """Compares what was told of entries with what the engine knows, twice a second, in a thread of its own."""
+    """Compares twice a second what was announced of entries with what the engine knows, in a thread of its own."""
 
     def __init__(self, store: Store, engine: Engine, queue: Queue, retention: Retention) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
         self._retention = retention
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="announcer", daemon=True)
-
-    def start(self) -> None:
-        """Begin to look."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End, when the look under way is over."""
-        self._stop.set()
-        self._thread.join()
+        self._tidied = float("-inf")
+        self.thread = Repeated("announcer", self._work, _LOOK_S)
 
     def look(self) -> None:
         """Tell what has changed since the last look, and queue what was never queued."""
@@ -65,24 +51,17 @@ class Announcer:
     def _tell(self, entry: Entry, before: str, now: Status) -> None:
         """Announce, and look again after an end: the entry may have been queued again while it was announced."""
         while self._store.events.tell(entry.id, before, now, {"error": entry.progress.get("error")}) is not None:
-            latest = self._engine.statuses([entry])[entry.id]
+            latest = self._engine.status(entry)
             if now in ACTIVE or latest == now:
                 return
             before, now = now, latest
 
-    def _run(self) -> None:
-        well, tidied = True, float("-inf")
-        while not self._stop.wait(_LOOK_S):
-            try:
-                self.look()
-                if time.monotonic() - tidied >= _TIDY_S:
-                    tidied = time.monotonic()
-                    self._retention.tidy()
-                well = True
-            except (engine_errors.DBOSException, SQLAlchemyError, OSError) as error:
-                if well:  # once an outage
-                    _LOG.warning("the announcer tries again after: %s", str(error).splitlines()[0])
-                well = False
+    def _work(self) -> bool:
+        self.look()
+        if time.monotonic() - self._tidied >= _TIDY_S:
+            self._tidied = time.monotonic()
+            self._retention.tidy()
+        return False
 
 
 def _is_old(entry: Entry) -> bool:

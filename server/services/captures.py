@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, RigBusyError, StateError
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.progress import ACTIVE, Status
-from server.schemas.rigs import CameraInfo, RigInfo, Rigs
+from server.schemas.rigs import RigInfo, Rigs
 from server.services.listing import capture_document, page_of
 from server.services.queue import Key, Queue
 from server.settings import RigSource
-from server.store.entries import Entry, Filter
+from server.store.entries import Filter
 from server.store.files import is_locked
 from server.store.store import Store
+from server.store.tables import Entry
 
 
 class RigService:
@@ -31,55 +31,45 @@ class RigService:
         self._one_at_a_time = threading.Lock()
 
     def list(self) -> Rigs:
-        """All rigs."""
+        """Return all rigs."""
         return Rigs(items=[self.get(rig_id) for rig_id in self.rigs])
 
     def rig(self, rig_id: str) -> Rig:
-        """A rig as it is described; raises NotFoundError."""
+        """Return a rig as it is described; raises NotFoundError."""
         if rig_id not in self.rigs:
             raise NotFoundError(f"found no rig {rig_id[:60]}", f"one of {', '.join(self.rigs)}")
         return self.rigs[rig_id]
 
     def get(self, rig_id: str) -> RigInfo:
-        """One rig; raises NotFoundError."""
+        """Return one rig; raises NotFoundError."""
         rig = self.rig(rig_id)
         current, stored = self._store.calibrations.current(rig_id)
-        return RigInfo(
-            id=rig_id,
-            name=rig.name,
-            tick_rate_hz=rig.tick_rate_hz,
-            poses=stored.poses if stored else rig.poses,
-            calibration=current.version,
-            devices=self._sources[rig_id].devices,
-            cameras=[CameraInfo(id=camera.id, width=camera.width, height=camera.height) for camera in rig.cameras],
-            busy=self._engine.active(capture_queue(rig_id)),
-        )
+        shown = {
+            "id": rig_id,
+            "poses": stored.poses if stored else rig.poses,
+            "calibration": current.version,
+            "devices": self._sources[rig_id].devices,
+            "busy": self._engine.active(capture_queue(rig_id)),
+        }
+        return RigInfo.model_validate(vars(rig) | shown, from_attributes=True)
 
     def start(self, rig_id: str, request: CaptureRequest, key: Key = None) -> str:
-        """Queue a recording; its id. Raises NotFoundError and, while the rig is busy, RigBusyError."""
+        """Queue a recording; return its id. Raises NotFoundError and, while the rig is busy, RigBusyError."""
         self.rig(rig_id)
-        (capture_id,) = self._queue.ids("capture", [request], key, rig_id)
-        if self._queue.known(capture_id):
-            return capture_id
-        entry = Entry(
-            id=capture_id,
-            kind="capture",
-            type="record",
-            created=self._store.entries.created(),
-            request=request.model_dump(exclude={"name"}),
-            rig=rig_id,
-            name=request.name,
-            queue=capture_queue(rig_id),
-        )
-        self.add_where_idle(rig_id, entry)
+        capture_id, known = self._queue.once("capture", request, key, rig_id)
+        if not known:
+            queue = capture_queue(rig_id)
+            self.add_where_idle(
+                self._queue.entry("capture", capture_id, request, type="record", rig=rig_id, queue=queue)
+            )
         return capture_id
 
-    def add_where_idle(self, rig_id: str, entry: Entry) -> None:
-        """Queue what uses a rig's cameras; raises RigBusyError while anything else does."""
+    def add_where_idle(self, entry: Entry) -> None:
+        """Queue an entry that uses its rig's cameras; raises RigBusyError while anything else does."""
         with self._one_at_a_time:
-            busy = self._engine.active(capture_queue(rig_id))
+            busy = self._engine.active(entry.queue or "")
             if busy is not None:
-                raise RigBusyError(f"found rig {rig_id} busy with {busy}", "it idle", "wait for that to end")
+                raise RigBusyError(f"found rig {entry.rig} busy with {busy}", "it idle", "wait for that to end")
             self._queue.add(entry)
 
 
@@ -92,15 +82,17 @@ class CaptureService:
         self._queue = queue
 
     def get(self, capture_id: str) -> Capture:
-        """One capture; raises NotFoundError."""
-        return self._shown([self._store.entries.get("capture", capture_id)])[0]
+        """Return one capture; raises NotFoundError."""
+        entry = self._store.entries.get("capture", capture_id)
+        known = {"status": self._engine.status(entry), "ticks": entry.request.get("ticks")}
+        return Capture.model_validate(vars(entry) | entry.progress | known)
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
-        """A page of captures, newest first: `Captures` as JSON."""
+        """Return a page of captures, newest first: `Captures` as JSON."""
         return page_of(self._store, self._engine, wanted, status, limit, capture_document)
 
     def tell(self, capture_id: str, word: str) -> Capture:
-        """`stop` a capture, or `save` what its pre-trigger kept; raises NotFoundError, StateError."""
+        """Tell a capture to `stop`, or to `save` its pre-trigger; raises NotFoundError, StateError."""
         capture = self.get(capture_id)
         if capture.status not in ACTIVE or capture.type != "record":
             raise StateError(f"found {capture.id} {capture.status}", "it recording")
@@ -114,45 +106,20 @@ class CaptureService:
         """Give up an import that is queued or running; raises NotFoundError, StateError."""
         capture = self.get(capture_id)
         if capture.status not in ACTIVE or capture.type != "import":
-            raise StateError(
-                f"found {capture.id}, of type {capture.type}, {capture.status}",
-                "an import at work",
-                "a recording is stopped",
-            )
+            found = f"found {capture.id}, of type {capture.type}, {capture.status}"
+            raise StateError(found, "an import at work", "a recording is stopped")
         self._engine.cancel(capture_id)
         return self.get(capture_id)
 
     def log(self, capture_id: str) -> str:
-        """What making a capture said, its doubts among it; raises NotFoundError."""
-        path = self._store.folder.log(self._store.entries.get("capture", capture_id).id)
-        return path.read_text(errors="replace") if path.exists() else ""
+        """Return the log of making a capture, an import's doubts among it; raises NotFoundError."""
+        return self._store.folder.logged(self._store.entries.get("capture", capture_id).id)
 
     def delete(self, capture_id: str) -> None:
         """Delete a capture and its recording; raises NotFoundError, and StateError while it is in use."""
-        capture = self.get(capture_id)
-        folder = self._store.folder
-        if capture.status in ACTIVE or is_locked(folder.entry(capture_id)):
-            raise StateError(f"found {capture.id} {capture.status}", "it ended", "stop it first")
-        using = [e.id for e in self._queue.at_work() if e.kind == "job" and e.capture == capture_id]
-        if using:
-            raise StateError(f"found {capture.id} in use by {using[0]}", "no job at work on it", "cancel it")
-        self._store.entries.remove(capture_id)  # first: what is kept and not queued is queued again
-        self._engine.forget(capture_id)
-        folder.remove(folder.recording(capture_id))
-        folder.remove(folder.entry(capture_id))
-
-    def _shown(self, entries: Sequence[Entry]) -> list[Capture]:
-        status = self._engine.statuses(entries)
-        return [
-            Capture(
-                id=entry.id,
-                type=entry.type,
-                rig=entry.rig,
-                ticks=entry.request.get("ticks"),
-                name=entry.name,
-                created=entry.created,
-                status=status[entry.id],
-                **entry.progress,
-            )
-            for entry in entries
-        ]
+        entry = self._store.entries.get("capture", capture_id)
+        status = self._engine.status(entry)
+        if status in ACTIVE or is_locked(self._store.folder.entry(capture_id)):
+            raise StateError(f"found {capture_id} {status}", "it ended", "stop it first")
+        self._queue.expect_unused(capture_id)
+        self._queue.remove(entry, self._store.folder.recording(capture_id))

@@ -12,7 +12,7 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from sqlalchemy.exc import SQLAlchemyError
 
 from server.schemas.progress import ACTIVE, Event
-from server.store import event as stored
+from server.store import tables
 from server.store.store import Store
 
 _POLL_S = 0.25
@@ -33,21 +33,21 @@ class Frame:
 
 
 class Listener:
-    """What one listener has yet to be sent; after `None` nothing more comes."""
+    """The frames that one listener has yet to be sent; after `None` nothing more comes."""
 
     def __init__(self, entry_id: str | None) -> None:
         self.entry_id = entry_id
         self.waiting: asyncio.Queue[Frame | None] = asyncio.Queue(_WAITING + 1)
 
     def give(self, frame: Frame) -> bool:
-        """Hand a frame on; False where the listener is too far behind."""
+        """Hand a frame on; return False where the listener is too far behind."""
         if self.waiting.qsize() >= _WAITING:
             return False
         self.waiting.put_nowait(frame)
         return True
 
     def end(self) -> None:
-        """Nothing more comes after what is waiting."""
+        """End the stream after the frames that are waiting."""
         if not self.waiting.full():
             self.waiting.put_nowait(None)
 
@@ -80,15 +80,15 @@ class Hub:
         self._listeners.clear()
 
     def newest(self) -> int:
-        """The number of the newest event."""
+        """Return the number of the newest event."""
         return self._store.events.last()
 
     def is_over(self, after: int, entry_id: str) -> bool:
-        """Whether an entry has ended, and nothing happened to it after number `after`."""
+        """Return whether an entry has ended, and nothing happened to it after number `after`."""
         return self._told(entry_id) not in ACTIVE and not self._store.events.after(after, entry_id, 1)
 
     async def stream(self, after: int, entry_id: str | None = None) -> AsyncGenerator[bytes]:
-        """Server-sent events after number `after`, of one entry or of all.
+        """Yield server-sent events after number `after`, of one entry or of all.
 
         The stream of an entry ends with the event that ends the entry; any stream ends where the service does, and
         where its reader is more than 512 events behind. Its reader then comes again with the last number it saw.
@@ -101,7 +101,7 @@ class Hub:
                 yield b"".join(frame.content for frame in frames)
                 if self._closed:
                     return
-                if len(frames) < _PAGE:  # what comes from now on is given to the listener
+                if len(frames) < _PAGE:  # later ones are given to the listener
                     break
             if entry_id is not None and status not in ACTIVE:
                 return
@@ -111,7 +111,7 @@ class Hub:
                     return
 
     async def _live(self, listener: Listener, after: int) -> AsyncIterator[Frame | None]:
-        """Frames as they come, None after a silence."""
+        """Yield frames as they come, None after a silence."""
         while True:
             try:
                 frame = await asyncio.wait_for(listener.waiting.get(), self._keep_alive_s)
@@ -125,7 +125,7 @@ class Hub:
 
     @asynccontextmanager
     async def _listening(self, entry_id: str | None) -> AsyncIterator[Listener]:
-        if not self._listeners:  # nothing was read meanwhile, and what came meanwhile is nobody's here
+        if not self._listeners:  # nobody was there to read the events of the meantime, nor is any of them due here
             newest = await asyncio.to_thread(self.newest)
             if not self._listeners:
                 self._seq = max(self._seq, newest)
@@ -167,8 +167,9 @@ class Hub:
         return [_framed(event) for event in self._store.events.after(after, entry_id, _PAGE)]
 
 
-def _framed(event: stored.Event) -> Frame:
-    shown = Event(seq=event.seq, entry=event.entry, at=event.at, kind=event.kind, data=event.data)
-    content = format_sse_event(data_str=shown.model_dump_json(), event=event.kind, id=str(event.seq))
+def _framed(event: tables.Event) -> Frame:
+    content = format_sse_event(
+        data_str=Event.model_validate(vars(event)).model_dump_json(), event=event.kind, id=str(event.seq)
+    )
     status = str(event.data["status"]) if event.kind == "status" else None
     return Frame(event.seq, event.entry, status, content)

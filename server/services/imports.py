@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 from acquisition.spikes import m1k40
@@ -11,12 +12,11 @@ from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
 from rigs.toml import GRID_ID, dump_rig, load_rig
 from server.engine import TASKS
-from server.errors import NotFoundError, UnknownReferenceError
+from server.errors import UnknownReferenceError, referred
 from server.schemas.captures import ImportRequest, OfRig
 from server.services.captures import RigService
 from server.services.queue import Key, Queue
 from server.services.uploads import UploadService
-from server.store.entries import Entry
 from server.store.store import Store
 
 _MOST_CAMERA_BYTES = 16 << 20
@@ -32,15 +32,15 @@ class ImportService:
         self._rigs = rigs
 
     def start(self, request: ImportRequest, key: Key = None) -> str:
-        """Queue an import; its id.
+        """Queue an import; return its id.
 
-        Raises UnknownReferenceError for what does not exist or does not fit, StateError for an upload that is not
-        committed, RigError for cameras that cannot be used.
+        Raises UnknownReferenceError for something that does not exist or does not fit, StateError for an upload that is
+        not committed, RigError for cameras that cannot be used.
         """
-        (capture_id,) = self._queue.ids("capture", [request], key, "captures:import")
-        if self._queue.known(capture_id):
+        capture_id, known = self._queue.once("capture", request, key, "captures:import")
+        if known:
             return capture_id
-        named = isinstance(request.uploads, dict)
+        names = list(request.uploads) if isinstance(request.uploads, dict) else None
         ids = list(request.uploads.values() if isinstance(request.uploads, dict) else request.uploads)
         for upload_id in ids:
             self._store.uploads.committed(upload_id)
@@ -52,23 +52,14 @@ class ImportService:
         except Exception:
             self._store.folder.remove(folder)
             raise
-        options = request.model_dump(exclude={"name", "uploads", "cameras"})
-        dats = {"dats": ids, "ids": list(request.uploads) if named else None, "cameras": cameras.name}
-        entry = Entry(
-            id=capture_id,
-            kind="capture",
-            type="import",
-            created=self._store.entries.created(),
-            request=options | dats,
-            rig=request.cameras.rig if isinstance(request.cameras, OfRig) else None,
-            name=request.name,
-            queue=TASKS,
-        )
-        self._queue.add(entry)
+        rig_id = request.cameras.rig if isinstance(request.cameras, OfRig) else None
+        entry = self._queue.entry("capture", capture_id, request, type="import", rig=rig_id, queue=TASKS)
+        asked = {name: value for name, value in entry.request.items() if name != "uploads"}
+        self._queue.add(replace(entry, request=asked | {"dats": ids, "ids": names, "cameras": cameras.name}))
         return capture_id
 
     def _cameras(self, request: ImportRequest, folder: Path) -> Path:
-        """The cameras' file, copied into the entry's folder and read once to see that it fits."""
+        """Copy the cameras' file into the entry's folder, and read it once to see that it fits; return its path."""
         if isinstance(request.cameras, OfRig):
             path, said = folder / "cameras.toml", f"rig {request.cameras.rig}"
             self._write_rig(request.cameras.rig, path)
@@ -86,19 +77,18 @@ class ImportService:
             shutil.copyfile(source, path)
         try:
             rig = _load(path, request)
-        except RigError as error:
-            raise UnknownReferenceError(str(error).replace(str(path), said)) from error
+        except RigError as error:  # its place is a file of this host, or a camera in it
+            where = said + error.where.removeprefix(str(path))
+            raise UnknownReferenceError(error.found, error.expected, error.do, where=where) from error
         if not isinstance(request.cameras, OfRig) and any(camera.pixels for camera in rig.cameras):
             raise UnknownReferenceError("found pixel calibrations", "none in an upload", "leave them out", where=said)
         _refuse_others(rig, request)
         return path
 
     def _write_rig(self, rig_id: str, path: Path) -> None:
-        try:
+        with referred():
             rig = self._rigs.rig(rig_id)
-        except NotFoundError as error:
-            raise UnknownReferenceError(str(error)) from error
-        calibrated = self._store.folder.rig(rig_id) / "calibration.toml"
+        calibrated = self._store.rig_files.path(rig_id)
         rig = load_rig(calibrated) if calibrated.exists() else rig
         for pixels in {camera.pixels for camera in rig.cameras if camera.pixels}:
             shutil.copyfile(pixels, path.with_name(pixels.name))
@@ -113,9 +103,9 @@ def _load(path: Path, request: ImportRequest) -> Rig:
 
 
 def _refuse_others(rig: Rig, request: ImportRequest) -> None:
-    expected = f"expected one for each of {', '.join(rig.ids)}"
+    expected = f"one for each of {', '.join(rig.ids)}"
     if isinstance(request.uploads, dict):
         if set(request.uploads) != set(rig.ids):
-            raise UnknownReferenceError(f"found uploads for {', '.join(request.uploads)}, {expected}")
+            raise UnknownReferenceError(f"found uploads for {', '.join(request.uploads)}", expected)
     elif len(request.uploads) != len(rig.ids):
-        raise UnknownReferenceError(f"found {len(request.uploads)} uploads, {expected}")
+        raise UnknownReferenceError(f"found {len(request.uploads)} uploads", expected)

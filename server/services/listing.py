@@ -1,7 +1,7 @@
 """Pages of entries as JSON: filtered by what is kept, then by the status that the engine knows.
 
-What was asked for, and how far it is, is text that was checked when it was kept. What that text means is worked out
-once for each text, not for each entry and request: a page of a thousand jobs would take a fifth of a second otherwise.
+Requests and progress are kept as text, which was checked before. Each distinct text is parsed once, not once for every
+entry and page: a page of a thousand jobs would take a fifth of a second otherwise.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def page_of(
     limit: int,
     document: Callable[[Listed, Status], Document],
 ) -> bytes:
-    """At most `limit` entries, newest first, as `document` shows them, and the cursor of the next page."""
+    """Return at most `limit` entries, newest first, as `document` shows them, and the cursor of the next page."""
     found: list[Document] = []
     most = limit + 1 if status is None else max(limit + 1, _LOOK_AT)
     while len(found) <= limit:
@@ -49,7 +49,7 @@ def page_of(
 
 
 def job_document(entry: Listed, status: Status) -> Document:
-    """What a `Job` is as JSON."""
+    """Return an entry as a `Job` in JSON."""
     return {
         **_progress(entry.progress),
         "id": entry.id,
@@ -64,7 +64,7 @@ def job_document(entry: Listed, status: Status) -> Document:
 
 
 def capture_document(entry: Listed, status: Status) -> Document:
-    """What a `Capture` is as JSON."""
+    """Return an entry as a `Capture` in JSON."""
     return {
         **_progress(entry.progress),
         "id": entry.id,
@@ -79,13 +79,13 @@ def capture_document(entry: Listed, status: Status) -> Document:
 
 @lru_cache(_TEXTS)
 def _request(job_type: str, text: str) -> Document:
-    """A request with all its fields; nobody changes it."""
+    """Return a request with all its fields, not to be changed."""
     return _REQUESTS[job_type].model_validate_json(text).model_dump(mode="json")
 
 
 @lru_cache(_TEXTS)
 def _progress(text: str) -> Document:
-    """Progress with all its fields; nobody changes it."""
+    """Return progress with all its fields, not to be changed."""
     return Progress.model_validate_json(text).model_dump(mode="json")
 
 

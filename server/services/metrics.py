@@ -15,10 +15,9 @@ from acquisition.recording.reader import read_any_manifest
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, capture_queue
 from server.schemas.progress import ACTIVE
 from server.settings import ServiceSettings
-from server.store.entries import Entry
-from server.store.event import Event
 from server.store.files import is_locked
 from server.store.store import Store
+from server.store.tables import Entry, Event
 
 _PAGE = 500
 _BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.2, 0.5, 1.0, 2.5, 10.0)
@@ -52,7 +51,7 @@ class Metrics(Collector):
         self.registry.register(self)
 
     def text(self) -> bytes:
-        """All figures, in Prometheus' text format."""
+        """Return all figures, in Prometheus' text format."""
         self.follow()
         return generate_latest(self.registry)
 
@@ -72,11 +71,11 @@ class Metrics(Collector):
                         self._count(event, entries[event.entry])
 
     def describe(self) -> Sequence[Metric]:
-        """Nothing that would need the database before it is asked for."""
+        """Return nothing: a description would need the database before anybody asks."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """What is so now."""
+        """Yield the figures of this moment."""
         yield self._queues()
         free = GaugeMetricFamily("spike4dgs_disk_free_bytes", "Bytes free under the data folder.")
         free.add_metric([], shutil.disk_usage(self._store.folder.path).free)

@@ -1,10 +1,12 @@
-"""What recordings look like and what they hold: pictures made once, and the manifest."""
+"""Pictures of recordings, each made once, and their manifests."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +18,8 @@ from rigs.errors import RigError
 from server.contact_sheet import camera_picture, contact_sheet
 from server.engine import Engine
 from server.errors import NotFoundError, StateError
-from server.schemas.captures import CameraFileInfo, GapInfo, ManifestInfo, Verified
+from server.etags import tag
+from server.schemas.captures import CameraFileInfo, ManifestInfo, Verified
 from server.store.entries import Filter
 from server.store.store import Store
 
@@ -32,12 +35,15 @@ class Picture:
 
     @classmethod
     def of(cls, png: bytes) -> Picture:
-        """A picture tagged by its digest."""
-        return cls(png, f'"{hashlib.sha256(png).hexdigest()[:32]}"')
+        """Return a picture tagged by its digest."""
+        return cls(png, tag(hashlib.sha256(png).hexdigest()[:32]))
 
 
 class PreviewService:
-    """Pictures and manifests of captures that are done."""
+    """Pictures and manifests of captures that are done.
+
+    Its methods raise NotFoundError, and StateError where a capture is not done or cannot be read.
+    """
 
     def __init__(self, store: Store, engine: Engine) -> None:
         self._store = store
@@ -45,28 +51,22 @@ class PreviewService:
         self._one_at_a_time = threading.Lock()
 
     def sheet(self, capture_id: str) -> Picture:
-        """All cameras of a capture; raises NotFoundError, StateError where it is not done or cannot be read."""
+        """Return one picture of all cameras of a capture."""
         return self._picture(capture_id, None)
 
     def camera(self, capture_id: str, camera_id: str) -> Picture:
-        """One camera of a capture; raises NotFoundError, StateError where it is not done or cannot be read."""
+        """Return a picture of one camera of a capture."""
         return self._picture(capture_id, camera_id)
 
     def manifest(self, capture_id: str) -> ManifestInfo:
-        """What a capture holds and lacks; raises NotFoundError, StateError where it is not done or cannot be read."""
+        """Return what a capture holds and lacks."""
         manifest = self._recording(capture_id).manifest
-        return ManifestInfo(
-            capture=capture_id,
-            tick_rate_hz=manifest.tick_rate_hz,
-            trigger=manifest.trigger,
-            writer=manifest.writer,
-            status=manifest.status,
-            reason=manifest.reason,
-            direct_io=manifest.direct_io,
-            trigger_plane=manifest.trigger_plane,
-            cameras=[_described(camera) for camera in manifest.cameras],
-            verified=self._verified(capture_id),
-        )
+        shown = {
+            "capture": capture_id,
+            "cameras": [_described(camera) for camera in manifest.cameras],
+            "verified": self._verified(capture_id),
+        }
+        return ManifestInfo.model_validate(vars(manifest) | shown)
 
     def _picture(self, capture_id: str, camera_id: str | None) -> Picture:
         recording = self._recording(capture_id)
@@ -77,26 +77,25 @@ class PreviewService:
         kept = self._store.folder.entry(capture_id) / name
         with self._one_at_a_time:  # several requests for a new one make it once
             if not kept.exists():
-                write_durably(kept, _made(recording, camera_id))
+                with _readable(capture_id, recording.path):
+                    made = contact_sheet(recording) if camera_id is None else camera_picture(recording, camera_id)
+                write_durably(kept, made)
             return Picture.of(kept.read_bytes())
 
     def _recording(self, capture_id: str) -> Recording:
         entry = self._store.entries.get("capture", capture_id)
         path = self._store.folder.recording(entry.id)
         if not path.exists():
-            status = self._engine.statuses([entry])[entry.id]
-            raise StateError(f"found {capture_id} {status} without a recording", "it done")
-        try:
+            raise StateError(f"found {capture_id} {self._engine.status(entry)} without a recording", "it done")
+        with _readable(capture_id, path):
             return Recording.open(path)
-        except (BadRecordingError, RigError) as error:
-            raise _damaged(capture_id, path, error) from error
 
     def _verified(self, capture_id: str) -> Verified | None:
         jobs = self._store.entries.page(Filter("job", "verify", capture=capture_id), 1)
         if not jobs:
             return None
         (job,) = jobs
-        found = Verified(job=job.id, created=job.created, status=self._engine.statuses(jobs)[job.id])
+        found = Verified(job=job.id, created=job.created, status=self._engine.status(job))
         result = self._store.folder.out(job.id) / "result.json"
         if found.status != "done" or not result.exists():
             return found
@@ -104,33 +103,26 @@ class PreviewService:
         return found.model_copy(update={"sound": document["sound"], "damages": document["damages"][:_MOST_GAPS]})
 
 
-def _made(recording: Recording, camera_id: str | None) -> bytes:
+@contextmanager
+def _readable(capture_id: str, path: Path) -> Iterator[None]:
+    """Raise StateError where the recording at `path` cannot be read, without naming places of this host."""
     try:
-        return contact_sheet(recording) if camera_id is None else camera_picture(recording, camera_id)
-    except BadRecordingError as error:
-        raise _damaged(recording.path.name, recording.path, error) from error
-
-
-def _damaged(capture_id: str, path: Path, error: Exception) -> StateError:
-    reason = str(error).replace(f"{path}/", "").replace(f"{path}: ", "")
-    return StateError(f"found the recording of {capture_id} damaged ({reason})", "it sound", "verify it")
+        yield
+    except (BadRecordingError, RigError) as error:
+        reason = StateError(error.found, error.expected, where=error.where.removeprefix(str(path)).lstrip("/: "))
+        raise StateError(f"found the recording of {capture_id} damaged ({reason})", "it sound", "verify it") from error
 
 
 def _described(camera: CameraFile) -> CameraFileInfo:
-    gaps = [GapInfo(**vars(gap)) for gap in camera.gaps[:_MOST_GAPS]]
-    return CameraFileInfo(
-        id=camera.id,
-        width=camera.layout.width,
-        height=camera.layout.height,
-        planes=camera.planes,
-        first_tick=camera.first_tick,
-        bytes=camera.planes * camera.layout.plane_bytes,
-        sha256=camera.sha256,
-        drops=camera.drops,
-        gaps=gaps,
-        gaps_total=len(camera.gaps),
-        skew_s=camera.skew_s,
-        skew_sd_s=camera.skew_sd_s,
-        partial_bytes=camera.partial_bytes,
-        device=camera.device,
+    layout = camera.layout
+    return CameraFileInfo.model_validate(
+        vars(camera)
+        | {
+            "width": layout.width,
+            "height": layout.height,
+            "drops": camera.drops,
+            "bytes": camera.planes * layout.plane_bytes,
+            "gaps": [vars(gap) for gap in camera.gaps[:_MOST_GAPS]],
+            "gaps_total": len(camera.gaps),
+        }
     )

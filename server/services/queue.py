@@ -1,20 +1,21 @@
-"""How entries come into being: kept first, queued second, so that none is lost in between."""
+"""How entries come into being: kept first, queued second, so that none is lost in between; and how they go."""
 
 from __future__ import annotations
 
 import json
 import threading
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from pathlib import Path
+from typing import Any
 
 from pydantic import BaseModel
 
 from server.engine import Engine
+from server.errors import StateError
 from server.schemas.progress import ACTIVE
-from server.store.entries import Entry, Kind
 from server.store.store import Store
+from server.store.tables import Entry, Kind
 
-_R = TypeVar("_R", bound=BaseModel)
 Key = str | None
 
 
@@ -26,31 +27,44 @@ class Queue:
         self._engine = engine
         self._moving = threading.Lock()
 
-    def ids(self, kind: Kind, asked: Sequence[_R], key: Key, scope: str) -> list[str]:
-        """An id for each request; raises IdempotencyError where `key` came with other ones before."""
+    def ids(self, kind: Kind, asked: Sequence[BaseModel], key: Key, scope: str) -> list[str]:
+        """Return an id for each request; raises IdempotencyError where `key` came with other ones before."""
 
         def new() -> list[str]:
-            return [self._store.entries.new_id(kind) for _ in asked]
+            return [self._store.entries.dated_id(kind[0]) for _ in asked]
 
         if key is None:
             return new()
         document = json.dumps([scope, *(request.model_dump(mode="json") for request in asked)], sort_keys=True)
         return self._store.idempotency.claim(key, document, new)
 
+    def once(self, kind: Kind, request: BaseModel, key: Key, scope: str) -> tuple[str, bool]:
+        """Return an id for a request, as `ids` does, and whether its entry is there already."""
+        (entry_id,) = self.ids(kind, [request], key, scope)
+        return entry_id, self.known(entry_id)
+
     def known(self, entry_id: str) -> bool:
-        """Whether the entry is there already: the request came again."""
+        """Return whether the entry is there already: the request came again."""
         return bool(self._store.entries.find([entry_id]))
+
+    def entry(self, kind: Kind, entry_id: str, asked: BaseModel, **columns: Any) -> Entry:
+        """Return the entry of a request, whose name and priority become columns."""
+        request = asked.model_dump()
+        named = {name: request.pop(name) for name in ("name", "priority") if name in request}
+        created = self._store.entries.now()
+        return Entry(**{"id": entry_id, "kind": kind, "created": created, "request": request, **named, **columns})
 
     def add(self, entry: Entry) -> None:
         """Keep an entry and queue it. A crash in between is mended by `requeue`."""
         if self._store.entries.add(entry):
             self.start(entry)
 
-    def at_work(self) -> list[Entry]:
-        """Entries that are queued or running as the engine knows it: what was told of them lags by half a second."""
-        told = self._store.entries.unfinished()
-        now = self._engine.statuses(told)
-        return [entry for entry in told if now[entry.id] in ACTIVE]
+    def expect_unused(self, name: str) -> None:
+        """Raise StateError while an entry at work uses the capture, job or upload `name`."""
+        for entry in self._at_work():
+            used = [entry.request.get("job"), *entry.request.get("dats", ()), entry.kind == "job" and entry.capture]
+            if name in used:
+                raise StateError(f"found {name} in use by {entry.id}", "nothing at work on it", "cancel that or wait")
 
     def start(self, entry: Entry) -> None:
         """Queue a new entry."""
@@ -60,7 +74,7 @@ class Queue:
             self._store.events.tell(entry.id, "new", "queued" if entry.queue else "done", {})
 
     def requeue(self, entry_ids: Sequence[str], is_old: Callable[[Entry], bool]) -> None:
-        """Queue what was kept but is not queued: its capture was not made yet, or a process died between the two.
+        """Queue the entries that are kept but not queued: a capture was not made yet, or a process died in between.
 
         `entry_ids` seemed to be so a moment ago.
         """
@@ -79,6 +93,19 @@ class Queue:
             self._engine.forget(entry.id)
             self.start(self._store.entries.find([entry.id])[0])
 
+    def remove(self, entry: Entry, made: Path) -> None:
+        """Forget an entry, and delete its log and the folder of what it `made`."""
+        self._store.entries.remove(entry.id)  # first: what is kept and not queued is queued again
+        self._engine.forget(entry.id)
+        self._store.folder.remove(made)
+        self._store.folder.remove(self._store.folder.entry(entry.id))
+
+    def _at_work(self) -> list[Entry]:
+        """Return the entries queued or running as the engine knows it: announcements lag by half a second."""
+        told = self._store.entries.unfinished()
+        now = self._engine.statuses(told)
+        return [entry for entry in told if now[entry.id] in ACTIVE]
+
     def _start_again(self, entry: Entry, *, cancelled: bool) -> None:
         with self._moving:
             (latest,) = self._store.entries.find([entry.id]) or [None]
@@ -89,7 +116,7 @@ class Queue:
             self.start(latest)
 
     def _waits(self, entry: Entry) -> bool:
-        """Whether a job's capture is still being made; a job whose capture failed is queued and says so."""
+        """Return whether a job's capture is still being made; a job whose capture failed is queued and says so."""
         if entry.kind != "job" or entry.capture is None:
             return False
         made = self._engine.statuses(self._store.entries.find([entry.capture]))

@@ -1,4 +1,4 @@
-"""What is let go of: reports of progress, keys, deliveries, the engine's own memory and, where asked for, old jobs."""
+"""Deletes what is old: reports of progress, keys, deliveries, the engine's own memory and, if asked for, old jobs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PAGE = 500
 
 
 class Retention:
-    """Lets go of what is old; done by the announcer, once an hour."""
+    """Deletes what is old; the announcer calls it once an hour."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class Retention:
         self._clock = clock
 
     def tidy(self) -> None:
-        """Let go of everything that is due."""
+        """Delete everything that is due."""
         self._store.events.prune_progress(self._clock() - _PROGRESS_S)
         self._store.idempotency.prune()
         self._store.deliveries.prune()

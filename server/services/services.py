@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from server.engine import Engine
 from server.services.access import AccessService
+from server.services.admission import Admission
 from server.services.announcer import Announcer
 from server.services.artefacts import ArtefactService
 from server.services.calibrations import CalibrationService
@@ -27,16 +28,15 @@ class Services:
     """Built once from the settings. Raises RigError for a rig that cannot be loaded, and DatabaseError."""
 
     def __init__(self, settings: ServiceSettings) -> None:
-        sources = settings.rigs
-        for source in sources.values():
+        for source in settings.rigs.values():
             source.load()  # before anything is written
         self.settings = settings
-        self.store = Store.open(settings)
+        self.store = Store(settings)
         self.engine = Engine(settings)
         queue = Queue(self.store, self.engine)
-        self.rigs = RigService(self.store, self.engine, queue, sources)
+        self.rigs = RigService(self.store, self.engine, queue, settings.rigs)
         self.captures = CaptureService(self.store, self.engine, queue)
-        self.jobs = JobService(self.store, self.engine, queue, self.rigs)
+        self.jobs = JobService(self.store, self.engine, queue, Admission(self.store, self.engine, self.rigs))
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
         self.health = HealthService(self.store, self.engine)
@@ -52,15 +52,15 @@ class Services:
         self.announcer = Announcer(self.store, self.engine, queue, retention)
 
     def start(self) -> None:
-        """Begin what runs beside the requests; call it in the event loop."""
+        """Start the work beside the requests; call it in the event loop."""
         self.hub.start()
-        self.announcer.start()
-        self.webhooks.start()
+        self.announcer.thread.start()
+        self.webhooks.thread.start()
 
     def close(self) -> None:
-        """End it, and let go of the databases."""
+        """End that work, and let go of the databases."""
         self.hub.close()
-        self.announcer.stop()
-        self.webhooks.stop()
+        self.announcer.thread.stop()
+        self.webhooks.thread.stop()
         self.engine.close()
         self.store.close()

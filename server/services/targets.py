@@ -10,7 +10,8 @@ from urllib.parse import urlsplit
 
 from server.errors import TargetError
 
-_TRANSLATED = ipaddress.ip_network("64:ff9b::/96")  # an IPv4 address, as a NAT64 gateway is told it
+_TRANSLATED = ipaddress.ip_network("64:ff9b::/96")  # IPv4 addresses as NAT64 gateways write them
+_PORTS = {"http": 80, "https": 443}
 
 
 @dataclass(frozen=True)
@@ -24,13 +25,12 @@ class Target:
 
     @property
     def authority(self) -> str:
-        """Host and port, as a Host header has them."""
+        """Return host and port, as a Host header has them."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        usual = {"http": 80, "https": 443}[self.scheme]
-        return host if self.port == usual else f"{host}:{self.port}"
+        return host if self.port == _PORTS[self.scheme] else f"{host}:{self.port}"
 
     def at(self, address: str) -> str:
-        """The URL with an address in place of the name."""
+        """Return the URL with an address in place of the name."""
         host = f"[{address}]" if ":" in address else address
         return f"{self.scheme}://{host}:{self.port}{self.path}"
 
@@ -42,14 +42,14 @@ def target_of(url: str) -> Target:
         host, port = parts.hostname, parts.port
     except ValueError:
         parts, host, port = None, None, None
-    if parts is None or not host or parts.scheme not in ("http", "https") or "@" in parts.netloc or parts.fragment:
+    if parts is None or not host or parts.scheme not in _PORTS or "@" in parts.netloc or parts.fragment:
         raise TargetError(f"found the webhook {url[:80]!r}", "http(s)://HOST[:PORT]/PATH without a user")
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    return Target(parts.scheme, host, port or {"http": 80, "https": 443}[parts.scheme], path)
+    return Target(parts.scheme, host, port or _PORTS[parts.scheme], path)
 
 
 def addresses_of(target: Target) -> list[str]:
-    """What a target's name stands for now; raises TargetError where it stands for nothing."""
+    """Return the addresses of a target's name now; raises TargetError where it has none."""
     try:
         found = socket.getaddrinfo(target.host, target.port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
@@ -58,7 +58,7 @@ def addresses_of(target: Target) -> list[str]:
 
 
 def allowed_address(target: Target, addresses: list[str], hosts: Collection[str]) -> str:
-    """The address to connect to; raises TargetError where any is private and `hosts` does not name the target."""
+    """Return the address to connect to; raises TargetError for a private one of a target not named in `hosts`."""
     if target.host not in {host.lower() for host in hosts}:
         for address in addresses:
             if not _is_public(address):

@@ -14,8 +14,8 @@ from server.errors import DigestError, OffsetError, StateError, UploadDiskError,
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 from server.services.queue import Queue
 from server.store.store import Store
+from server.store.tables import StoredUpload
 from server.store.upload_file import Appender, digest_of, held
-from server.store.uploads import StoredUpload
 
 _PIECE_BYTES = 1 << 20
 _IDLE_S = 30.0  # a client that is silent for so long is gone, and another request may go on
@@ -37,25 +37,26 @@ class UploadService:
         free = shutil.disk_usage(self._store.folder.path).free - self._keep_free
         if request.bytes > free:
             raise UploadDiskError(f"{request.bytes} bytes asked for, {max(0, free)} free", 0)
-        upload = self._store.uploads.new(request.name, request.bytes, request.sha256)
+        uploads = self._store.uploads
+        upload = StoredUpload(uploads.dated_id("u"), uploads.now(), request.name, request.bytes, request.sha256)
         path = self.path(upload.id)
         path.parent.mkdir()
         path.touch()
-        self._store.uploads.add(upload)
+        uploads.insert(upload)
         return self._shown(upload)
 
     def get(self, upload_id: str) -> Upload:
-        """One upload and how much of it has come; raises NotFoundError."""
+        """Return one upload and how much of it has come; raises NotFoundError."""
         return self._shown(self._store.uploads.get(upload_id))
 
     def list(self, before: str | None, limit: int) -> Uploads:
-        """A page of uploads, newest first."""
+        """Return a page of uploads, newest first."""
         found = self._store.uploads.page(before, limit + 1)
         cursor = found[limit - 1].id if len(found) > limit else None
         return Uploads(items=[self._shown(upload) for upload in found[:limit]], next=cursor)
 
     async def receive(self, upload_id: str, offset: int, length: int | None, chunks: AsyncIterator[bytes]) -> Upload:
-        """Append what comes, `length` bytes if that is known, a megabyte at a time.
+        """Append the bytes that come, `length` of them if that is known, a megabyte at a time.
 
         Raises NotFoundError, OffsetError, StateError where it is committed or another request writes to it,
         UploadSizeError for more bytes than were announced, UploadDiskError where they do not fit the disk.
@@ -88,7 +89,7 @@ class UploadService:
                 sha256 = digest_of(descriptor)
                 if upload.sha256 not in (None, sha256):
                     raise DigestError(
-                        f"found the SHA-256 {sha256}", f"{upload.sha256}", "delete the upload and send it again"
+                        f"found the SHA-256 {sha256}", str(upload.sha256), "delete the upload and send it again"
                     )
                 self._store.uploads.commit(upload_id, sha256)
         return self.get(upload_id)
@@ -96,15 +97,13 @@ class UploadService:
     def delete(self, upload_id: str) -> None:
         """Forget an upload and its bytes; raises NotFoundError, StateError while it is written or imported."""
         upload = self._store.uploads.get(upload_id)
-        for entry in self._queue.at_work():
-            if entry.type == "import" and upload_id in entry.request["dats"]:
-                raise StateError(f"found {upload_id} being imported by {entry.id}", "it unused", "wait for that")
+        self._queue.expect_unused(upload_id)
         with held(self.path(upload_id)):
             self._store.uploads.remove(upload.id)
         self._store.folder.remove(self.path(upload_id).parent)
 
     def path(self, upload_id: str) -> Path:
-        """Where the bytes of an upload lie."""
+        """Return where the bytes of an upload lie."""
         return self._store.folder.upload(upload_id) / "data"
 
     def _open(self, upload_id: str) -> StoredUpload:
@@ -124,7 +123,7 @@ class UploadService:
 
 
 async def _until_gone(chunks: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-    """What a client sends until it ends, breaks off or falls silent: what has come is kept."""
+    """Yield what a client sends until it ends, breaks off or falls silent: the bytes that came are kept."""
     while True:
         try:
             async with asyncio.timeout(_IDLE_S):

@@ -1,36 +1,37 @@
-"""Webhooks: who is told, and the telling: signed, once at least, and again until it is heard."""
+"""Webhooks, and the delivery of their messages: signed, at least once, and again until one is accepted."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import logging
-import threading
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 
 import httpx
-from sqlalchemy.exc import SQLAlchemyError
 from standardwebhooks.webhooks import Webhook as Signer
 
 from server.errors import NotFoundError, TargetError
 from server.schemas.webhooks import Deliveries, Delivery, NewWebhook, Trial, Webhook, WebhookRequest, Webhooks
+from server.services.repeated import Repeated
 from server.services.targets import addresses_of, allowed_address, target_of
-from server.store import deliveries as stored
+from server.store.records import iso
 from server.store.store import Store
-from server.store.webhooks import Webhook as StoredWebhook
+from server.store.tables import Delivery as Owed
+from server.store.tables import StoredWebhook
 
 BACKOFF_S = (5.0, 30.0, 120.0, 600.0, 3600.0, 4 * 3600.0, 12 * 3600.0)
 _TIMEOUT_S = 10.0
 _TOGETHER = 20
 _LOOK_S = 1.0
 _GONE = 410
-_LOG = logging.getLogger(__name__)
 
 
 class WebhookService:
-    """The webhooks of a service, and a thread that tells them; several web processes share the work."""
+    """The webhooks of a service, and a thread that delivers; several web processes share the work.
+
+    Methods that take an id raise NotFoundError for an unknown one.
+    """
 
     def __init__(
         self,
@@ -43,80 +44,55 @@ class WebhookService:
         self._hosts = hosts
         self._resolve = resolve
         self._clock = clock
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
-
-    def start(self) -> None:
-        """Begin to deliver."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End, when what is under way has been delivered or has timed out."""
-        self._stop.set()
-        self._thread.join()
+        self.thread = Repeated("webhooks", lambda: self.look() == _TOGETHER, _LOOK_S)
 
     def add(self, request: WebhookRequest) -> NewWebhook:
-        """A new webhook with its secret; raises TargetError for an address that is not spoken to."""
+        """Keep a new webhook; return it with its secret. Raises TargetError for an address it may not have."""
         target = target_of(request.url)
         allowed_address(target, self._resolve(target), self._hosts)
         made = self._store.webhooks.add(request.url, list(dict.fromkeys(request.statuses)))
         return NewWebhook.model_validate(vars(made))
 
     def list(self) -> Webhooks:
-        """All webhooks."""
-        return Webhooks(items=[_shown(one) for one in self._store.webhooks.all()])
+        """Return all webhooks."""
+        return Webhooks(items=[Webhook.model_validate(vars(one)) for one in self._store.webhooks.all()])
 
     def get(self, webhook_id: str) -> Webhook:
-        """One webhook; raises NotFoundError."""
-        return _shown(self._store.webhooks.get(webhook_id))
+        """Return one webhook."""
+        return Webhook.model_validate(vars(self._store.webhooks.get(webhook_id)))
 
     def remove(self, webhook_id: str) -> None:
-        """Forget a webhook; raises NotFoundError."""
+        """Forget a webhook."""
         self._store.webhooks.remove(webhook_id)
 
     def deliveries(self, webhook_id: str, limit: int) -> Deliveries:
-        """The newest deliveries to a webhook; raises NotFoundError."""
+        """Return the newest deliveries to a webhook."""
         self._store.webhooks.get(webhook_id)
-        return Deliveries(
-            items=[
-                Delivery.model_validate(
-                    {
-                        **{name: getattr(one, name) for name in ("event", "status", "attempts", "said")},
-                        "due_in_s": max(0.0, one.next - self._clock()) if one.status == "waiting" else None,
-                    }
-                )
-                for one in self._store.deliveries.of(webhook_id, limit)
-            ]
-        )
+        return Deliveries(items=[self._delivery(one) for one in self._store.deliveries.of(webhook_id, limit)])
 
     def test(self, webhook_id: str) -> Trial:
-        """Send a message of type `test` now, once; raises NotFoundError."""
+        """Send a message of type `test` now, once."""
         webhook = self._store.webhooks.get(webhook_id)
-        at = datetime.fromtimestamp(self._clock(), UTC)
-        body = json.dumps({"type": "test", "timestamp": at.isoformat("T", "milliseconds"), "data": {}})
-        ok, said, _ = asyncio.run(self._send(webhook, f"msg_{webhook.id}_test_{int(at.timestamp() * 1000)}", body))
+        at = self._clock()
+        body = json.dumps({"type": "test", "timestamp": iso(at), "data": {}})
+        ok, said, _ = asyncio.run(self._send(webhook, f"msg_{webhook.id}_test_{int(at * 1000)}", body))
         return Trial(ok=ok, said=said)
 
     def look(self) -> int:
-        """Try what is due; how much that was."""
+        """Try what is due; return how many deliveries that were."""
         due = self._store.deliveries.claim(_TOGETHER)
         if due:
             asyncio.run(self._deliver(due))
         return len(due)
 
-    def _run(self) -> None:
-        busy = False
-        while not self._stop.wait(0 if busy else _LOOK_S):
-            try:
-                busy = self.look() == _TOGETHER
-            except SQLAlchemyError:
-                busy = False
-                _LOG.exception("webhooks go on after an error")
+    def _delivery(self, owed: Owed) -> Delivery:
+        due_in_s = max(0.0, owed.next - self._clock()) if owed.status == "waiting" else None
+        return Delivery.model_validate(vars(owed) | {"due_in_s": due_in_s})
 
-    async def _deliver(self, due: list[stored.Delivery]) -> None:
+    async def _deliver(self, due: list[Owed]) -> None:
         await asyncio.gather(*(self._attempt(one) for one in due))
 
-    async def _attempt(self, delivery: stored.Delivery) -> None:
+    async def _attempt(self, delivery: Owed) -> None:
         try:
             webhook = await asyncio.to_thread(self._store.webhooks.get, delivery.webhook)
         except NotFoundError:  # deleted meanwhile, and the delivery with it
@@ -128,7 +104,7 @@ class WebhookService:
         await asyncio.to_thread(self._store.deliveries.settle, delivery, status, wait_s, said)
 
     async def _send(self, webhook: StoredWebhook, message_id: str, body: str) -> tuple[bool, str, bool]:
-        """Whether it was accepted, what was said, and whether to leave it at that."""
+        """Send a message; return whether it was accepted, the answer, and whether not to try again."""
         try:
             async with asyncio.timeout(_TIMEOUT_S):
                 status = await self._post(webhook, message_id, body)
@@ -139,7 +115,7 @@ class WebhookService:
         return 200 <= status < 300, f"HTTP {status}", status == _GONE
 
     async def _post(self, webhook: StoredWebhook, message_id: str, body: str) -> int:
-        """The status of the answer; the name is resolved once, and that very address spoken to."""
+        """Post a message and return the status of the answer; the name is resolved once, and that address used."""
         target = target_of(webhook.url)
         address = allowed_address(target, await asyncio.to_thread(self._resolve, target), self._hosts)
         at = int(self._clock())
@@ -159,7 +135,3 @@ class WebhookService:
             answer = await client.send(request, stream=True)
             await answer.aclose()
             return answer.status_code
-
-
-def _shown(webhook: StoredWebhook) -> Webhook:
-    return Webhook.model_validate({name: value for name, value in vars(webhook).items() if name != "secret"})

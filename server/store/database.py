@@ -38,8 +38,8 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
     """Create or bring up to date all tables; a client of the engine never does, and processes start in any order.
 
     A database that does not answer is waited for, a minute at most: it may be starting too. `pause` sleeps in between,
-    and ends the wait where it returns a truth. Returns a pool of connections to the service's own tables. Raises
-    DatabaseError naming the database.
+    and ends the wait where it returns something true. Returns a pool of connections to the service's own tables.
+    Raises DatabaseError naming the database.
     """
     settings.data.mkdir(parents=True, exist_ok=True)
     engine = open_database(settings)
@@ -49,7 +49,7 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
             _create_tables(settings, engine)
             return engine
         except SQLAlchemyError as error:
-            reason = _reason(error)
+            reason = reason_of(error)
             if _may_come(error) and time.monotonic() < deadline and not pause(_POLL_S):
                 if not waits:
                     _LOG.warning("%s: waits for the database: %s", settings.database_name, reason)
@@ -72,30 +72,35 @@ def _create_tables(settings: ServiceSettings, engine: sa.Engine) -> None:
 
 
 def _may_come(error: SQLAlchemyError) -> bool:
-    """Whether nothing answers, or a server that starts or stops; what a server refuses, it will refuse again."""
-    text = str(getattr(error, "orig", error))
+    """Return whether nothing answers, or a server that starts or stops; what a server refuses, it refuses again."""
+    text = _text(error)
     return is_outage(error) and ("FATAL:" not in text or any(words in text for words in _PASSING))
 
 
-def _reason(error: SQLAlchemyError) -> str:
-    return str(getattr(error, "orig", error)).splitlines()[0]
+def reason_of(error: SQLAlchemyError) -> str:
+    """Return in one line what the database itself said."""
+    return _text(error).splitlines()[0]
+
+
+def _text(error: SQLAlchemyError) -> str:
+    return str(getattr(error, "orig", error))
 
 
 def open_database(settings: ServiceSettings) -> sa.Engine:
-    """Connections to the service's own tables."""
+    """Return connections to the service's own tables."""
     engine = _pool(settings, settings.catalogue_url)
     if settings.database is None:
 
         @event.listens_for(engine, "connect")
         def configure(connection: Any, record: Any) -> None:
-            connection.execute("PRAGMA journal_mode=WAL")  # who reads does not wait for who writes
+            connection.execute("PRAGMA journal_mode=WAL")  # a reader does not wait for a writer
             connection.execute("PRAGMA synchronous=NORMAL")
 
     return engine
 
 
 def open_engine_database(settings: ServiceSettings) -> sa.Engine:
-    """Connections to the job engine's tables, for reading."""
+    """Return connections to the job engine's tables, for reading."""
     return _pool(settings, settings.engine_url.replace("postgresql://", "postgresql+psycopg://", 1))
 
 
@@ -113,14 +118,14 @@ def _pool(settings: ServiceSettings, url: str) -> sa.Engine:
 def lock_writers(connection: sa.Connection) -> None:
     """Let one transaction at a time write, from here to its end; call it before the transaction's first statement.
 
-    What is numbered then becomes visible in the order of its numbers.
+    Rows that are numbered in it become visible in the order of their numbers.
     """
     postgresql = connection.dialect.name == "postgresql"
     connection.exec_driver_sql("SELECT pg_advisory_xact_lock(4127400942)" if postgresql else "BEGIN IMMEDIATE")
 
 
 def is_outage(error: SQLAlchemyError) -> bool:
-    """Whether the database did not answer, or is starting or busy: what was asked may be asked again later."""
+    """Return whether the database did not answer, or is starting or busy: the same may be asked again later."""
     if isinstance(error, PoolTimeoutError):
         return True
     if not isinstance(error, OperationalError) or is_full(error):
@@ -129,5 +134,5 @@ def is_outage(error: SQLAlchemyError) -> bool:
 
 
 def is_full(error: SQLAlchemyError) -> bool:
-    """Whether the database has no room left on its disk."""
-    return any(words in str(getattr(error, "orig", error)) for words in _FULL)
+    """Return whether the database has no room left on its disk."""
+    return any(words in _text(error) for words in _FULL)

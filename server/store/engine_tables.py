@@ -1,4 +1,4 @@
-"""What is read most often of the job engine's tables, without the thirty columns that its own client brings along."""
+"""Reads from the job engine's tables what is asked most often, without the thirty columns its own client fetches."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class EngineTables:
         self._engine = open_engine_database(settings)
 
     def statuses(self, ids: Sequence[str]) -> dict[str, str]:
-        """The engine's own word for the state of each of `ids` that it knows."""
+        """Return the engine's own word for the state of each of `ids` that it knows."""
         if not ids:
             return {}
         with self._engine.connect() as connection:
@@ -33,7 +33,7 @@ class EngineTables:
             return {row[0]: row[1] for row in connection.execute(self._statuses, wanted).all()}
 
     def count(self, statuses: Sequence[str]) -> dict[tuple[str, str], int]:
-        """How many entries of each queue have each of `statuses`."""
+        """Return how many entries of each queue have each of `statuses`."""
         queue, status = self._columns.queue_name, self._columns.status
         query = sa.select(queue, status, sa.func.count()).where(status.in_(statuses)).group_by(queue, status)
         with self._engine.connect() as connection:
@@ -44,7 +44,7 @@ class EngineTables:
         self._engine.dispose()
 
     def _query(self) -> sa.Select[Any, Any]:
-        """All ids are one parameter: thousands of them cost more to prepare than to look up."""
+        """Return the query of `statuses`; all ids are one parameter, as thousands would cost more to prepare than find."""
         ids = sa.bindparam("ids")
         if self._on_sqlite:
             within = self._columns.workflow_uuid.in_(sa.select(sa.func.json_each(ids).table_valued("value").c.value))

@@ -3,45 +3,18 @@
 from __future__ import annotations
 
 import re
-import secrets
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from typing import Any, Literal, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
 from server.errors import NotFoundError
-from server.store.database import lock_writers
-from server.store.tables import artefacts, entries, events
+from server.store.records import Records
+from server.store.tables import Entry, Kind, artefacts, entries, events
 
-Kind = Literal["capture", "job"]
 _ID = re.compile(r"[cj]\d{8}-\d{6}-[0-9a-f]{8}")
-_GOES_ON = ("new", "queued", "running")
-
-
-def now() -> datetime:
-    """The time in UTC."""
-    return datetime.now(UTC)
-
-
-@dataclass(frozen=True)
-class Entry:
-    """What was asked for, when; `told` is the last status that was announced, `new` before the first."""
-
-    id: str
-    kind: Kind
-    type: str
-    created: str
-    request: dict[str, Any]
-    rig: str | None = None
-    capture: str | None = None
-    name: str | None = None
-    queue: str | None = None
-    priority: int = 0
-    progress: dict[str, Any] = field(default_factory=dict)
-    restart: dict[str, Any] | None = None
-    told: str = "new"
+_GOES_ON = entries.c.told.in_(("new", "queued", "running"))
 
 
 class Listed(NamedTuple):
@@ -68,7 +41,7 @@ class Open(NamedTuple):
 
 @dataclass(frozen=True)
 class Filter:
-    """Which entries to list; None leaves a column open. `before` is the id that the last page ended with."""
+    """Selects entries; None leaves a column open. `before` is the id that the last page ended with."""
 
     kind: Kind
     type: str | None = None
@@ -78,38 +51,21 @@ class Filter:
     before: str | None = None
 
 
-class Entries:
+class Entries(Records[Entry]):
     """The table of captures and jobs."""
 
-    def __init__(
-        self,
-        engine: sa.Engine,
-        clock: Callable[[], datetime] = now,
-        token: Callable[[], str] = lambda: secrets.token_hex(4),
-    ) -> None:
-        self._engine = engine
-        self._clock = clock
-        self._token = token
-
-    def new_id(self, kind: Kind) -> str:
-        """An id that nobody has; ids sort by time."""
-        return f"{kind[0]}{self._clock():%Y%m%d-%H%M%S}-{self._token()}"
-
-    def created(self) -> str:
-        """The time, as entries carry it."""
-        return self._clock().isoformat("T", "milliseconds")
+    table, row = entries, Entry
 
     def add(self, entry: Entry) -> bool:
-        """Keep a new entry; False where one of its id is there already."""
-        with self._engine.begin() as connection:
-            lock_writers(connection)
-            if connection.scalar(sa.select(entries.c.id).where(entries.c.id == entry.id)):
+        """Keep a new entry; return False where one of its id is there already."""
+        with self.writing() as connection:
+            if self.rows(connection, entries.c.id == entry.id):
                 return False
             connection.execute(entries.insert(), vars(entry))
         return True
 
     def get(self, kind: Kind, entry_id: str) -> Entry:
-        """One entry; raises NotFoundError."""
+        """Return one entry; raises NotFoundError."""
         known = _ID.fullmatch(entry_id) and entry_id[0] == kind[0]
         found = self.find([entry_id]) if known else []
         if not found:
@@ -117,44 +73,38 @@ class Entries:
         return found[0]
 
     def find(self, entry_ids: Sequence[str]) -> list[Entry]:
-        """Those of the entries that exist, newest first."""
-        return self._select(entries.c.id.in_(entry_ids))
+        """Return those of the entries that exist, newest first."""
+        return self.select(entries.c.id.in_(entry_ids), order=entries.c.id.desc())
 
     def page(self, wanted: Filter, limit: int) -> list[Entry]:
-        """The newest entries that fit, at most `limit`."""
-        return self._select(*_clauses(wanted), limit=limit)
+        """Return the newest entries that fit, at most `limit`."""
+        return self.select(*_clauses(wanted), order=entries.c.id.desc(), limit=limit)
 
     def listed(self, wanted: Filter, limit: int) -> list[Listed]:
-        """The same, as lists need them."""
+        """Return the same, as lists need them."""
         query = sa.select(*_LISTED).where(*_clauses(wanted)).order_by(entries.c.id.desc()).limit(limit)
         with self._engine.connect() as connection:
             return [Listed(*row) for row in connection.execute(query).all()]
 
     def unfinished(self) -> list[Entry]:
-        """Entries whose last announced status is not an end."""
-        return self._select(entries.c.told.in_(_GOES_ON))
+        """Return the entries whose last announced status is not an end."""
+        return self.select(_GOES_ON, order=entries.c.id.desc())
 
     def open(self) -> list[Open]:
-        """The same, as who compares them with the engine needs them."""
-        query = sa.select(entries.c.id, entries.c.queue, entries.c.told).where(entries.c.told.in_(_GOES_ON))
+        """Return the same, with the columns that are compared with the engine's."""
         with self._engine.connect() as connection:
-            return [Open(*row) for row in connection.execute(query).all()]
+            found = connection.execute(sa.select(entries.c.id, entries.c.queue, entries.c.told).where(_GOES_ON))
+            return [Open(*row) for row in found.all()]
 
     def change(self, entry_id: str, **columns: Any) -> None:
         """Set columns of an entry."""
-        with self._engine.begin() as connection:
-            connection.execute(entries.update().where(entries.c.id == entry_id).values(**columns))
+        self.update(entries.c.id == entry_id, **columns)
 
     def remove(self, entry_id: str) -> None:
         """Forget an entry, its events and its artefacts."""
         with self._engine.begin() as connection:
             for table, column in ((events, events.c.entry), (artefacts, artefacts.c.entry), (entries, entries.c.id)):
                 connection.execute(table.delete().where(column == entry_id))
-
-    def _select(self, *clauses: sa.ColumnElement[bool], limit: int | None = None) -> list[Entry]:
-        query = sa.select(entries).where(*clauses).order_by(entries.c.id.desc()).limit(limit)
-        with self._engine.connect() as connection:
-            return [Entry(**row) for row in connection.execute(query).mappings()]
 
 
 def _clauses(wanted: Filter) -> list[sa.ColumnElement[bool]]:

@@ -26,43 +26,48 @@ class DataFolder:
             (path / name).mkdir(parents=True, exist_ok=True)
 
     def entry(self, entry_id: str) -> Path:
-        """The folder of an entry's log, made where it is missing."""
+        """Return the folder of an entry's log, made where it is missing."""
         folder = self.path / "entries" / entry_id
         folder.mkdir(exist_ok=True)
         return folder
 
     def log(self, entry_id: str) -> Path:
-        """What the stages of an entry wrote."""
+        """Return the path of what the stages of an entry wrote."""
         return self.path / "entries" / entry_id / "log.txt"
 
+    def logged(self, entry_id: str) -> str:
+        """Return what the stages of an entry wrote so far."""
+        path = self.log(entry_id)
+        return path.read_text(errors="replace") if path.exists() else ""
+
     def recording(self, capture_id: str) -> Path:
-        """The recording folder of a capture."""
+        """Return the recording folder of a capture."""
         return self.path / "captures" / capture_id
 
     def job(self, job_id: str) -> Path:
-        """The folder of a job."""
+        """Return the folder of a job."""
         return self.path / "jobs" / job_id
 
     def run(self, job_id: str) -> Path:
-        """The run folder of a reconstruction."""
+        """Return the run folder of a reconstruction."""
         return self.job(job_id) / "run"
 
     def out(self, job_id: str) -> Path:
-        """The folder of what any other job makes."""
+        """Return the folder of what any other job makes."""
         return self.job(job_id) / "out"
 
     def rig(self, rig_id: str) -> Path:
-        """The folder whose flock is held while a rig records."""
+        """Return the folder whose flock is held while a rig records."""
         folder = self.path / "rigs" / rig_id
         folder.mkdir(exist_ok=True)
         return folder
 
     def upload(self, upload_id: str) -> Path:
-        """The folder of an upload."""
+        """Return the folder of an upload."""
         return self.path / "uploads" / upload_id
 
     def remove(self, folder: Path) -> None:
-        """Delete a folder: it is gone from its place at once, whatever its size."""
+        """Delete a folder, which leaves its place at once, whatever its size."""
         if not folder.exists():
             return
         aside = Path(tempfile.mkdtemp(prefix=".removed-", dir=self.path))
@@ -71,7 +76,7 @@ class DataFolder:
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether some process holds the folder's flock."""
+    """Return whether some process holds the folder's flock."""
     if not folder.exists():
         return False
     descriptor = os.open(folder, os.O_RDONLY)

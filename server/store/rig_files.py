@@ -1,4 +1,4 @@
-"""The calibrations of a rig as files: what its captures record with, the pixel maps, and the pictures.
+"""The calibrations of a rig as files: the rig file that captures use, the pixel maps, and the pictures.
 
 DATA/rigs/RIG/calibration.toml         the current calibration; absent where the rig is used as it was drawn
 DATA/rigs/RIG/camRC-pixels-SHA.npz     pixel maps, named by what is in them, so that none is ever overwritten
@@ -30,13 +30,13 @@ class RigFiles:
         self._calibrations = calibrations
 
     def path(self, rig_id: str) -> Path:
-        """Where the current calibration lies, if there is one."""
+        """Return where the current calibration lies, if there is one."""
         return self._folder.rig(rig_id) / "calibration.toml"
 
     def refresh(self, rig_id: str) -> Path:
-        """Bring the file up to date with the database and give its path; raises DiskError.
+        """Bring the file up to date with the database and return its path; raises DiskError.
 
-        Who comes last has read last, so a crash or a race leaves nothing stale that the next call does not mend.
+        The last writer has read last, so a crash or a race leaves nothing stale that the next call does not mend.
         """
         path = self.path(rig_id)
         with _locked(path.with_name(".calibration.lock")):
@@ -48,7 +48,7 @@ class RigFiles:
         return path
 
     def adopt_pixels(self, rig_id: str, rig: Rig) -> Rig:
-        """`rig` with its pixel maps among the rig's files; raises DiskError."""
+        """Copy the pixel maps of `rig` among the rig's files; return `rig` with the copies. Raises DiskError."""
         cameras = []
         for camera in rig.cameras:
             if camera.pixels is not None:
@@ -62,14 +62,14 @@ class RigFiles:
         return dataclasses.replace(rig, cameras=tuple(cameras))
 
     def picture(self, rig_id: str, job_id: str) -> Path:
-        """Where the picture of what a job found lies, if it made one."""
+        """Return where the picture of the calibration that a job found lies, if it made one."""
         folder = self._folder.rig(rig_id) / "pictures"
         folder.mkdir(exist_ok=True)
         return folder / f"{job_id}.png"
 
 
 def fitted(found: Rig, rig: Rig) -> Rig:
-    """What was measured in `found`, with the order, name, rate and serials of `rig`.
+    """Return the measurements of `found` with the order, name, rate and serials of `rig`.
 
     Raises RigMismatchError where `found` is of other cameras: ids, sizes, serials where both have them, or tick rate.
     """
@@ -91,13 +91,13 @@ def fitted(found: Rig, rig: Rig) -> Rig:
 
 
 def with_pixels_of(rig: Rig, other: Rig) -> Rig:
-    """`rig`, with the pixel maps of the cameras of `other` that have one."""
+    """Return `rig` with the pixel maps of those cameras of `other` that have one."""
     cameras = (dataclasses.replace(c, pixels=other.camera(c.id).pixels or c.pixels) for c in rig.cameras)
     return dataclasses.replace(rig, cameras=tuple(cameras))
 
 
 def without_pixels(rig: Rig) -> Rig:
-    """`rig` without its pixel maps."""
+    """Return `rig` without its pixel maps."""
     return dataclasses.replace(rig, cameras=tuple(dataclasses.replace(c, pixels=None) for c in rig.cameras))
 
 

@@ -1,4 +1,4 @@
-"""The bytes of an upload on disk: only ever appended to, by one writer at a time."""
+"""The bytes of an upload on disk, to which one writer at a time appends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FREE_EVERY = 1 << 20  # bytes, at most, between two looks at the free disk
 
 @contextmanager
 def held(path: Path) -> Iterator[int]:
-    """A descriptor of the file, with its flock; raises StateError where somebody else holds it."""
+    """Open the file and hold its flock; yields the descriptor. Raises StateError where somebody else holds it."""
     descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         try:
@@ -32,7 +32,7 @@ def held(path: Path) -> Iterator[int]:
 
 
 def digest_of(descriptor: int) -> str:
-    """The SHA-256 of the whole file, in hexadecimal digits."""
+    """Return the SHA-256 of the whole file, in hexadecimal digits."""
     with os.fdopen(os.dup(descriptor), "rb") as file:
         file.seek(0)
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -78,18 +78,21 @@ class Appender:
             os.fsync(self._descriptor)
         except OSError as error:
             self._back()
-            raise UploadDiskError(error.strerror or "the disk refused", self.offset) from error
+            raise self._no_room(error.strerror) from error
 
     def _write(self, part: memoryview) -> None:
         if shutil.disk_usage(self._folder).free < self._keep_free + len(part):
-            raise UploadDiskError(f"less than {self._keep_free} bytes would stay free", self.offset)
+            raise self._no_room(f"less than {self._keep_free} bytes would stay free")
         while part:
             try:
                 written = os.pwrite(self._descriptor, part, self.offset)
             except OSError as error:
-                raise UploadDiskError(error.strerror or "the disk refused", self.offset) from error
+                raise self._no_room(error.strerror) from error
             self.offset += written
             part = part[written:]
+
+    def _no_room(self, reason: str | None) -> UploadDiskError:
+        return UploadDiskError(reason or "the disk refused", self.offset)
 
     def _back(self) -> None:
         os.ftruncate(self._descriptor, self._start)

@@ -9,10 +9,9 @@ from acquisition.durable import write_durably
 from rigs.rig import Rig
 from rigs.toml import dump_rig, load_rig, parse_rig
 from server.settings import ServiceSettings
-from server.store.calibrations import Found, Source, StoredCalibration
-from server.store.entries import Entry
 from server.store.rig_files import fitted, with_pixels_of, without_pixels
 from server.store.store import Store
+from server.store.tables import Entry, Found, Source, StoredCalibration
 from server.work.supervisor import StageError
 
 

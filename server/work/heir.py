@@ -8,7 +8,7 @@ from collections.abc import Callable, Container
 
 from server.engine import Engine
 from server.store.store import Store
-from server.store.workers import Worker
+from server.store.tables import Worker
 
 _LOG = logging.getLogger(__name__)
 

@@ -20,8 +20,8 @@ from server.contact_sheet import contact_sheet
 from server.settings import ServiceSettings
 from server.store.artefacts import is_plain, plain_files
 from server.store.database import is_full, is_outage
-from server.store.entries import Entry
 from server.store.store import Store
+from server.store.tables import Entry
 from server.work.calibrations import keep_calibration, write_current
 from server.work.commands import (
     import_arguments,

@@ -30,7 +30,7 @@ from server.pickles import refuse_pickles
 from server.settings import ServiceSettings
 from server.store.database import is_outage
 from server.store.store import Store
-from server.store.workers import Worker
+from server.store.tables import Worker
 from server.telemetry import configure_logs, engine_tracing
 from server.work.heir import Heir
 from server.work.stages import Stages
@@ -55,7 +55,7 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
 
 
 def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: threading.Event) -> None:
-    store = Store.open(settings, pause=stop.wait)
+    store = Store(settings, pause=stop.wait)
     try:
         queues = _queues(settings, kinds)
         me = store.workers.enter(name, queues)

@@ -20,7 +20,7 @@ with TestClient(create_app(ServiceSettings(data=Path(sys.argv[1]))), base_url="h
     codes.append(http.post("/v1/jobs", json={"capture": "c"}).status_code)
 print(json.dumps({"codes": codes, "modules": sorted(sys.modules)}))
 """
-FORBIDDEN = ("torch", "cv2", "pycolmap", "matplotlib", "av", "usb", "reconstruction")
+FORBIDDEN = ("torch", "cv2", "pycolmap", "matplotlib", "av", "usb")
 
 
 def test_the_web_process_never_loads_torch(tmp_path: Path) -> None:

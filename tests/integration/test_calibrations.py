@@ -20,7 +20,7 @@ from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import CalibrateRequest
 from server.schemas.jobs import Job
 from server.settings import RigSource, ServiceSettings
-from server.store.calibrations import Found
+from server.store.tables import Found
 
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
 SOURCES = {name: RigSource(rig=name, devices="usb:") for name in ("lab3x3", "ci3x3")} | {

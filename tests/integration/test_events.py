@@ -18,7 +18,7 @@ from server.hosting import server_of
 from server.schemas.progress import Progress
 from server.services.services import Services
 from server.settings import ServiceSettings
-from server.store.entries import Entry
+from server.store.tables import Entry
 
 
 @pytest.fixture

@@ -25,8 +25,8 @@ from server.schemas.progress import Progress
 from server.services.retention import Retention
 from server.services.services import Services
 from server.settings import ServiceSettings
-from server.store.entries import Entry
 from server.store.events import Events
+from server.store.tables import Entry
 
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
 LOOPBACK = "http://127.0.0.1"

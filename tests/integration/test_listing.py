@@ -14,8 +14,8 @@ from server.schemas.jobs import Job
 from server.schemas.progress import Progress
 from server.services.services import Services
 from server.settings import ServiceSettings
-from server.store.entries import Entry, Filter
-from server.store.tables import entries
+from server.store.entries import Filter
+from server.store.tables import Entry, entries
 
 CAPTURE = "c20260101-000000-00000001"
 RUN = "j20260101-000000-00000001"

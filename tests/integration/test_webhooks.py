@@ -21,8 +21,8 @@ from server.services.services import Services
 from server.services.targets import Target, allowed_address, target_of
 from server.services.webhooks import BACKOFF_S, WebhookService
 from server.settings import ServiceSettings
-from server.store.deliveries import LEASE_S, Deliveries
-from server.store.entries import Entry
+from server.store.tables import Entry
+from server.store.webhooks import LEASE_S, Deliveries
 
 
 class Receiver(ThreadingHTTPServer):

@@ -153,7 +153,7 @@ def test_a_worker_that_loses_its_database_while_it_starts_starts_again(
     thread = threading.Thread(target=worker.run_worker, args=(settings, "a", ("tasks",), stop))
     thread.start()
     wait_for(lambda: len(tries) == 2)
-    store = Store.open(settings)
+    store = Store(settings)
     wait_for(lambda: [one.id for one in store.workers.alive()] == ["a"])
     stop.set()
     thread.join(20)

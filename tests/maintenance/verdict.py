@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from server.engine import stages_of
-from server.schemas.artefacts import Artefact
+from server.schemas.jobs import Artefact
 
 STAGES = stages_of("reconstruct")
 

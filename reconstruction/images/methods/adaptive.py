@@ -13,7 +13,6 @@ Source of the rule: Goldenshluger and Nemirovski, "On spatially adaptive estimat
 Letters: K rungs, H rows, W columns.
 """
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,6 +51,8 @@ def longest_unbroken(rates: NDArray[np.float32], planes: list[int]) -> NDArray[n
     A few spikes cannot tell their own rate, so a rung's deviation is no less than the longest window's rate makes it.
     Deviations come from a table over `LEVELS` rates: computing each pixel's would take most of the time.
     """
+    import cv2
+
     levels = np.linspace(0, 1, LEVELS, dtype=np.float32)
     longest = _level(rates[-1])
     low = np.full(rates.shape[1:], -np.inf, dtype=np.float32)

@@ -11,7 +11,6 @@ plane. Source: the idea of Zhu et al., "Retina-like visual image reconstruction 
 for which there is no public code. Ours: the form of each layer, and all constants but the 3x3 neighbourhood.
 """
 
-import cv2
 import numpy as np
 
 from acquisition.spikes.stream import SpikeStream
@@ -29,6 +28,8 @@ MEMORY = 32  # intervals
 
 def tvs(stream: SpikeStream, plane: int) -> Estimate:
     """Image at `plane` from each pixel's weight at its next spike; not valid without an interval or if never silent."""
+    import cv2
+
     replay = Replay(stream, plane)
     shape = replay.silence.shape
     mean, potential = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)

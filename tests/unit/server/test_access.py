@@ -42,7 +42,7 @@ def secrets(http) -> dict[str, str]:
 
 
 def test_only_a_digest_is_kept(tmp_path: Path) -> None:
-    store = Store.open(ServiceSettings(data=tmp_path))
+    store = Store(ServiceSettings(data=tmp_path))
     secret = store.tokens.add("desk", "operator")
     (kept,) = store.tokens.all()
     store.close()
@@ -62,7 +62,7 @@ def test_info_has_no_role_where_no_token_is_needed(http) -> None:
 
 
 def test_names_of_tokens_are_unique(tmp_path: Path) -> None:
-    store = Store.open(ServiceSettings(data=tmp_path))
+    store = Store(ServiceSettings(data=tmp_path))
     assert store.tokens.add("desk", "viewer") != store.tokens.add("wall", "viewer")
     with pytest.raises(TokenError, match="found a token desk already"):
         store.tokens.add("desk", "operator")
@@ -125,7 +125,7 @@ def test_comparison_takes_the_same_time_for_all(http, secrets, monkeypatch) -> N
 
 def test_changes_are_seen_when_the_cache_is_old(tmp_path: Path) -> None:
     settings = ServiceSettings(data=tmp_path)
-    store, now = Store.open(settings), [0.0]
+    store, now = Store(settings), [0.0]
     access = AccessService(store.tokens, settings, clock=lambda: now[0])
     access.refresh()
     assert access.admit("POST", None) is None

@@ -16,9 +16,9 @@ from server.app import create_app
 from server.errors import PreconditionError, RigMismatchError
 from server.etags import matches
 from server.settings import ServiceSettings
-from server.store.calibrations import Found
 from server.store.rig_files import fitted, with_pixels_of
 from server.store.store import Store
+from server.store.tables import Found
 from server.work.commands import task_arguments
 
 LAB = catalog_rig("lab3x3")

@@ -21,7 +21,7 @@ from server.app import create_app
 from server.services import announcer
 from server.services.services import Services
 from server.settings import ServiceSettings
-from server.store.entries import Entry
+from server.store.tables import Entry
 from server.work.commands import import_arguments, look_arguments, preflight_arguments
 
 RIG = catalog_rig("lab3x3").scaled(40, 24)
@@ -62,7 +62,7 @@ def capture_id(services: Services, tmp_path_factory: pytest.TempPathFactory) -> 
 
 def add(services: Services, kind: Any, what: str, **fields: Any) -> Entry:
     entries = services.store.entries
-    entry = Entry(entries.new_id(kind), kind, what, entries.created(), fields.pop("request", {}), **fields)
+    entry = Entry(entries.dated_id(kind[0]), kind, what, entries.now(), fields.pop("request", {}), **fields)
     entries.add(entry)
     return entry
 

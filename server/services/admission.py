@@ -1,0 +1,85 @@
+"""Whether a job can be done: what it works on is there, ready, and of the cameras that it names."""
+
+from __future__ import annotations
+
+from rigs.toml import load_rig
+from server.engine import Engine
+from server.errors import RigMismatchError, StateError, UnknownReferenceError, referred
+from server.schemas.job_types import (
+    CalibrateRequest,
+    CheckRigRequest,
+    ExportRequest,
+    JobBase,
+    OfCapture,
+    OfJob,
+    ReconstructRequest,
+    RenderRequest,
+)
+from server.services.captures import RigService
+from server.store.rig_files import fitted
+from server.store.store import Store
+from server.store.tables import Entry
+
+
+class Admission:
+    """Checks the requests for jobs of a service."""
+
+    def __init__(self, store: Store, engine: Engine, rigs: RigService) -> None:
+        self._store = store
+        self._engine = engine
+        self._rigs = rigs
+
+    def target(self, request: JobBase, *, waits: bool) -> Entry:
+        """Return the capture or job that a job works on; it is done, unless the job waits for it.
+
+        Raises UnknownReferenceError, StateError, RigError for a camera it lacks, RigMismatchError.
+        """
+        with referred():
+            if isinstance(request, OfJob):
+                target = self._store.entries.get("job", request.job)
+                if target.type != "reconstruct":
+                    raise UnknownReferenceError(f"found the job {target.id} of type {target.type}", "reconstruct")
+            else:
+                assert isinstance(request, OfCapture)
+                target = self._store.entries.get("capture", request.capture)
+        if not waits:
+            self._expect_done(target)
+            self._check_cameras(request, target)
+            if isinstance(request, (CalibrateRequest, CheckRigRequest)):
+                self._check_rig(request, target)
+        if isinstance(request, RenderRequest):
+            self._store.uploads.committed(request.cameras)
+        return target
+
+    def _expect_done(self, target: Entry) -> None:
+        status = self._engine.status(target)
+        if status != "done":
+            raise StateError(f"found {target.kind} {target.id} {status}", "it done", "wait for it")
+
+    def _check_rig(self, request: CalibrateRequest | CheckRigRequest, target: Entry) -> None:
+        """Check that a rig is calibrated and checked with captures of its own cameras."""
+        captures = [target]
+        with referred():
+            rig = None if request.rig is None else self._rigs.rig(request.rig)
+            if isinstance(request, CalibrateRequest) and request.dark is not None:
+                captures.append(self._store.entries.get("capture", request.dark))
+        for capture in captures:
+            self._expect_done(capture)
+            if rig is None:
+                continue
+            if capture.rig not in (None, request.rig):
+                raise RigMismatchError(f"found {capture.id} of rig {capture.rig}", f"one of {request.rig}")
+            fitted(load_rig(self._store.folder.recording(capture.id) / "rig.toml"), rig)
+
+    def _check_cameras(self, request: JobBase, target: Entry) -> None:
+        named: list[str | None] = []
+        if isinstance(request, ReconstructRequest):
+            named = [request.holdout, *(request.views or [])]
+        elif isinstance(request, ExportRequest):
+            named = [request.camera]
+        wanted = [camera for camera in named if camera is not None]
+        capture = target.id if target.kind == "capture" else target.capture
+        if wanted and capture is not None:
+            rig = load_rig(self._store.folder.recording(capture) / "rig.toml")
+            for camera in wanted:
+                rig.camera(camera)
