@@ -44,7 +44,7 @@ class EngineTables:
         self._engine.dispose()
 
     def _query(self) -> sa.Select[Any, Any]:
-        """Return the query of `statuses`; all ids are one parameter, as thousands would cost more to prepare than find."""
+        """Return the query of `statuses`. All ids are one parameter: preparing thousands costs more than the search."""
         ids = sa.bindparam("ids")
         if self._on_sqlite:
             within = self._columns.workflow_uuid.in_(sa.select(sa.func.json_each(ids).table_valued("value").c.value))
