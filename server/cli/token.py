@@ -12,7 +12,8 @@ from server.cli.output import answer, columns
 from server.cli.serve import NAME
 from server.settings import settings_of
 from server.store.store import Store
-from server.store.tokens import Role, Tokens
+from server.store.tables import Role
+from server.store.tokens import Tokens
 
 
 @click.group()
