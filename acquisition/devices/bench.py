@@ -1,4 +1,4 @@
-"""How fast one core finds blocks in the bytes of a stream: the parser alone, beside a plain copy."""
+"""Measures how fast one core finds blocks in the bytes of a stream: the parser alone, beside a plain copy."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from acquisition.errors import DeviceError
 from acquisition.spikes.layout import PlaneLayout
 
 LAYOUT = PlaneLayout(400, 250)
-BLOCK_PLANES = 80  # a megabyte, as the cameras of the lab rig send them
+BLOCK_PLANES = 80  # planes of a block of a megabyte, as the lab rig's cameras send them
 _DISTINCT = 16  # blocks of random planes, sent again and again: 16 MB, more than the caches near a core
 
 
 def parser_rows(total_bytes: int, memcpy_gb_s: float) -> tuple[list[dict], dict[str, float]]:
-    """Rows and summary of parsing `total_bytes`: blocks fed whole, as most transfers are, and cut in two at random.
+    """Return rows and summary of parsing `total_bytes`: blocks fed whole, as most transfers are, and cut in two.
 
     A row has blocks/s, GB/s and GB/s as a share of `memcpy_gb_s`, by the processor's own clock. Raises DeviceError
     where the parser does not give back every block.
@@ -44,7 +44,7 @@ def _block(number: int, rng: np.random.Generator) -> Block:
 
 
 def _parse_s(pieces: list[tuple[bytes, ...]], rounds: int) -> float:
-    """Processor seconds of this thread for all pieces, `rounds` times."""
+    """Return the processor seconds of this thread for all pieces, `rounds` times."""
     parser, found = BlockParser(), 0
     begin_s = time.thread_time()
     for _ in range(rounds):
@@ -55,6 +55,6 @@ def _parse_s(pieces: list[tuple[bytes, ...]], rounds: int) -> float:
                 found += 1
     seconds = time.thread_time() - begin_s
     if found != rounds * len(pieces) or parser.damages:
-        expected = f"expected {rounds * len(pieces)} and none"
-        raise DeviceError(f"found {found} blocks and {parser.damages} damages in a sound stream, {expected}")
+        wrong = f"found {found} blocks and {parser.damages} damages in a sound stream"
+        raise DeviceError(wrong, f"{rounds * len(pieces)} and none")
     return seconds

@@ -1,6 +1,6 @@
-"""How the registers of a camera are reached: by vendor requests, or by messages through a pair of bulk pipes.
+"""Two ways to a camera's registers: vendor requests, and messages through a pair of bulk pipes; see PROTOCOL.md.
 
-PROTOCOL.md has the messages.
+Either raises USBError, EPIPE for what the camera refuses.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import struct
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import crc32c
 import usb.core
@@ -20,6 +20,7 @@ from usb.core import USBError
 
 from acquisition.devices.profile import Profile
 from acquisition.devices.registers import REGISTER_BYTES, Request
+from acquisition.devices.stream import StreamPipe, pipe_stalled
 
 CONTROL_TIMEOUT_S = 1.0
 COMMAND_MAGIC, REPLY_MAGIC = b"S4RQ", b"S4RP"
@@ -29,8 +30,8 @@ _READ = usb.util.CTRL_IN | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_D
 _WRITE = usb.util.CTRL_OUT | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_DEVICE
 _HEADER = struct.Struct("<4sBBHI")
 _CRC = struct.Struct("<I")
-_MOST_BYTES = 1024  # asked of the reply pipe: one packet, which any message fits into
-_STALE_REPLIES = 64
+_MOST_BYTES = 1024  # asked of the reply pipe: one packet, which holds any message
+_STALE_REPLIES = 64  # read before the reply is given up
 
 
 class StallError(Exception):
@@ -38,7 +39,11 @@ class StallError(Exception):
 
 
 class Message(NamedTuple):
-    """A command (`note`: 0 reads the register `request`, 1 does it) or the reply to it (`note`: 0 done, 1 refused)."""
+    """A command or its reply, with the same `number`.
+
+    A command with `note` 0 reads the register `request`, with 1 it does what that asks; a reply has 0 for done, 1 for
+    refused.
+    """
 
     magic: bytes
     request: int
@@ -47,13 +52,13 @@ class Message(NamedTuple):
     data: bytes = b""
 
     def encode(self) -> bytes:
-        """The message's bytes."""
+        """Return the message's bytes."""
         head = _HEADER.pack(self.magic, self.request, self.note, self.number, len(self.data)) + self.data
         return head + _CRC.pack(crc32c.crc32c(head))
 
     @classmethod
     def decode(cls, data: bytes) -> Message | None:
-        """None for bytes that are no message."""
+        """Return the message with these bytes; None for bytes that are no message."""
         if not _HEADER.size + _CRC.size <= len(data) <= _HEADER.size + MOST_DATA_BYTES + _CRC.size:
             return None
         magic, request, note, number, size = _HEADER.unpack_from(data)
@@ -63,18 +68,6 @@ class Message(NamedTuple):
         return cls(magic, request, note, number, data[_HEADER.size : -_CRC.size])
 
 
-class ControlChannel(Protocol):
-    """Reads registers and gives commands. Errors are USBError: EPIPE for what the camera refuses."""
-
-    def read(self, request: Request) -> bytes:
-        """The register's bytes."""
-        ...
-
-    def write(self, request: Request, data: bytes = b"") -> None:
-        """Have the camera do `request`."""
-        ...
-
-
 class RequestChannel:
     """Vendor control requests to the device."""
 
@@ -82,7 +75,7 @@ class RequestChannel:
         self._device = device
 
     def read(self, request: Request) -> bytes:
-        """The register's bytes."""
+        """Return the register's bytes."""
         size, timeout_ms = REGISTER_BYTES[request], round(CONTROL_TIMEOUT_S * 1e3)
         return bytes(self._device.ctrl_transfer(_READ, request, 0, 0, size, timeout_ms))
 
@@ -91,29 +84,17 @@ class RequestChannel:
         self._device.ctrl_transfer(_WRITE, request, 0, 0, data or None, round(CONTROL_TIMEOUT_S * 1e3))
 
 
-class BulkPipes(Protocol):
-    """Short transfers on the endpoints beside the stream. Errors are USBError."""
-
-    def write(self, endpoint: int, data: bytes, timeout_s: float) -> None:
-        """Send all of `data`."""
-        ...
-
-    def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
-        """What came, up to a short packet or `size` bytes."""
-        ...
-
-
 class MessageChannel:
     """Commands to one bulk pipe, numbered, and their replies from another; one at a time."""
 
-    def __init__(self, pipes: BulkPipes, profile: Profile):
+    def __init__(self, pipes: StreamPipe, profile: Profile):
         self._pipes = pipes
         self._command, self._reply = profile.command_endpoint, profile.reply_endpoint
         self._number = 0
         self._one_at_a_time = threading.Lock()
 
     def read(self, request: Request) -> bytes:
-        """The register's bytes."""
+        """Return the register's bytes."""
         return self._exchange(request, 0, b"")
 
     def write(self, request: Request, data: bytes = b"") -> None:
@@ -125,14 +106,14 @@ class MessageChannel:
             self._number = (self._number + 1) & 0xFFFF
             command = Message(COMMAND_MAGIC, request, note, self._number, data)
             self._pipes.write(self._command, command.encode(), CONTROL_TIMEOUT_S)
-            for _ in range(_STALE_REPLIES):  # of commands whose time was over, or of another program
+            for _ in range(_STALE_REPLIES):  # replies to commands that timed out, or to another program
                 reply = Message.decode(self._pipes.read(self._reply, _MOST_BYTES, CONTROL_TIMEOUT_S))
                 if reply and reply[:2] == (REPLY_MAGIC, request) and reply.number == self._number:
                     break
             else:
                 raise USBError("Input/Output Error", -1, errno.EIO)
         if reply.note != DONE:
-            raise USBError("Pipe error", -9, errno.EPIPE)
+            raise pipe_stalled()
         return reply.data
 
 
@@ -144,7 +125,7 @@ class MessageEnd:
         self._replies: deque[bytes] = deque()
 
     def take(self, data: bytes) -> None:
-        """A command; bytes that are none are forgotten."""
+        """Obey a command; bytes that are none are forgotten."""
         command = Message.decode(data)
         if command is None or command.magic != COMMAND_MAGIC:
             return
@@ -158,5 +139,5 @@ class MessageEnd:
         self._replies.append(Message(REPLY_MAGIC, command.request, note, command.number, answer).encode())
 
     def give(self) -> bytes:
-        """The next reply; empty where there is none."""
+        """Return the next reply; empty where there is none."""
         return self._replies.popleft() if self._replies else b""

@@ -1,4 +1,4 @@
-"""The USB descriptors of simulated devices: fields for the mock's pyusb backend, bytes for a real kernel."""
+"""The USB descriptors of simulated devices, as fields for a pyusb backend."""
 
 from __future__ import annotations
 
@@ -9,34 +9,19 @@ from acquisition.devices.profile import Profile
 Fields = dict[str, int]
 MAX_PACKET_BYTES = 1024  # of a SuperSpeed bulk pipe
 LANGUAGE_ID = 0x0409
-DEVICE, CONFIGURATION, STRING, BOS = 1, 2, 3, 15
-_BULK, _INTERRUPT = 2, 3
-_COMPANIONS = {
-    _BULK: bytes((6, 0x30, 15, 0, 0, 0)),  # bursts of 16 packets
-    _INTERRUPT: bytes((6, 0x30, 0, 0, 0, 4)),  # 1,024 B an interval
-}
-
-SUPER_SPEED_BOS = (
-    struct.pack("<BBHB", 5, BOS, 22, 2)
-    + struct.pack("<BBBI", 7, 16, 2, 0)  # USB 2.0 extension, no power saving
-    + struct.pack("<BBBBHBBH", 10, 16, 3, 0, 0x0E, 3, 0, 0)  # full speed and up; all functions at SuperSpeed
-)
-
-
-def encode_fields(fields: Fields) -> bytes:
-    """A descriptor's bytes: fields named `w`, `id` and `bcd` have two, the others one."""
-    wide = ("w", "id", "bcd")
-    return b"".join(value.to_bytes(2 if name.startswith(wide) else 1, "little") for name, value in fields.items())
+DEVICE, CONFIGURATION, STRING = 1, 2, 3
+BULK, INTERRUPT = 2, 3
+_ENDPOINT_BYTES = 7 + 6  # of an endpoint's descriptor and the SuperSpeed companion behind it
 
 
 def encode_string(number: int, strings: tuple[str, ...]) -> bytes:
-    """String descriptor `number`; 0 lists the languages."""
+    """Return string descriptor `number`; 0 lists the languages."""
     body = struct.pack("<H", LANGUAGE_ID) if number == 0 else strings[number].encode("utf-16-le")
     return bytes((len(body) + 2, STRING)) + body
 
 
 def device(profile: Profile) -> Fields:
-    """The device descriptor of a camera of this profile."""
+    """Return the device descriptor of a camera of this profile."""
     return {
         "bLength": 18,
         "bDescriptorType": DEVICE,
@@ -56,44 +41,26 @@ def device(profile: Profile) -> Fields:
 
 
 def interfaces(profile: Profile) -> list[tuple[Fields, list[Fields]]]:
-    """Each interface with its endpoints; those before the camera's own are a bridge's, which nobody here talks to."""
+    """Return each interface with its endpoints; those before the camera's own are a bridge's, which nobody talks to."""
     pipes = [endpoint for endpoint in (profile.command_endpoint, profile.reply_endpoint) if endpoint]
-    found = [_interface(0, [_endpoint(0x01, _BULK), _endpoint(0x81, _INTERRUPT)])] if profile.interface else []
-    own = [_endpoint(address, _BULK) for address in (*pipes, profile.stream_endpoint)]
+    found = [_interface(0, [_endpoint(0x01, BULK), _endpoint(0x81, INTERRUPT)])] if profile.interface else []
+    own = [_endpoint(address, BULK) for address in (*pipes, profile.stream_endpoint)]
     return [*found, _interface(profile.interface, own)]
 
 
 def configuration(profile: Profile) -> Fields:
-    """The only configuration."""
+    """Return the only configuration."""
+    found = interfaces(profile)
     return {
         "bLength": 9,
         "bDescriptorType": CONFIGURATION,
-        "wTotalLength": 9 + len(_body(profile)),
-        "bNumInterfaces": len(interfaces(profile)),
+        "wTotalLength": 9 + sum(9 + len(endpoints) * _ENDPOINT_BYTES for _, endpoints in found),
+        "bNumInterfaces": len(found),
         "bConfigurationValue": 1,
         "iConfiguration": 0,
         "bmAttributes": 0x80,
         "bMaxPower": 112,
     }
-
-
-def descriptor(profile: Profile, strings: tuple[str, ...], kind: int, number: int) -> bytes | None:
-    """What a camera answers when it is asked for descriptor `number` of `kind`; None for one it has not."""
-    if kind == STRING:
-        return encode_string(number, strings) if number < len(strings) else None
-    if kind == CONFIGURATION:
-        return encode_fields(configuration(profile)) + _body(profile)
-    return {DEVICE: encode_fields(device(profile)), BOS: SUPER_SPEED_BOS}.get(kind)
-
-
-def _body(profile: Profile) -> bytes:
-    parts = []
-    for fields, endpoints in interfaces(profile):
-        parts += [
-            encode_fields(fields),
-            *(encode_fields(each) + _COMPANIONS[each["bmAttributes"]] for each in endpoints),
-        ]
-    return b"".join(parts)
 
 
 def _interface(number: int, endpoints: list[Fields]) -> tuple[Fields, list[Fields]]:
@@ -118,5 +85,5 @@ def _endpoint(address: int, transfers: int) -> Fields:
         "bEndpointAddress": address,
         "bmAttributes": transfers,
         "wMaxPacketSize": MAX_PACKET_BYTES,
-        "bInterval": 9 if transfers == _INTERRUPT else 0,
+        "bInterval": 9 if transfers == INTERRUPT else 0,
     }

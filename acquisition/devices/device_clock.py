@@ -1,4 +1,4 @@
-"""The clock of a simulated camera, what it sees of the shared line's pulses, and whether time waits for the host."""
+"""The clock of a simulated camera and the pulses it sees, and whether its time waits for the host."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class DeviceClock:
             raise DeviceError(f"found the clock {self}", "offset and jitter from 0, missed pulses from 2")
 
     def latch_s(self, pulse: int, period_s: float) -> float:
-        """The device time at which pulse `pulse` of a train of `period_s` is seen."""
+        """Return the device time at which pulse `pulse` of a train of `period_s` is seen."""
         jitter_s = np.random.default_rng((self.seed, pulse)).normal(0, self.jitter_s) if self.jitter_s else 0.0
         return self.offset_s + (pulse - 1) * period_s * (1 + self.drift_ppm * 1e-6) + jitter_s
 
     def seen(self, device_time_s: float, period_s: float) -> tuple[int, float | None]:
-        """How many pulses the camera has counted at `device_time_s`, and when the last of them was latched."""
+        """Return how many pulses the camera has counted at `device_time_s`, and when it latched the last of them."""
         period_here_s = period_s * (1 + self.drift_ppm * 1e-6)
         pulse = 2 + math.floor((device_time_s - self.offset_s) / period_here_s)
         while pulse > 0 and (pulse in self.missed or self.latch_s(pulse, period_s) > device_time_s + 1e-12):

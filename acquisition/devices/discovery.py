@@ -20,11 +20,9 @@ class CameraSetupError(DeviceError):
 
 
 def find_camera(camera: Camera, backend: IBackend) -> usb.core.Device:
-    """The device with the camera's serial, of any profile; raises CameraSetupError where there is none."""
+    """Return the device with the camera's serial, of any profile; raises CameraSetupError where there is none."""
     if not camera.serial:
-        raise CameraSetupError(
-            "found no serial in the rig", "the one on the camera", "add it to the rig", where=camera.id
-        )
+        raise CameraSetupError("found no serial in the rig", "the one on the camera", "add it", where=camera.id)
     devices = usb.core.find(find_all=True, backend=backend, custom_match=device_profile)
     serials = []
     for device in cast(Iterable[usb.core.Device], devices or ()):
@@ -33,15 +31,12 @@ def find_camera(camera: Camera, backend: IBackend) -> usb.core.Device:
             return device
         serials.append(serial)
     connected = ", ".join(sorted(serials)) or "none"
-    raise CameraSetupError(
-        f"found no camera with serial {camera.serial} (connected: {connected})",
-        do="check its cable and power",
-        where=camera.id,
-    )
+    found = f"found no camera with serial {camera.serial} (connected: {connected})"
+    raise CameraSetupError(found, do="check its cable and power", where=camera.id)
 
 
 def serial_of(device: usb.core.Device) -> str:
-    """Its serial number, or that it cannot be read."""
+    """Return the serial number of a device, or that it cannot be read."""
     try:
         return str(device.serial_number)
     except (usb.core.USBError, ValueError):  # one that may not be opened; a serial is only needed from ours
@@ -49,6 +44,6 @@ def serial_of(device: usb.core.Device) -> str:
 
 
 def device_profile(device: usb.core.Device) -> Profile | None:
-    """The profile of a device on the bus; None for one that is no camera."""
+    """Return the profile of a device on the bus; None for one that is no camera."""
     found = cast(Any, device)  # pyusb sets the fields of its descriptor at run time
     return profile_of(found.idVendor, found.idProduct)

@@ -18,24 +18,24 @@ def _missing(model: DeviceModel, backend: MockBackend) -> None:
 
 
 def _firmware(model: DeviceModel, backend: MockBackend) -> None:
-    model.firmware_version += 1
+    model.registers.firmware_version += 1
 
 
 def _deaf(model: DeviceModel, backend: MockBackend) -> None:
-    model.hears = False
+    model.run.hears = False
 
 
 def _late(model: DeviceModel, backend: MockBackend) -> None:
-    model.clock = DeviceClock(offset_s=LATE_S)
+    model.run.clock = DeviceClock(offset_s=LATE_S)
 
 
 def _frozen(model: DeviceModel, backend: MockBackend) -> None:
-    stopped_s = model.now_s()
-    model.now_s = lambda: stopped_s
+    stopped_s = model.run.now_s()
+    model.run.now_s = lambda: stopped_s
 
 
 def _noisy(model: DeviceModel, backend: MockBackend) -> None:
-    model.link_per_block = LinkCounters(errors=3, recoveries=1)
+    model.faults.link_per_block = LinkCounters(errors=3, recoveries=1)
 
 
 FAULTS: dict[str, Callable[[DeviceModel, MockBackend], None]] = {
@@ -49,7 +49,7 @@ FAULTS: dict[str, Callable[[DeviceModel, MockBackend], None]] = {
 
 
 def parse_fault(text: str) -> tuple[str, str]:
-    """Kind and camera of `KIND:camRC`; raises CameraSetupError for all else."""
+    """Return the kind and the camera of `KIND:camRC`; raises CameraSetupError for all else."""
     kind, _, camera_id = text.partition(":")
     if kind not in FAULTS or not camera_id:
         raise CameraSetupError(f"found the fault {text!r}", f"one of {', '.join(FAULTS)}, and :camRC behind it")
@@ -57,7 +57,7 @@ def parse_fault(text: str) -> tuple[str, str]:
 
 
 def give_fault(fault: str, models: Mapping[str, DeviceModel], backend: MockBackend) -> None:
-    """Give `KIND:camRC` to that camera of `models`, by camera id, where it is among them."""
+    """Give the fault `KIND:camRC` to that camera of `models`, by camera id, where it is among them."""
     kind, camera_id = parse_fault(fault)
     if camera_id in models:
         FAULTS[kind](models[camera_id], backend)

@@ -1,4 +1,4 @@
-"""A stream pipe over libusb's asynchronous transfers: what hardware, and an emulated device on a real kernel, is."""
+"""A stream pipe over libusb's asynchronous transfers, for hardware and for emulated devices on a real kernel."""
 
 # usb1 binds its names when it is imported.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
@@ -17,7 +17,7 @@ import usb1
 from usb.core import USBError
 
 from acquisition.devices.profile import Profile
-from acquisition.devices.stream import Completion, Outcome
+from acquisition.devices.stream import Completion, Outcome, device_gone
 
 _ERRNO = {
     -1: errno.EIO,
@@ -75,7 +75,7 @@ class LibusbPipe:
         self._flying.append(transfer)
 
     def reap(self, timeout_s: float) -> Completion | None:
-        """The oldest transfer, or None when it does not end within `timeout_s`."""
+        """Return the oldest transfer, or None when it does not end within `timeout_s`."""
         if not self._flying:
             return None
         transfer = self._flying[0]
@@ -109,7 +109,7 @@ class LibusbPipe:
             self._handle.bulkWrite(endpoint, data, round(timeout_s * 1e3))
 
     def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
-        """What comes from another endpoint, up to a short packet or `size` bytes."""
+        """Return what comes from another endpoint, up to a short packet or `size` bytes."""
         self._require_open()
         with _as_pyusb():
             return bytes(self._handle.bulkRead(endpoint, size, round(timeout_s * 1e3)))
@@ -123,18 +123,18 @@ class LibusbPipe:
 
     def _require_open(self) -> None:
         if self._closed:  # libusb would not survive it
-            raise USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+            raise device_gone()
 
     def _open(self, bus: int, address: int) -> usb1.USBDeviceHandle:
         for device in self._context.getDeviceIterator(skip_on_error=True):
             if (device.getBusNumber(), device.getDeviceAddress()) == (bus, address):
                 return device.open()
-        raise USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+        raise device_gone()
 
 
 @functools.cache
 def _library() -> ctypes.CDLL | None:
-    """The very library that pyusb uses; None lets usb1 look for one."""
+    """Return the very library that pyusb uses; None lets usb1 look for one."""
     path = libusb_package.get_library_path()
     return None if path is None else ctypes.CDLL(str(path))
 

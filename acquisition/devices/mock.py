@@ -7,18 +7,19 @@ from __future__ import annotations
 import array
 import errno
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import usb.core
 import usb.util
 from usb.backend import IBackend
-from usb.core import USBError, USBTimeoutError
+from usb.core import USBError
 
 from acquisition.devices import descriptors
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock_pipe import MockPipe, Port, UsbfsMemory
+from acquisition.devices.stream import pipe_stalled, timed_out
 
 _SUPER_SPEED = 4
 _ABSENT = {"bRefresh": 0, "bSynchAddress": 0, "extra_descriptors": []}
@@ -27,15 +28,6 @@ _ABSENT = {"bRefresh": 0, "bSynchAddress": 0, "extra_descriptors": []}
 @dataclass(eq=False)
 class _Handle:
     port: Port
-    claimed: set[int] = field(default_factory=set)
-
-
-def _timed_out() -> USBTimeoutError:
-    return USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
-
-
-def _stalled() -> USBError:
-    return USBError("Pipe error", -9, errno.EPIPE)
 
 
 class MockBackend(IBackend):
@@ -50,13 +42,7 @@ class MockBackend(IBackend):
         for port in self._ports:
             if port.model.serial == serial:
                 port.plugged = False
-                port.model.wake()
-
-    def halt(self, serial: str) -> None:
-        """Stall the stream of camera `serial` until the host clears it."""
-        for port in self._ports:
-            if port.model.serial == serial:
-                port.model.halt()
+                port.model.run.wake()
 
     def replug(self, serial: str) -> None:
         """Put camera `serial` back; it is a new device, at a new address."""
@@ -67,94 +53,84 @@ class MockBackend(IBackend):
                 self._ports[number] = Port(port.model, 1 + max(each.address for each in self._ports))
 
     def open_stream(self, device: usb.core.Device) -> MockPipe:
-        """The stream of `device`, which must be free."""
+        """Return the stream of `device`, which must be free."""
         [port] = [port for port in self._ports if port.address == device.address]
         return MockPipe(port, self._memory)
 
     def enumerate_devices(self) -> list[Port]:
-        """The cameras that are plugged in."""
+        """Return the cameras that are plugged in."""
         return [port for port in self._ports if port.plugged]
 
     def get_parent(self, dev: Port) -> None:
-        """No hub: every camera has a root port."""
+        """Return no hub: every camera has a root port."""
 
     def get_device_descriptor(self, dev: Port) -> SimpleNamespace:
-        """The device descriptor and where the device sits."""
+        """Return the device descriptor and where the device sits."""
         place = {"bus": 1, "address": dev.address, "port_number": dev.address, "port_numbers": (dev.address,)}
         return SimpleNamespace(**descriptors.device(dev.model.profile), **place, speed=_SUPER_SPEED)
 
     def get_configuration_descriptor(self, dev: Port, config: int) -> SimpleNamespace:
-        """The only configuration."""
+        """Return the only configuration."""
         return _at([descriptors.configuration(dev.model.profile)], config)
 
     def get_interface_descriptor(self, dev: Port, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """An interface; each has one setting."""
+        """Return an interface; each has one setting."""
         return _at([fields for fields, _ in descriptors.interfaces(dev.model.profile)], intf, alt, config)
 
     def get_endpoint_descriptor(self, dev: Port, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """An endpoint of an interface."""
+        """Return an endpoint of an interface."""
         found = descriptors.interfaces(dev.model.profile)
         return _at(found[intf][1] if intf < len(found) else [], ep, alt, config)
 
     def open_device(self, dev: Port) -> _Handle:
-        """A handle on a camera that is plugged in."""
+        """Return a handle on a camera that is plugged in."""
         dev.require()
         return _Handle(dev)
 
     def close_device(self, dev_handle: _Handle) -> None:
         """Give back what the handle claimed."""
-        if dev_handle.port.claimed_by is dev_handle:
-            dev_handle.port.claimed_by = None
+        dev_handle.port.release(dev_handle)
 
     def set_configuration(self, dev_handle: _Handle, config_value: int) -> None:
         """Select configuration 0 (none) or 1."""
-        if config_value not in (0, 1):
-            raise USBError("Entity not found", -5, errno.ENOENT)
         dev_handle.port.require()
+        if config_value not in (0, 1):
+            raise _no_entity()
         dev_handle.port.configuration = config_value
 
     def get_configuration(self, dev_handle: _Handle) -> int:
-        """The active configuration, 0 for none."""
+        """Return the active configuration, 0 for none."""
         dev_handle.port.require()
         return dev_handle.port.configuration
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
-        """There is only setting 0."""
+        """Select setting 0, the only one."""
         model = dev_handle.port.require()
         if intf > model.profile.interface or altsetting:
-            raise USBError("Entity not found", -5, errno.ENOENT)
+            raise _no_entity()
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Exclusive: a second handle finds it busy."""
+        """Claim the camera for this handle; a second one finds it busy."""
         dev_handle.port.claim(dev_handle)
 
     def release_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Let another handle claim it."""
-        port = dev_handle.port
-        if port.claimed_by is not dev_handle:
-            raise USBError("Entity not found", -5, errno.ENOENT)
-        port.claimed_by = None
+        """Let another handle claim the camera."""
+        if not dev_handle.port.release(dev_handle):
+            raise _no_entity()
 
     def bulk_read(self, dev_handle: _Handle, ep: int, intf: int, buff: array.array, timeout: int) -> int:
-        """Bytes put into `buff`; what is ready after a timeout is a short read, nothing is error 110."""
+        """Put bytes into `buff` and return their number; what is ready at the timeout is a short read."""
         model = dev_handle.port.require()
-        if ep != model.stream_endpoint:
-            raise USBError("Entity not found", -5, errno.ENOENT)
+        if ep != model.profile.stream_endpoint:
+            raise _no_entity()
         try:
-            data = model.stream(len(buff), timeout / 1000)
+            data = model.stream.send(len(buff), timeout / 1000)
         except StallError as error:
-            raise _stalled() from error
+            raise pipe_stalled() from error
         dev_handle.port.require()
         if not data:
-            raise _timed_out()
-        with memoryview(buff) as view:
-            view[: len(data)] = data
-        return len(data)
-
-    def bulk_write(self, dev_handle: _Handle, ep: int, intf: int, data: array.array, timeout: int) -> int:
-        """Commands go through `open_stream`, which holds the interface."""
-        dev_handle.port.require()
-        raise USBError("Entity not found", -5, errno.ENOENT)
+            raise timed_out()
+        return _put(data, buff)
 
     def ctrl_transfer(
         self,
@@ -166,35 +142,41 @@ class MockBackend(IBackend):
         data: array.array,
         timeout: int,
     ) -> int:
-        """String descriptors and the vendor's registers; anything else stalls."""
+        """Answer for string descriptors and the vendor's registers; anything else stalls."""
         model = dev_handle.port.require()
         try:
-            answer = model.control(bmRequestType, bRequest, wValue, wIndex, bytes(data))
+            answer = model.control(bmRequestType, bRequest, wValue, bytes(data))
         except StallError as error:
-            raise _stalled() from error
-        if not bmRequestType & usb.util.CTRL_IN:
-            return len(data)
-        taken = answer[: len(data)]
-        with memoryview(data) as view:
-            view[: len(taken)] = taken
-        return len(taken)
+            raise pipe_stalled() from error
+        return _put(answer, data) if bmRequestType & usb.util.CTRL_IN else len(data)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
         """End a stall."""
         dev_handle.port.require().clear_halt()
 
     def reset_device(self, dev_handle: _Handle) -> None:
-        """The camera begins anew, without a configuration, at the same address."""
+        """Have the camera begin anew, without a configuration, at the same address."""
         dev_handle.port.require().power_up()
         dev_handle.port.configuration = 0
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
-        """No kernel driver takes a vendor-class device."""
+        """Return that no kernel driver has taken a vendor-class device."""
         dev_handle.port.require()
         return False
+
+
+def _put(data: bytes | memoryview, buffer: array.array) -> int:
+    taken = data[: len(buffer)]
+    with memoryview(buffer) as view:
+        view[: len(taken)] = taken
+    return len(taken)
 
 
 def _at(found: Sequence[dict], number: int, *others: int) -> SimpleNamespace:
     if number >= len(found) or any(others):
         raise IndexError(f"found no descriptor {(number, *others)}")
     return SimpleNamespace(**{**_ABSENT, **found[number]})
+
+
+def _no_entity() -> USBError:
+    return USBError("Entity not found", -5, errno.ENOENT)

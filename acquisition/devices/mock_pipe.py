@@ -1,4 +1,4 @@
-"""The stream pipe of a simulated camera: transfers as a kernel fills them, without a kernel."""
+"""The stream pipe of a simulated camera, whose transfers are filled as a kernel fills them."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from usb.core import USBError, USBTimeoutError
+from usb.core import USBError
 
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.descriptors import MAX_PACKET_BYTES
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.stream import Completion, Outcome
+from acquisition.devices.stream import Completion, Outcome, device_gone, pipe_stalled, timed_out
 
 
 @dataclass(eq=False)
 class Port:
-    """Where one camera is plugged in."""
+    """A port of the mock bus, and the camera that is plugged into it."""
 
     model: DeviceModel
     address: int
@@ -26,9 +26,9 @@ class Port:
     claimed_by: object | None = None
 
     def require(self) -> DeviceModel:
-        """The camera; raises USBError ENODEV for one that was unplugged."""
+        """Return the camera; raises USBError ENODEV for one that was unplugged."""
         if not self.plugged:
-            raise USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+            raise device_gone()
         return self.model
 
     def claim(self, holder: object) -> None:
@@ -38,10 +38,16 @@ class Port:
             raise USBError("Resource busy", -6, errno.EBUSY)
         self.claimed_by = holder
 
+    def release(self, holder: object) -> bool:
+        """Let go of the camera, and return whether `holder` had it."""
+        had = self.claimed_by is holder
+        self.claimed_by = None if had else self.claimed_by
+        return had
+
 
 @dataclass(eq=False)
 class UsbfsMemory:
-    """What the kernel lets all transfers take together."""
+    """The memory that the kernel lets all transfers take together."""
 
     free_bytes: int
 
@@ -65,7 +71,7 @@ class MockPipe:
         self._flying.append(bytearray())
 
     def reap(self, timeout_s: float) -> Completion | None:
-        """The oldest transfer, or None when it does not end within `timeout_s`."""
+        """Return the oldest transfer, or None when it does not end within `timeout_s`."""
         if not self._flying:
             return None
         if self._cancelled:
@@ -78,7 +84,7 @@ class MockPipe:
                 return self._ended(Outcome.GONE)
             left_s = deadline_s - time.monotonic()
             try:
-                data = self._port.model.stream(self._transfer_bytes - len(buffer), max(0.0, left_s))
+                data = self._port.model.stream.send(self._transfer_bytes - len(buffer), max(0.0, left_s))
             except StallError:
                 return self._ended(Outcome.STALLED)
             buffer += data
@@ -101,25 +107,24 @@ class MockPipe:
         try:
             model.take(endpoint, data)
         except StallError as error:
-            raise USBError("Pipe error", -9, errno.EPIPE) from error
+            raise pipe_stalled() from error
 
     def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
-        """What another endpoint has; there is nothing to wait for."""
+        """Return what another endpoint has; there is nothing to wait for."""
         model = self._port.require()
         try:
             data = model.give(endpoint)
         except StallError as error:
-            raise USBError("Pipe error", -9, errno.EPIPE) from error
+            raise pipe_stalled() from error
         if not data:
-            raise USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+            raise timed_out()
         return data[:size]
 
     def close(self) -> None:
         """Give the camera back."""
         while self._flying:
             self._ended(Outcome.CANCELLED)
-        if self._port.claimed_by is self:
-            self._port.claimed_by = None
+        self._port.release(self)
 
     def _ended(self, outcome: Outcome) -> Completion:
         self._memory.free_bytes += self._transfer_bytes

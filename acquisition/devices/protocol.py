@@ -1,4 +1,4 @@
-"""Blocks of planes on a camera's bulk pipe: their encoding, and the parser that finds them again; see PROTOCOL.md."""
+"""Blocks of planes on a camera's bulk pipe: their encoding, and the parser that finds them; see PROTOCOL.md."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class BlockStatus(enum.IntFlag):
 class Block:
     """Planes [first_plane, first_plane + n) of one camera; `packed` is [n, B] bytes.
 
-    `device_time_ns` is the start of the first plane on the device's clock, which the trigger sets to zero;
-    `dropped_planes` counts what the device lost so far, `sync_pulses` what it saw of the shared trigger line, and
-    `pulse_age_ns` is how long before `device_time_ns` the last of those pulses was; `status` holds BlockStatus bits.
+    `device_time_ns` is the start of the first plane on the device's clock, which the trigger sets to zero.
+    `dropped_planes` counts the planes that the device lost so far, `sync_pulses` the pulses of the shared line that it
+    saw; the last of these came `pulse_age_ns` before `device_time_ns`. `status` holds BlockStatus bits.
     """
 
     block_id: int
@@ -53,20 +53,20 @@ class Block:
 
     @property
     def pulse_time_s(self) -> float | None:
-        """When pulse number `sync_pulses` came, in seconds on the device's clock; None where none is known."""
+        """Return when pulse `sync_pulses` came, in seconds on the device's clock; None where none is known."""
         return None if self.pulse_age_ns == NO_PULSE else (self.device_time_ns - self.pulse_age_ns) * 1e-9
 
 
 @dataclass(frozen=True)
 class Damage:
-    """Bytes of the stream that were not a block: why, and how many until the next whole one."""
+    """Bytes of the stream that were no block: the reason, and their number up to the next whole block."""
 
     reason: str
     skipped_bytes: int
 
 
 def encode_block(block: Block) -> bytes:
-    """The block as it travels."""
+    """Return the block as it travels."""
     payload = np.ascontiguousarray(block.packed).tobytes()
     layout = block.layout
     head = (LEADER_MAGIC, PROTOCOL_VERSION, LEADER.size, block.block_id, block.first_plane, block.device_time_ns)
@@ -78,9 +78,9 @@ def encode_block(block: Block) -> bytes:
 
 
 class BlockParser:
-    """Finds whole blocks in a byte stream cut anywhere; after damage it looks for the next leader that checks.
+    """Finds whole blocks in a byte stream cut anywhere; behind damage it looks for the next leader that checks.
 
-    No leader may promise more than `max_payload_bytes`, so a block cut short costs at most the one behind it a delay.
+    No leader may promise more than `max_payload_bytes`, so that damage to a length is seen at once.
     """
 
     def __init__(self, max_payload_bytes: int = MAX_PAYLOAD_BYTES) -> None:
@@ -102,7 +102,7 @@ class BlockParser:
         self._buffer += data
 
     def next(self) -> Block | Damage | None:
-        """The next block, the damage before it, or None until more bytes come."""
+        """Return the next block, the damage before it, or None until more bytes come."""
         block = self._ready or self._fed_whole or self._find_block()
         if block is None:
             return None
@@ -125,7 +125,10 @@ class BlockParser:
         return None
 
     def _decode_first(self, data: bytes | bytearray | memoryview) -> tuple[Block | str | None, int]:
-        """The block `data` begins with and its length; (why it is none, 0), (None, 0) where more bytes are needed."""
+        """Return the block `data` begins with and its length.
+
+        Where it begins with none, return the reason and 0; where more bytes are needed, None and 0.
+        """
         if len(data) < LEADER.size:
             return None, 0
         leader = LEADER.unpack_from(data)
@@ -137,7 +140,7 @@ class BlockParser:
         return (reason, 0) if reason else (_decode(data, leader), total)
 
     def _at_a_magic(self) -> bool:
-        """Skip to the next magic; what is left without one may be the beginning of one that was cut."""
+        """Skip to the next magic, and return whether there is one; the last bytes may begin one that was cut."""
         at = self._buffer.find(LEADER_MAGIC)
         skip = at if at >= 0 else max(0, len(self._buffer) - len(LEADER_MAGIC) + 1)
         if skip:
@@ -160,7 +163,7 @@ class RepeatFilter:
         self._seen: deque[tuple[int, int, int]] = deque(maxlen=_REMEMBERED_BLOCKS)
 
     def is_repeat(self, block: Block) -> bool:
-        """Whether this very block was among the last 16."""
+        """Return whether this very block was among the last 16."""
         key = block.block_id, block.first_plane, block.device_time_ns
         if key in self._seen:
             self.repeats += 1

@@ -1,16 +1,19 @@
-"""The registers of a camera, and their requests; PROTOCOL.md says what their bytes mean."""
+"""The registers of a camera, and its requests; PROTOCOL.md says what their bytes mean."""
 
 from __future__ import annotations
 
 import enum
 import struct
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
 from acquisition.errors import DeviceError
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 
 PROTOCOL_VERSION = 3
 IDENTITY_MAGIC = b"S4CM"
+THRESHOLDS, EXPOSURES = (250, 4000), (1, 1000)  # least and most, in thousandths
+_NO_TRIGGER = (1 << 64) - 1
 _PIXEL_FORMATS: dict[tuple[BitOrder, RowOrder], int] = {
     ("lsb", "bottom"): 0x10,
     ("msb", "bottom"): 0x11,
@@ -18,11 +21,10 @@ _PIXEL_FORMATS: dict[tuple[BitOrder, RowOrder], int] = {
     ("msb", "top"): 0x13,
 }
 LAYOUT_ORDERS = {code: orders for orders, code in _PIXEL_FORMATS.items()}
-THRESHOLDS, EXPOSURES = (250, 4000), (1, 1000)  # thousandths
 
 
 class Request(enum.IntEnum):
-    """What a camera is asked: below 10 a register is read, from 10 on something is done."""
+    """A camera's requests: below 10 a register is read, from 10 on something is done."""
 
     IDENTITY = 0x01
     GEOMETRY = 0x02
@@ -38,197 +40,196 @@ class Request(enum.IntEnum):
 
 
 class State(enum.IntEnum):
-    """What a camera is doing; an armed one waits for the trigger."""
+    """A camera's state; an armed one waits for the trigger."""
 
     IDLE = 0
     ARMED = 1
     RUNNING = 2
 
 
-class Identity(NamedTuple):
-    """Register IDENTITY: 8 B."""
+class Register:
+    """A register, which the request of its name reads; a subclass is a dataclass whose fields FORMAT packs."""
 
+    REQUEST: ClassVar[Request]
+    FORMAT: ClassVar[struct.Struct]
+
+    def encode(self) -> bytes:
+        """Return the register's bytes."""
+        return self.FORMAT.pack(*self._numbers())
+
+    @classmethod
+    def decode(cls, data: bytes) -> Self:
+        """Return the register with these bytes; raises DeviceError for bytes that are not this register."""
+        if len(data) != cls.FORMAT.size:
+            name = cls.REQUEST.name.lower().replace("_", " ")
+            raise DeviceError(f"found {len(data)} B in the {name} register", str(cls.FORMAT.size))
+        return cls._of(*cls.FORMAT.unpack(data))
+
+    def _numbers(self) -> tuple:
+        return tuple(vars(self).values())
+
+    @classmethod
+    def _of(cls, *numbers) -> Self:
+        return cls(*numbers)
+
+
+@dataclass(frozen=True)
+class Identity(Register):
+    """The versions a camera runs."""
+
+    REQUEST, FORMAT = Request.IDENTITY, struct.Struct("<4sHH")
     protocol_version: int
     firmware_version: int
 
-    def encode(self) -> bytes:
-        """The register's bytes."""
-        return _IDENTITY.pack(IDENTITY_MAGIC, *self)
+    def _numbers(self) -> tuple:
+        return IDENTITY_MAGIC, self.protocol_version, self.firmware_version
 
     @classmethod
-    def decode(cls, data: bytes) -> Identity:
-        """Raises DeviceError for bytes that are not this register."""
-        magic, *fields = _unpack(_IDENTITY, data, "identity")
+    def _of(cls, *numbers) -> Self:
+        magic, *versions = numbers
         if magic != IDENTITY_MAGIC:
             raise DeviceError(f"found the identity {magic!r}", f"{IDENTITY_MAGIC!r}", "this is no spike camera of ours")
-        return cls(*fields)
+        return cls(*versions)
 
 
-class Geometry(NamedTuple):
-    """Register GEOMETRY: 12 B."""
+@dataclass(frozen=True)
+class Geometry(Register):
+    """The layout of a camera's planes, and how many of them a block has."""
 
+    REQUEST, FORMAT = Request.GEOMETRY, struct.Struct("<HHII")
     layout: PlaneLayout
     planes_per_block: int
 
-    def encode(self) -> bytes:
-        """The register's bytes."""
-        return _GEOMETRY.pack(self.layout.width, self.layout.height, pixel_format(self.layout), self.planes_per_block)
+    def _numbers(self) -> tuple:
+        return self.layout.width, self.layout.height, pixel_format(self.layout), self.planes_per_block
 
     @classmethod
-    def decode(cls, data: bytes) -> Geometry:
-        """Raises DeviceError for bytes that are not this register."""
-        width, height, code, planes_per_block = _unpack(_GEOMETRY, data, "geometry")
-        return cls(layout_of(width, height, code), planes_per_block)
+    def _of(cls, *numbers) -> Self:
+        *size_and_format, planes_per_block = numbers
+        return cls(layout_of(*size_and_format), planes_per_block)
 
 
-class Status(NamedTuple):
-    """Register STATUS: 32 B; `dropped_planes` counts what the device itself lost since it was armed."""
+@dataclass(frozen=True)
+class TickRate(Register):
+    """Planes a second, to a millihertz."""
 
+    REQUEST, FORMAT = Request.TICK_RATE, struct.Struct("<Q")
+    hz: float
+
+    def _numbers(self) -> tuple:
+        return (round(self.hz * 1000),)
+
+    @classmethod
+    def _of(cls, *numbers) -> Self:
+        return cls(numbers[0] / 1000)
+
+
+@dataclass(frozen=True)
+class Status(Register):
+    """The state, and the pulses, planes sent and planes that the device itself lost since it was armed."""
+
+    REQUEST, FORMAT = Request.STATUS, struct.Struct("<QQQQ")
     state: State
     sync_pulses: int
     emitted_planes: int
     dropped_planes: int
 
-    def encode(self) -> bytes:
-        """The register's bytes."""
-        return _STATUS.pack(*self)
-
     @classmethod
-    def decode(cls, data: bytes) -> Status:
-        """Raises DeviceError for bytes that are not this register."""
-        state, *counters = _unpack(_STATUS, data, "status")
+    def _of(cls, *numbers) -> Self:
+        state, *counters = numbers
         if state not in list(State):
             raise DeviceError(f"found the state {state}", f"one of {list(map(int, State))}")
         return cls(State(state), *counters)
 
 
-class Sensitivity(NamedTuple):
-    """Register SENSITIVITY, 8 B: the charge at which a pixel fires and the part of a tick in which it gathers light.
+@dataclass(frozen=True)
+class Sensitivity(Register):
+    """The charge at which a pixel fires and the part of a tick in which it gathers light.
 
-    Both are in thousandths, of the nominal threshold and of the tick. Check with `refuse_wild`.
+    Both are in thousandths: of the nominal threshold, and of the tick. Check with `refuse_wild`.
     """
 
+    REQUEST, FORMAT = Request.SENSITIVITY, struct.Struct("<II")
     threshold: int = 1000
     exposure: int = 1000
 
     @property
     def gain(self) -> float:
-        """Spikes for the same light, as a share of those at the nominal values."""
+        """Return the spikes for the same light, as a share of those at the nominal values."""
         return self.exposure / self.threshold
 
     def refuse_wild(self) -> None:
         """Raise DeviceError for values no camera takes."""
-        for name, value, (least, most) in (
-            ("threshold", self.threshold, THRESHOLDS),
-            ("exposure", self.exposure, EXPOSURES),
-        ):
-            if not least <= value <= most:
+        ranges = {"threshold": THRESHOLDS, "exposure": EXPOSURES}
+        for name, (least, most) in ranges.items():
+            if not least <= (value := getattr(self, name)) <= most:
                 raise DeviceError(f"found the {name} {value}", f"{least} to {most} thousandths")
 
-    def encode(self) -> bytes:
-        """The register's bytes."""
-        return _SENSITIVITY.pack(*self)
-
     @classmethod
-    def decode(cls, data: bytes) -> Sensitivity:
-        """Raises DeviceError for bytes that are not this register."""
-        found = cls(*_unpack(_SENSITIVITY, data, "sensitivity"))
+    def _of(cls, *numbers) -> Self:
+        found = cls(*numbers)
         found.refuse_wild()
         return found
 
 
-class ClockRegister(NamedTuple):
-    """Register CLOCK, 16 B: the oscillator that counts the ticks, in ns since power-up, when the request came.
+@dataclass(frozen=True)
+class ClockRegister(Register):
+    """The oscillator that counts the ticks, in ns since power-up, when the request came.
 
     `trigger_ns` is what it showed at the trigger of the run, None where the camera does not run.
     """
 
+    REQUEST, FORMAT = Request.CLOCK, struct.Struct("<QQ")
     now_ns: int
     trigger_ns: int | None
 
-    def encode(self) -> bytes:
-        """The register's bytes."""
-        return _CLOCK.pack(self.now_ns, _NO_TRIGGER if self.trigger_ns is None else self.trigger_ns)
+    def _numbers(self) -> tuple:
+        return self.now_ns, _NO_TRIGGER if self.trigger_ns is None else self.trigger_ns
 
     @classmethod
-    def decode(cls, data: bytes) -> ClockRegister:
-        """Raises DeviceError for bytes that are not this register."""
-        now_ns, trigger_ns = _unpack(_CLOCK, data, "clock")
+    def _of(cls, *numbers) -> Self:
+        now_ns, trigger_ns = numbers
         return cls(now_ns, None if trigger_ns == _NO_TRIGGER else trigger_ns)
 
 
-class LinkCounters(NamedTuple):
-    """Register LINK, 24 B, since power-up: packets sent again, times the link was trained anew, memory overruns."""
+@dataclass(frozen=True)
+class LinkCounters(Register):
+    """Counters since power-up: packets sent again, times the link was trained anew, memory overruns."""
 
+    REQUEST, FORMAT = Request.LINK, struct.Struct("<QQQ")
     errors: int = 0
     recoveries: int = 0
     overruns: int = 0
 
     def since(self, before: LinkCounters) -> LinkCounters:
-        """What came after `before`; all of it where the camera has been powered up anew."""
-        if any(now < then for now, then in zip(self, before, strict=True)):
-            return self
-        return LinkCounters(*(now - then for now, then in zip(self, before, strict=True)))
+        """Return what came after `before`; all of it where the camera has been powered up anew."""
+        steps = [now - then for now, then in zip(self._numbers(), before._numbers(), strict=True)]
+        return self if min(steps) < 0 else LinkCounters(*steps)
 
-    def encode(self) -> bytes:
-        """The register's bytes."""
-        return _LINK.pack(*self)
-
-    @classmethod
-    def decode(cls, data: bytes) -> LinkCounters:
-        """Raises DeviceError for bytes that are not this register."""
-        return cls(*_unpack(_LINK, data, "link"))
+    def plus(self, more: LinkCounters) -> LinkCounters:
+        """Return the sums of both."""
+        return LinkCounters(*(one + other for one, other in zip(self._numbers(), more._numbers(), strict=True)))
 
 
-_IDENTITY = struct.Struct("<4sHH")
-_GEOMETRY = struct.Struct("<HHII")
-_STATUS = struct.Struct("<QQQQ")
-_TICK_RATE = struct.Struct("<Q")
-_SENSITIVITY = struct.Struct("<II")
-_CLOCK = struct.Struct("<QQ")
-_LINK = struct.Struct("<QQQ")
-_NO_TRIGGER = (1 << 64) - 1
 REGISTER_BYTES = {
-    Request.IDENTITY: 8,
-    Request.GEOMETRY: 12,
-    Request.TICK_RATE: 8,
-    Request.STATUS: 32,
-    Request.SENSITIVITY: 8,
-    Request.CLOCK: 16,
-    Request.LINK: 24,
+    kind.REQUEST: kind.FORMAT.size
+    for kind in (Identity, Geometry, TickRate, Status, Sensitivity, ClockRegister, LinkCounters)
 }
 
 
-def encode_tick_rate(tick_rate_hz: float) -> bytes:
-    """Register TICK_RATE: 8 B, in millihertz."""
-    return _TICK_RATE.pack(round(tick_rate_hz * 1000))
-
-
-def decode_tick_rate(data: bytes) -> float:
-    """The tick rate in Hz."""
-    return _unpack(_TICK_RATE, data, "tick rate")[0] / 1000
-
-
 def pixel_format(layout: PlaneLayout) -> int:
-    """The code of one-bit pixels in this bit and row order.
+    """Return the code of one-bit pixels in this bit and row order.
 
     Raises DeviceError for columns behind the pixels, which no format has.
     """
     if layout.trailing_columns:
         found = f"found {layout.trailing_columns} columns behind the pixels"
-        raise DeviceError(f"{found}", "none", "send planes of pixels only")
+        raise DeviceError(found, "none", "send planes of pixels only")
     return _PIXEL_FORMATS[layout.bit_order, layout.row_order]
 
 
 def layout_of(width: int, height: int, code: int) -> PlaneLayout:
-    """The layout a size and a pixel format name; raises DeviceError for a format this protocol does not have."""
+    """Return the layout that a size and a pixel format name; raises DeviceError for an unknown format."""
     if code not in LAYOUT_ORDERS:
         raise DeviceError(f"found the pixel format {code:#x}", f"one of {sorted(map(hex, LAYOUT_ORDERS))}")
-    bit_order, row_order = LAYOUT_ORDERS[code]
-    return PlaneLayout(width, height, bit_order, row_order)
-
-
-def _unpack(register: struct.Struct, data: bytes, name: str) -> tuple:
-    if len(data) != register.size:
-        raise DeviceError(f"found {len(data)} B in the {name} register", f"{register.size}")
-    return register.unpack(data)
+    return PlaneLayout(width, height, *LAYOUT_ORDERS[code])

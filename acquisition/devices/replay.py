@@ -1,11 +1,10 @@
-"""A recording as a camera: its planes come out of the same device model that simulated cameras have."""
+"""A recorded stream as the light of a simulated camera."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 
 
@@ -18,13 +17,8 @@ class ReplaySource:
         self._given = 0
 
     def next_planes(self, count: int) -> NDArray[np.uint8]:
-        """The next packed planes [n, B], n < count only where the recording ends."""
+        """Return the next packed planes [n, B], n < count only where the recording ends."""
         last = min(self._given + count, len(self._stream))
         planes = self._stream.window(self._given, last)
         self._given = last
         return planes
-
-
-def replay_sources(recording: Recording) -> list[ReplaySource]:
-    """One source a camera, in the rig's order; raises BadRecordingError for a file that is not what was recorded."""
-    return [ReplaySource(recording.stream(camera_id)) for camera_id in recording.camera_ids]

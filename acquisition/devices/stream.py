@@ -1,4 +1,4 @@
-"""The stream of one camera: transfers kept in flight over a narrow pipe, which libusb and the mock both are."""
+"""Keeps transfers of one camera in flight over a narrow pipe, which both libusb and the mock implement."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import usb.core
-from usb.core import USBError
+from usb.core import USBError, USBTimeoutError
 
-IN_FLIGHT = 8
-RECOMMENDED_USBFS_MB = 256
 _COLLECT_S = 2.0  # a kernel that has not given a cancelled transfer back by then never will
 
 
 class Outcome(enum.Enum):
-    """How a transfer ended; each may have brought bytes."""
+    """The end of a transfer, which may have brought bytes all the same."""
 
     DONE = "done"  # full, or ended by a short packet
     CANCELLED = "cancelled"
@@ -34,6 +32,21 @@ class Completion(NamedTuple):
     data: memoryview
 
 
+def device_gone() -> USBError:
+    """Return the error of a device that was unplugged."""
+    return USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+
+
+def pipe_stalled() -> USBError:
+    """Return the error of a pipe that is halted, or of a request that is refused."""
+    return USBError("Pipe error", -9, errno.EPIPE)
+
+
+def timed_out() -> USBTimeoutError:
+    """Return the error of a transfer that did not end in time."""
+    return USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+
+
 class StreamPipe(Protocol):
     """Transfers of one endpoint, given back in the order of submission. Errors are pyusb's, with the kernel's errno."""
 
@@ -42,7 +55,7 @@ class StreamPipe(Protocol):
         ...
 
     def reap(self, timeout_s: float) -> Completion | None:
-        """The oldest transfer, or None when it does not end within `timeout_s`."""
+        """Return the oldest transfer, or None when it does not end within `timeout_s`."""
         ...
 
     def cancel(self) -> None:
@@ -58,7 +71,7 @@ class StreamPipe(Protocol):
         ...
 
     def read(self, endpoint: int, size: int, timeout_s: float) -> bytes:
-        """What comes from another endpoint, up to a short packet or `size` bytes, waiting."""
+        """Return what comes from another endpoint, up to a short packet or `size` bytes, waiting."""
         ...
 
     def close(self) -> None:
@@ -71,14 +84,14 @@ class StreamingBackend(Protocol):
     """A pyusb backend that has stream pipes of its own."""
 
     def open_stream(self, device: usb.core.Device) -> StreamPipe:
-        """The stream of `device`, which must be free."""
+        """Return the stream of `device`, which must be free."""
         ...
 
 
 class BulkStream:
     """Reads a pipe with `in_flight` transfers always queued, so that the device never waits for the host."""
 
-    def __init__(self, pipe: StreamPipe, in_flight: int = IN_FLIGHT, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, pipe: StreamPipe, in_flight: int = 8, clock: Callable[[], float] = time.monotonic):
         self._pipe = pipe
         self._in_flight = in_flight
         self._clock = clock
@@ -99,9 +112,9 @@ class BulkStream:
         self._ready.clear()
 
     def read(self, timeout_s: float) -> bytes | memoryview:
-        """The next bytes, valid until the next call; empty when `timeout_s` passes without any, or after a stall.
+        """Return the next bytes, valid until the next call; none when `timeout_s` passes without any, or after a stall.
 
-        What had come of a transfer when the time was over is a short read. A stall is cleared and costs nothing.
+        A transfer that is not full when the time is over gives what it has. A stall is cleared and costs nothing.
         Raises USBError: ENODEV for a device gone, ENOMEM for a full kernel.
         """
         if self._ready:
@@ -148,7 +161,7 @@ class BulkStream:
             return None
         self._queued -= 1
         if completion.outcome is Outcome.GONE:
-            raise USBError("No such device (it may have been disconnected)", -4, errno.ENODEV)
+            raise device_gone()
         if completion.outcome is Outcome.FAILED:
             raise USBError("Input/Output Error", -1, errno.EIO)
         return completion
@@ -170,6 +183,6 @@ class BulkStream:
         while self._queued:
             completion = self._reap(max(0.0, deadline_s - self._clock()))
             if completion is None:
-                raise USBError("Operation timed out", -7, errno.ETIMEDOUT)
+                raise timed_out()
             if completion.data:
                 self._ready.append(bytes(completion.data))

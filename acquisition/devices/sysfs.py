@@ -1,4 +1,4 @@
-"""Where USB devices are plugged in, and what the kernel allows them, as Linux tells it in /sys."""
+"""Reads from Linux's /sys where USB devices are plugged in, and what the kernel allows them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 SYSFS = Path("/sys")
 USBFS_MEMORY = "module/usbcore/parameters/usbfs_memory_mb"
+RECOMMENDED_USBFS_MB = 256  # for the transfers of nine cameras and other devices
 PRACTICAL_SHARE = 0.6  # of the signalling rate: 375 MB/s of 5 Gb/s
 
 
@@ -21,17 +22,17 @@ class UsbPlace:
 
     @property
     def practical_mb_s(self) -> float:
-        """What the link carries in practice."""
+        """Return the MB/s that the link carries in practice."""
         return practical_mb_s(self.speed_mbit_s)
 
 
 def practical_mb_s(speed_mbit_s: float) -> float:
-    """MB/s of payload that a link of this signalling rate carries in practice."""
+    """Return the MB/s of payload that a link of this signalling rate carries in practice."""
     return speed_mbit_s / 8 * PRACTICAL_SHARE
 
 
 def usb_places(root: Path = SYSFS) -> list[UsbPlace]:
-    """Every device that gives a serial number; those that vanish while they are looked at are left out."""
+    """Return every device that gives a serial number; those that vanish while they are looked at are left out."""
     places = []
     for folder in sorted((root / "bus/usb/devices").glob("*")):
         try:
@@ -43,7 +44,7 @@ def usb_places(root: Path = SYSFS) -> list[UsbPlace]:
 
 
 def bus_speeds(root: Path = SYSFS) -> dict[int, float]:
-    """The signalling rate in Mb/s of each bus, that of its root hub."""
+    """Return the signalling rate in Mb/s of each bus, that of its root hub."""
     speeds = {}
     for folder in (root / "bus/usb/devices").glob("usb*"):
         try:
@@ -54,7 +55,7 @@ def bus_speeds(root: Path = SYSFS) -> dict[int, float]:
 
 
 def usbfs_memory_mb(root: Path = SYSFS) -> int | None:
-    """The kernel's limit for USB transfers of all programs, in MB; 0 is none, None where it does not say."""
+    """Return the kernel's limit for USB transfers of all programs, in MB; 0 is none, None where it does not say."""
     try:
         return int((root / USBFS_MEMORY).read_text())
     except (OSError, ValueError):

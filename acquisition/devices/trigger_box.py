@@ -1,4 +1,4 @@
-"""The trigger box: starts every armed camera by one pulse of the shared line, and goes on pulsing; over HID.
+"""The trigger box, over HID: it starts every armed camera by one pulse of the shared line, and goes on pulsing.
 
 Its two feature reports are in PROTOCOL.md.
 """
@@ -26,7 +26,7 @@ BOX_VERSION = 1
 
 
 class BoxState(enum.IntEnum):
-    """What a trigger box is doing."""
+    """A trigger box's state."""
 
     IDLE = 0
     ARMED = 1
@@ -50,42 +50,41 @@ class BoxStatus(NamedTuple):
     pulses: int
 
     def encode(self) -> bytes:
-        """The report's bytes."""
+        """Return the report's bytes."""
         return _STATUS.pack(STATUS_REPORT, _MAGIC, BOX_VERSION, self.state, self.period_us, self.pulses)
 
     @classmethod
     def decode(cls, data: bytes) -> BoxStatus:
-        """Raises DeviceError for bytes that are not this report."""
+        """Return the report with these bytes; raises DeviceError for bytes that are not this report."""
         if len(data) != STATUS_BYTES:
-            raise DeviceError(f"found a status of {len(data)} B", f"{STATUS_BYTES}", where="trigger box")
+            raise DeviceError(f"found a status of {len(data)} B", str(STATUS_BYTES), where="trigger box")
         _, magic, version, state, period_us, pulses = _STATUS.unpack(data)
         if magic != _MAGIC or version != BOX_VERSION or state not in list(BoxState):
             found = f"found the status {magic!r}, version {version}, state {state}"
-            raise DeviceError(
-                f"{found}", f"{_MAGIC!r}, version {BOX_VERSION}", "update one of them", where="trigger box"
-            )
+            expected = f"{_MAGIC!r}, version {BOX_VERSION}"
+            raise DeviceError(found, expected, "update one of them", where="trigger box")
         return cls(BoxState(state), period_us, pulses)
 
 
 def encode_command(command: BoxCommand, value: int = 0) -> bytes:
-    """Report 2."""
+    """Return report 2."""
     return _COMMAND.pack(COMMAND_REPORT, command, value)
 
 
 def decode_command(data: bytes) -> tuple[int, int]:
-    """The command and its value."""
+    """Return the command and its value."""
     return _COMMAND.unpack(data)[1:]
 
 
 class HidDevice(Protocol):
-    """What of hidapi's device the box needs; failures are OSError."""
+    """The part of hidapi's device that the box needs; failures are OSError."""
 
     def send_feature_report(self, buff: bytes) -> int:
-        """Bytes sent, -1 where it failed."""
+        """Return the bytes sent, -1 where it failed."""
         ...
 
     def get_feature_report(self, report_num: int, max_length: int) -> list[int]:
-        """The report, its number first."""
+        """Return the report, its number first."""
         ...
 
     def close(self) -> None:
@@ -105,7 +104,7 @@ class TriggerBox:
         self.status()
 
     def status(self) -> BoxStatus:
-        """What it does, and how many pulses it has sent since it was armed."""
+        """Ask the box what it does, and how many pulses it has sent since it was armed."""
         try:
             return BoxStatus.decode(bytes(self._device.get_feature_report(STATUS_REPORT, STATUS_BYTES)))
         except OSError as error:
@@ -122,8 +121,8 @@ class TriggerBox:
             self._command(command, value)
         found = self.status()
         if found.state is not BoxState.PULSING or not found.pulses or found.period_us != self._period_us:
-            expected = f"expected pulses every {self._period_us} us"
-            raise DeviceError(f"found {found} after firing, {expected}", do="reconnect it", where="trigger box")
+            expected = f"pulses every {self._period_us} us"
+            raise DeviceError(f"found {found} after firing", expected, "reconnect it", where="trigger box")
 
     def close(self) -> None:
         """End the pulses and give the box back; one that is gone has ended them."""
@@ -144,7 +143,7 @@ class TriggerBox:
 
 
 def find_box() -> TriggerBox | None:
-    """The trigger box that is connected, or None; raises DeviceError for several, or one that may not be opened."""
+    """Return the connected trigger box, or None; raises DeviceError for several, or one that may not be opened."""
     found = hidraw.enumerate(VENDOR_ID, BOX_PRODUCT_ID)
     if not found:
         return None
@@ -155,10 +154,8 @@ def find_box() -> TriggerBox | None:
     try:
         device.open_path(found[0]["path"])
     except OSError as error:
-        path = found[0]["path"].decode()
-        raise DeviceError(
-            "access was denied", do="allow this user to open it (a udev rule)", where=f"trigger box at {path}"
-        ) from error
+        where = f"trigger box at {found[0]['path'].decode()}"
+        raise DeviceError("access was denied", do="allow this user to open it (a udev rule)", where=where) from error
     try:
         return TriggerBox(device)
     except DeviceError:

@@ -1,4 +1,4 @@
-"""Where there is no sync line: cameras aligned by a change of light that all of them see.
+"""Aligns cameras without a sync line, by a change of light that all of them see.
 
 A flash is a step of the mean firing rate; how much of the step its plane has got says when within the plane it came.
 Without one, the rates are cross-correlated, and the peak is interpolated. Either needs light that changes: what stands
@@ -12,29 +12,29 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.recording.importing import Stream
 from acquisition.session.timing import TimingError
-from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 
 Rates = NDArray[np.float64]
 LARGEST_LAG = 1000  # planes
 LEAST_OVERLAP = 32  # planes
 _CHUNK = 256  # planes counted at a time
-_STEP_NOISES = 8.0  # a flash rises by so many standard deviations of the rate's own changes,
-_STEP_SHARE = 0.1  # and by so much of the mean rate
+_STEP_NOISES = 8.0  # least rise of a flash, in standard deviations of the rate's own changes
+_STEP_SHARE = 0.1  # least rise of a flash, as a share of the mean rate
 _SMOOTHING = 5  # planes
 _LEAST_CORRELATION = 0.7
-_NEXT_BEST = 0.98  # of the peak: a second one as high makes the lag a guess
+_NEXT_BEST = 0.98  # share of the peak from which a second peak makes the lag a guess
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How far each camera's plane 0 began after the reference's, in planes, and its standard deviation."""
+    """The delay of each camera's plane 0 behind the reference's, in planes, and its standard deviation."""
 
     reference: str
     method: Literal["flash", "correlation"]
@@ -42,29 +42,12 @@ class Alignment:
     skew_sd_planes: dict[str, float]
 
     def to_json(self) -> dict[str, object]:
-        """The alignment as a JSON object of the same names."""
+        """Return the alignment as a JSON object of the same names."""
         return dataclasses.asdict(self)
 
 
-class Stream(Protocol):
-    """What `firing_rate` needs of a stream of planes."""
-
-    @property
-    def layout(self) -> PlaneLayout:
-        """How a plane lies in bytes."""
-        ...
-
-    def __len__(self) -> int:
-        """How many planes there are."""
-        ...
-
-    def window(self, first: int, last: int, /) -> NDArray[np.uint8]:
-        """Packed planes [last - first, B]."""
-        ...
-
-
 def firing_rate(stream: Stream) -> Rates:
-    """Mean spikes per pixel of every plane [T]."""
+    """Return the mean spikes per pixel of every plane [T]."""
     bits, sums = pack(np.ones((1, stream.layout.height, stream.layout.width), np.uint8), stream.layout), []
     for first in range(0, len(stream), _CHUNK):
         packed = stream.window(first, min(first + _CHUNK, len(stream)))
@@ -94,14 +77,15 @@ def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> 
         try:
             lags[camera_id] = (0.0, 0.0) if camera_id == reference else correlation_lag(rates[reference], rate)
         except TimingError as error:
-            raise TimingError(f"{camera_id}: {error}") from error
+            raise TimingError.at(camera_id, error) from error
     return _alignment(reference, "correlation", lags)
 
 
 def flash(rate: Rates) -> tuple[float, float] | None:
-    """The instant in planes at which the light of [T] planes steps, and its standard deviation; None without a step.
+    """Return the instant in planes at which the light of [T] planes steps, and its standard deviation.
 
     The first step of at least half the height of the highest one counts; planes before and after it must be level.
+    Returns None without a step.
     """
     over_two = rate[2:] - rate[:-2]  # a step that falls inside a plane is whole over two
     noise = 1.4826 * float(np.median(np.abs(over_two - np.median(over_two))))
@@ -122,7 +106,7 @@ def flash(rate: Rates) -> tuple[float, float] | None:
 
 
 def correlation_lag(reference: Rates, rate: Rates) -> tuple[float, float]:
-    """How many planes later than the reference's plane 0 the plane 0 of `rate` [T] began, and its standard deviation.
+    """Return how many planes later than the reference's the plane 0 of `rate` [T] began, and its standard deviation.
 
     Raises TimingError where the light does not change, the two do not fit, or more than one lag fits.
     """
@@ -157,12 +141,12 @@ def correlation_lag(reference: Rates, rate: Rates) -> tuple[float, float]:
 
 
 def _smoothed(rate: Rates) -> Rates:
-    """Means over a few planes [T - 4]: pixels in step with one another make single planes noisy, not stretches."""
+    """Return means over a few planes [T - 4]: where pixels fire in step, single planes are noisy, but not stretches."""
     return np.convolve(rate, np.full(_SMOOTHING, 1 / _SMOOTHING), mode="valid")
 
 
 def _overlap(reference: Rates, rate: Rates, lag: int) -> tuple[Rates, Rates]:
-    """Planes k + lag of the reference beside planes k of the other, as many as both have."""
+    """Return planes k + lag of the reference beside planes k of the other, as many as both have."""
     first = max(0, -lag)
     count = min(len(reference) - lag, len(rate)) - first
     return reference[first + lag : first + lag + count], rate[first : first + count]
@@ -175,7 +159,7 @@ def _correlation(a: Rates, b: Rates) -> float:
 
 
 def _lag_sd(a: Rates, b: Rates) -> float:
-    """What the misfit of the best lag says of its error: the least that any estimator reaches."""
+    """Return the standard deviation of the best lag in planes, from its misfit: the least any estimator reaches."""
     a, b = a - a.mean(), b - b.mean()
     factor = (a @ b) / (b @ b)
     misfit = float(((a - factor * b) ** 2).mean())

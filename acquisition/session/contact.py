@@ -8,86 +8,45 @@ pulses, the trigger is one of the pulses, and r is rounded to it; that is exact 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import threading
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from dataclasses import asdict, dataclass
 
 from acquisition.devices.registers import Identity, LinkCounters, Sensitivity
-from acquisition.devices.usb import ClockLatch
+from acquisition.devices.usb import ClockLatch, UsbCamera
 from acquisition.errors import DeviceError
-from acquisition.recording.manifest import Trigger
 
-LOOK_BLOCKS = 64  # between two looks: a quarter of a second at the lab rig's rate
-CLOCK_SPREAD = 1e-4  # by how much a camera's clock and the host's may differ
-MOST_RETURNS = 20  # of one camera in a run; one that is lost more often has a bad cable
+LOOK_BLOCKS = 64  # blocks between two looks: a quarter of a second at the lab rig's rate
+CLOCK_SPREAD = 1e-4  # share by which a camera's clock and the host's may differ
+MOST_RETURNS = 20  # returns of one camera in a run; one that is lost more often has a bad cable
 _POLL_S = 0.05
 
 
-@runtime_checkable
-class AskedCamera(Protocol):
-    """A camera that answers beside its stream; `acquisition.devices.usb.UsbCamera` is one."""
-
-    serial: str
-
-    def identity(self) -> Identity:
-        """The protocol and firmware it runs."""
-        ...
-
-    def sensitivity(self) -> Sensitivity:
-        """The threshold and the exposure."""
-        ...
-
-    def link_counters(self) -> LinkCounters:
-        """What its end of the link has counted since it was powered up."""
-        ...
-
-    def latch(self) -> ClockLatch:
-        """Its clock against the host's."""
-        ...
-
-    def reset(self) -> None:
-        """Reset it by the host's port."""
-        ...
-
-    def reopen(self) -> None:
-        """Find it on the bus again."""
-        ...
-
-    def arm(self, *, joins: bool = False) -> None:
-        """Get ready for the trigger; `joins`: it may have come already, from a line that pulses."""
-        ...
-
-    def start(self) -> None:
-        """Start without a trigger line."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class Recovery:
-    """For how long a camera that was lost is looked for, 0 for not at all, and what starts it again.
+@dataclass(frozen=True)
+class RejoinRules:
+    """For how many seconds a camera that was lost is looked for, 0 for not at all, and how it starts again.
 
     `period_s` is the time between the line's pulses, None where it does not pulse; `clock` counts the host's seconds,
-    as `AskedCamera.latch` does.
+    as the cameras' latches do.
     """
 
     seconds: float
     clock: Callable[[], float]
-    trigger: Trigger
     period_s: float | None
 
 
-class Return(NamedTuple):
-    """A camera's new plane 0 is `run_s` after the run's trigger, right to `uncertainty_s`; 0: on a pulse."""
+@dataclass(frozen=True)
+class Return:
+    """A camera's new plane 0, `run_s` after the run's trigger, right to `uncertainty_s`; 0: on a pulse."""
 
     run_s: float
     uncertainty_s: float
 
 
 class Contact:
-    """What one camera has said since the run was armed."""
+    """Keeps what one camera has said since the run was armed, and finds it again when it is lost."""
 
-    def __init__(self, camera: AskedCamera):
+    def __init__(self, camera: UsbCamera):
         self.away = False
         self.returns: list[Return] = []
         self._camera = camera
@@ -97,38 +56,38 @@ class Contact:
         self._blocks = 0
 
     def begin(self) -> None:
-        """Ask what it is, before it is armed; raises DeviceError."""
-        identity, self._sensitivity = self._camera.identity(), self._camera.sensitivity()
-        self._firmware = identity.firmware_version
-        self._before = self._now = self._camera.link_counters()
+        """Ask the camera what it is, before it is armed; raises DeviceError."""
+        read = self._camera.registers.read
+        self._firmware, self._sensitivity = read(Identity).firmware_version, read(Sensitivity)
+        self._before = self._now = read(LinkCounters)
 
     @property
     def link(self) -> LinkCounters:
-        """What the link has counted since `begin`."""
+        """Return what the link has counted since `begin`."""
         return self._now.since(self._before)
 
     def count_block(self) -> None:
-        """A block came; now and then the camera is asked how it is. Where it does not answer, the stream will tell."""
+        """Count a block, and now and then ask the camera how it is; where it does not answer, the stream will tell."""
         if self._blocks % LOOK_BLOCKS == 0:
             with contextlib.suppress(DeviceError):
                 self._look()
         self._blocks += 1
 
     def run_s(self, host_s: float) -> float | None:
-        """Seconds since the run's trigger at the host's `host_s`, None where the camera's clock was never latched."""
+        """Return the seconds since the run's trigger at the host's `host_s`; None where no clock was latched."""
         return None if self._run is None or self._run.run_s is None else self._run.run_s + host_s - self._run.host_s
 
-    def find_again(self, how: Recovery, stop: threading.Event, is_over: Callable[[], bool]) -> Return | None:
+    def find_again(self, how: RejoinRules, stop: threading.Event, is_over: Callable[[], bool]) -> Return | None:
         """Reset the camera, wait for it, arm and start it; None where that is not to be, or not in time."""
         if self._run is None or len(self.returns) >= MOST_RETURNS:
             return None
         self.away, self._blocks = True, 0
         until_s = how.clock() + how.seconds
         with contextlib.suppress(DeviceError):
-            self._camera.reset()
+            self._camera.recovery.reset()
         while not stop.is_set() and not is_over() and how.clock() < until_s:
             try:
-                self._camera.reopen()
+                self._camera.recovery.reopen()
                 found = self._start(how, stop, until_s)
             except DeviceError:
                 found = None
@@ -140,31 +99,31 @@ class Contact:
         return None
 
     def to_json(self) -> dict[str, object]:
-        """What the manifest says of the camera."""
-        first, last = (self._latches[0], self._latches[-1]) if self._latches else (None, None)
+        """Return what the manifest says of the camera."""
+        first, last = (asdict(self._latches[0]), asdict(self._latches[-1])) if self._latches else (None, None)
         return {
             "serial": self._camera.serial,
             "firmware": self._firmware,
-            "sensitivity": self._sensitivity._asdict(),
-            "link": self.link._asdict(),
-            "first_latch": first and first._asdict(),
-            "last_latch": last and last._asdict(),
-            "returns": [each._asdict() for each in self.returns],
+            "sensitivity": asdict(self._sensitivity),
+            "link": asdict(self.link),
+            "first_latch": first,
+            "last_latch": last,
+            "returns": [asdict(each) for each in self.returns],
         }
 
     def _look(self) -> None:
-        self._now = self._camera.link_counters()
-        latch = self._camera.latch()
+        self._now = self._camera.registers.read(LinkCounters)
+        latch = self._camera.clock.latch()
         self._latches = [*self._latches[:1], latch]
         if latch.run_s is not None and not self.returns:
             self._run = latch
 
-    def _start(self, how: Recovery, stop: threading.Event, until_s: float) -> Return | None:
-        """The camera's new trigger; raises DeviceError, and gives None where none came."""
-        self._camera.arm(joins=how.period_s is not None)
+    def _start(self, how: RejoinRules, stop: threading.Event, until_s: float) -> Return | None:
+        """Arm and start the camera, and return where its new trigger lies; None where none came. Raises DeviceError."""
+        self._camera.ensure_ready(joins=how.period_s is not None)
         if how.period_s is None:
-            self._camera.start()
-        while (latch := self._camera.latch()).run_s is None:
+            self._camera.start_acquiring()
+        while (latch := self._camera.clock.latch()).run_s is None:
             if stop.wait(_POLL_S) or how.clock() >= until_s:
                 return None
         before_s = self.run_s(latch.host_s)

@@ -1,4 +1,4 @@
-"""How fast a disk takes a recording: direct writes from several threads to a file that no one ever sees."""
+"""Measures how fast a disk takes a recording, by direct writes from several threads to a file that no one sees."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from acquisition.errors import DiskError
 
 _WRITE_BYTES = 4 << 20
 _THREADS = 4
-_MOST_BYTES = 1 << 30  # written over and over
+_MOST_BYTES = 1 << 30  # size of the file, which is written over and over
 
 
 @dataclass(frozen=True)
 class DiskSpeed:
-    """MB/s written; `direct` is false where the file system only takes writes through the page cache."""
+    """A disk's MB/s; `direct` is false where the file system only takes writes through the page cache."""
 
     mb_s: float
     direct: bool

@@ -1,4 +1,4 @@
-"""How each camera of a running session is doing, for the operator."""
+"""Tells the operator how each camera of a running session is doing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from acquisition.session.capture import Capture
 
-_BUSY = 0.4  # of the ring: from here on a pause of the disk will lose planes
+_BUSY = 0.4  # share of the ring in use from which a pause of the disk will lose planes
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CameraHealth:
 
     @property
     def good(self) -> bool:
-        """Whether there is nothing to tell."""
+        """Return whether there is nothing to tell."""
         return not (self.failure or self.lost or self.link_errors or self.away) and self.ring < _BUSY
 
     def __str__(self) -> str:
@@ -41,7 +41,7 @@ class CameraHealth:
 
 
 def health_of(capture: Capture) -> CameraHealth:
-    """What can be said of one camera now."""
+    """Return the health of one camera now."""
     lost: dict[str, int] = {}
     for gap in capture.writer.gaps:
         lost[gap.layer] = lost.get(gap.layer, 0) + gap.planes
@@ -51,7 +51,7 @@ def health_of(capture: Capture) -> CameraHealth:
 
 
 def describe(captures: Sequence[Capture]) -> str:
-    """All cameras in a few words: how many are well, and what is wrong with each other one."""
+    """Return all cameras in a few words: how many are well, and what is wrong with each other one."""
     found = [health_of(capture) for capture in captures]
     unwell = [str(health) for health in found if not health.good]
     return ", ".join([f"{len(found) - len(unwell)} of {len(found)} cameras good", *unwell])

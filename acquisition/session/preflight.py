@@ -1,4 +1,4 @@
-"""Everything that would spoil a recording, looked at before it: what was found, what was expected, what to change."""
+"""Looks at everything that would spoil a recording, and says what was found, what was expected and what to change."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from acquisition.devices import sysfs
 from acquisition.devices.open import OpenCameras
 from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.protocol import Block
-from acquisition.devices.registers import LinkCounters
+from acquisition.devices.registers import Identity, LinkCounters
 from acquisition.devices.usb import ClockLatch
 from acquisition.errors import DeviceError, DiskError
 from acquisition.progress import Progress, silent
@@ -25,19 +25,20 @@ from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
 
-SPARE_MB = 16  # of USB memory for all other devices
-RECOMMENDED_MB = 256
-DISK_RESERVE = 1.1  # times the rig's rate
-LEAST_SECONDS = 10.0  # of recording must fit
-LATCH_PLANES = 8  # so few are asked of simulated cameras
+SPARE_MB = 16  # of USB memory, for all other devices
+DISK_RESERVE = 1.1  # least speed of the disk, as a multiple of the rig's rate
+LEAST_SECONDS = 10.0  # seconds of recording that must fit
+LATCH_PLANES = 8  # planes asked of simulated cameras
 _LATCH_TIMEOUT_S = 1.0
+
+Facts = Mapping[str, Mapping[str, object]]  # by camera id: what was measured, by its name
 
 
 @dataclass(frozen=True)
 class Check:
     """One thing looked at. `passed` is None where it does not apply; `change` says what to do where it failed.
 
-    `facts` are what was measured of single cameras, by their ids.
+    `facts` are what was measured of single cameras.
     """
 
     name: str
@@ -45,15 +46,15 @@ class Check:
     found: str
     expected: str
     change: str = ""
-    facts: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
 
     def to_json(self) -> dict[str, object]:
-        """The check as a JSON object of the same names, without its facts."""
+        """Return the check as a JSON object of the same names, without its facts."""
         return {name: value for name, value in asdict(self).items() if name != "facts"}
 
 
 def camera_facts(rig: Rig, checks: Sequence[Check]) -> list[dict[str, object]]:
-    """What all checks measured of each camera, in the rig's order."""
+    """Return what all checks measured of each camera, in the rig's order."""
     found: dict[str, dict[str, object]] = {camera_id: {"id": camera_id} for camera_id in rig.ids}
     for check in checks:
         for camera_id, facts in check.facts.items():
@@ -76,26 +77,28 @@ class Surroundings:
 
 
 def preflight(rig: Rig, around: Surroundings, progress: Progress = silent) -> list[Check]:
-    """Every check of `rig`, in order. Cameras are armed and started for a few planes, and stopped; nothing is kept."""
-    checks: list[Check] = []
+    """Make every check of `rig`, in order.
+
+    Cameras are armed and started for a few planes, and stopped; nothing is kept.
+    """
+    cameras: list[Check] = []
     queued_mb: list[float] = []
     for number, camera in enumerate(rig.cameras):
         progress(0.4 * number / len(rig.cameras), f"camera {camera.id}")
         check, profile = _camera(rig, camera, around)
-        checks.append(check)
+        cameras.append(check)
         queued_mb.append(profile.queued_mb if profile else max(each.queued_mb for each in profiles().values()))
     progress(0.4, "USB")
-    checks += [_firmware(checks), *_topology(rig, around.sysfs), _usbfs(queued_mb, around.sysfs)]
+    checks = [*cameras, _firmware(cameras), *_topology(rig, around.sysfs), _usbfs(queued_mb, around.sysfs)]
     progress(0.5, "clock latch")
-    checks += _run(rig, around, all(check.passed for check in checks[: len(rig.cameras)]))
+    checks += _run(rig, around, all(check.passed for check in cameras))
     progress(0.6, "disk")
     checks += _disk(rig, around)
     progress(1.0, f"{sum(check.passed is False for check in checks)} of {len(checks)} checks failed")
     return checks
 
 
-def camera_mb_s(rig: Rig, camera: Camera) -> float:
-    """What one camera sends, in MB/s."""
+def _camera_mb_s(rig: Rig, camera: Camera) -> float:
     return PlaneLayout(camera.width, camera.height).plane_bytes * rig.tick_rate_hz / 1e6
 
 
@@ -105,13 +108,13 @@ def _camera(rig: Rig, camera: Camera, around: Surroundings) -> tuple[Check, Prof
     expected = f"{camera.width}x{camera.height} at {rig.tick_rate_hz:g} Hz"
     try:
         with around.open_rig(rig.only([camera.id])) as opened:
-            identity, profile = opened.cameras[0].identity(), opened.cameras[0].profile
+            [found] = opened.cameras
+            version = found.registers.read(Identity).firmware_version
     except DeviceError as error:
         facts = {camera.id: {"connected": False, "fault": error.found}}
         return Check(name, False, error.found, expected, error.do or "reconnect it", facts), None
-    version = identity.firmware_version
     facts = {camera.id: {"connected": True, "serial": camera.serial, "firmware": version}}
-    return Check(name, True, f"{expected}, firmware {version}", expected, facts=facts), profile
+    return Check(name, True, f"{expected}, firmware {version}", expected, facts=facts), found.profile
 
 
 def _firmware(cameras: Sequence[Check]) -> Check:
@@ -129,31 +132,25 @@ def _firmware(cameras: Sequence[Check]) -> Check:
 
 
 def _topology(rig: Rig, root: Path | None) -> list[Check]:
-    expected = "one camera at full rate on a host controller"
-    if root is None:
-        return [Check("USB topology", None, "simulated cameras", expected)]
-    places = {place.serial: place for place in sysfs.usb_places(root)}
+    """Check the link of each camera that is found in /sys, and each bus that they share."""
+    places = {} if root is None else {place.serial: place for place in sysfs.usb_places(root)}
     cameras = [camera for camera in rig.cameras if camera.serial in places]
-    if not cameras:
-        return [Check("USB topology", None, "none of the cameras in /sys", expected)]
+    if root is None or not cameras:
+        found = "simulated cameras" if root is None else "none of the cameras in /sys"
+        return [Check("USB topology", None, found, "one camera at full rate on a host controller")]
     checks, buses = [], defaultdict(list)
     for camera in cameras:
-        place, rate = places[camera.serial], camera_mb_s(rig, camera)
+        place, rate = places[camera.serial], _camera_mb_s(rig, camera)
         buses[place.bus].append(camera)
-        checks.append(
-            Check(
-                f"link of {camera.id}",
-                rate <= place.practical_mb_s,
-                f"{place.speed_mbit_s:g} Mb/s at {place.port}, in practice {place.practical_mb_s:.0f} MB/s",
-                f"{rate:.0f} MB/s",
-                "plug it into a SuperSpeed port with a SuperSpeed cable, or lower the tick rate",
-                {camera.id: {"port": place.port, "link_mbit_s": place.speed_mbit_s}},
-            )
-        )
+        found = f"{place.speed_mbit_s:g} Mb/s at {place.port}, in practice {place.practical_mb_s:.0f} MB/s"
+        change = "plug it into a SuperSpeed port with a SuperSpeed cable, or lower the tick rate"
+        facts = {camera.id: {"port": place.port, "link_mbit_s": place.speed_mbit_s}}
+        fits = rate <= place.practical_mb_s
+        checks.append(Check(f"link of {camera.id}", fits, found, f"{rate:.0f} MB/s", change, facts))
     speeds = sysfs.bus_speeds(root)
     for bus, sharing in sorted(buses.items()):
         carries = sysfs.practical_mb_s(speeds.get(bus, min(places[c.serial].speed_mbit_s for c in sharing)))
-        ids, rate = ", ".join(c.id for c in sharing), sum(camera_mb_s(rig, c) for c in sharing)
+        ids, rate = ", ".join(c.id for c in sharing), sum(_camera_mb_s(rig, c) for c in sharing)
         expected = f"at most the {carries:.0f} MB/s that it carries in practice"
         change = f"move all but one of {ids} to other host controllers, or lower the tick rate"
         checks.append(Check(f"USB bus {bus}", rate <= carries, f"{rate:.0f} MB/s of {ids}", expected, change))
@@ -166,7 +163,7 @@ def _usbfs(queued_mb: Sequence[float], root: Path | None) -> Check:
     limit = None if root is None else sysfs.usbfs_memory_mb(root)
     if limit is None:
         return Check("USB memory", None, "simulated cameras" if root is None else "no limit stated", expected)
-    change = f"write {max(RECOMMENDED_MB, needed)} to /sys/{sysfs.USBFS_MEMORY}"
+    change = f"write {max(sysfs.RECOMMENDED_USBFS_MB, needed)} to /sys/{sysfs.USBFS_MEMORY}"
     return Check("USB memory", limit == 0 or limit >= needed, f"{limit or 'any number of'} MB", expected, change)
 
 
@@ -180,7 +177,7 @@ class _Sample:
 
 
 def _run(rig: Rig, around: Surroundings, ready: bool) -> list[Check]:
-    """What is seen when all cameras are triggered: their first planes, their clocks, their links."""
+    """Trigger all cameras, and check their first planes, their clocks and their links."""
     names = {
         "clock latch": "the first plane of every camera within a plane of its clock's zero, the same pulses counted",
         "clock rate": f"every camera's clock as fast as the host's, to {CLOCK_SPREAD * 1e6:g} us a second",
@@ -200,15 +197,16 @@ def _run(rig: Rig, around: Surroundings, ready: bool) -> list[Check]:
     ]
 
 
-def _latch(rig: Rig, samples: dict[str, _Sample], expected: str, *, has_line: bool) -> Check:
+def _latch(rig: Rig, samples: Mapping[str, _Sample], expected: str, *, has_line: bool) -> Check:
+    """Check that all cameras began at the trigger, by their first planes and the pulses they counted."""
     silent_ones = [camera_id for camera_id, sample in samples.items() if sample.block is None]
     change = "check the cables of the sync line and the trigger"
     if silent_ones:
         return Check("clock latch", False, f"no plane of {', '.join(silent_ones)} after the trigger", expected, change)
-    seen = {camera_id: sample.block for camera_id, sample in samples.items() if sample.block}
-    errors_s = {c: b.device_time_ns * 1e-9 - b.first_plane / rig.tick_rate_hz for c, b in seen.items()}
     if not has_line:
         return Check("clock latch", None, "no sync line: cameras are started one after another", expected)
+    seen = {camera_id: sample.block for camera_id, sample in samples.items() if sample.block}
+    errors_s = {c: b.device_time_ns * 1e-9 - b.first_plane / rig.tick_rate_hz for c, b in seen.items()}
     worst = max(errors_s, key=lambda camera_id: abs(errors_s[camera_id]))
     counts = {camera_id: block.sync_pulses for camera_id, block in seen.items()}
     odd = [camera_id for camera_id, count in counts.items() if count < 1 or count != max(counts.values())]
@@ -219,8 +217,8 @@ def _latch(rig: Rig, samples: dict[str, _Sample], expected: str, *, has_line: bo
     return Check("clock latch", not odd and abs(errors_s[worst]) < 1 / rig.tick_rate_hz, found, expected, change, facts)
 
 
-def _rate(samples: dict[str, _Sample], expected: str) -> Check:
-    """Each clock latched twice against the host's: what differs must be within the time the requests took."""
+def _rate(samples: Mapping[str, _Sample], expected: str) -> Check:
+    """Check each clock, latched twice against the host's: the difference must be within the time the requests took."""
     wrong, worst_s = [], 0.0
     for camera_id, sample in samples.items():
         first, last = sample.latches
@@ -233,14 +231,11 @@ def _rate(samples: dict[str, _Sample], expected: str) -> Check:
     return Check("clock rate", not wrong, found, expected, "update the camera's firmware, or have it repaired")
 
 
-def _links(samples: dict[str, _Sample], expected: str) -> Check:
-    bad = [
-        f"{camera_id}: {sample.link.errors} errors, {sample.link.recoveries} recoveries"
-        for camera_id, sample in samples.items()
-        if sample.link.errors or sample.link.recoveries
-    ]
-    found = "; ".join(bad) or "none"
-    facts = {c: {"link_errors": s.link.errors, "link_recoveries": s.link.recoveries} for c, s in samples.items()}
+def _links(samples: Mapping[str, _Sample], expected: str) -> Check:
+    links = {camera_id: sample.link for camera_id, sample in samples.items()}
+    bad = {c: link for c, link in links.items() if link.errors or link.recoveries}
+    found = "; ".join(f"{c}: {link.errors} errors, {link.recoveries} recoveries" for c, link in bad.items()) or "none"
+    facts = {c: {"link_errors": link.errors, "link_recoveries": link.recoveries} for c, link in links.items()}
     return Check("link errors", not bad, found, expected, "change the cable or the port of these cameras", facts)
 
 
@@ -248,15 +243,16 @@ def _samples(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, _Samp
     """Arm, fire, and look at each camera before and after its first block; all are stopped again."""
     cameras = opened.cameras
     try:
-        before = [(camera.link_counters(), camera.latch()) for camera in cameras]
+        before = [(camera.registers.read(LinkCounters), camera.clock.latch()) for camera in cameras]
         for camera in cameras:
-            camera.arm()
+            camera.ensure_ready()
         opened.trigger.fire()
         end = clock() + _LATCH_TIMEOUT_S
         blocks = [camera.read_block(max(0.01, end - clock())) for camera in cameras]
         found = {}
         for camera, (link, latch), block in zip(cameras, before, blocks, strict=True):
-            found[camera.id] = _Sample((latch, camera.latch()), camera.link_counters().since(link), block)
+            latches, now = (latch, camera.clock.latch()), camera.registers.read(LinkCounters)
+            found[camera.id] = _Sample(latches, now.since(link), block)
         return found
     finally:
         for camera in cameras:
@@ -264,7 +260,7 @@ def _samples(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, _Samp
 
 
 def _disk(rig: Rig, around: Surroundings) -> list[Check]:
-    rate = sum(camera_mb_s(rig, camera) for camera in rig.cameras)
+    rate = sum(_camera_mb_s(rig, camera) for camera in rig.cameras)
     needed = f"at least {rate * DISK_RESERVE:.0f} MB/s, {DISK_RESERVE:g} times the rig's rate"
     try:
         speed = write_speed(around.folder, around.disk_seconds, around.clock)

@@ -10,7 +10,7 @@ from pathlib import Path
 from acquisition.devices.open import Devices, Simulation, open_cameras, parse_devices
 from acquisition.devices.registers import Sensitivity
 from acquisition.errors import BadRecordingError, IncompleteError
-from acquisition.progress import Progress, silent
+from acquisition.progress import Progress, part, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
 from acquisition.scenes.truth import write_truth
@@ -19,19 +19,20 @@ from acquisition.session.session import Control, Extent, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 
-_TRUTH_BYTES_PER_PIXEL = 16  # light, depth, object, blur
-_RECORDING_SHARE, _WRITTEN = 0.8, 0.99  # of the work: after the planes where truth follows them, before the name
-_RING_S, _MIN_RING_BYTES = 0.5, 4 << 20  # a pause of the disk that loses nothing
+_TRUTH_BYTES_PER_PIXEL = 16  # bytes of light, depth, object and blur
+_RECORDING_SHARE, _WRITTEN = 0.8, 0.99  # shares of the work: after the planes where truth follows, before the name
+_RING_S, _MIN_RING_BYTES = 0.5, 4 << 20  # the pause of a disk, in seconds, that a ring bridges, and its least size
 _ENDLESS = 1 << 62
 
 
 @dataclass(frozen=True)
 class Take:
-    """How long to record and what to leave of the disk.
+    """How long to record, how the cameras are set, and what to leave of the disk.
 
-    `planes` of every camera, None until `control` stops it; `pre_trigger_ms` keeps the last so many milliseconds until
-    `control` saves, and counts among `planes`; the run ends before less than `keep_free_bytes` are free. The cameras
-    are set to `sensitivity`, None leaves them as they are. A hardware camera that is lost is looked for `rejoin_s`.
+    Records `planes` of every camera, None until `control` stops it. `pre_trigger_ms` keeps the last milliseconds until
+    `control` saves; they count among `planes`. The run ends before less than `keep_free_bytes` are free. The cameras
+    are set to `sensitivity`; None leaves them as they are. A hardware camera that is lost is looked for, for `rejoin_s`
+    seconds.
     """
 
     planes: int | None
@@ -62,7 +63,7 @@ def record(rig: Rig, devices: str, take: Take | int, out: Path, progress: Progre
 
 
 def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: Progress = silent) -> Manifest:
-    """`record` with simulated cameras, which nobody else can be using."""
+    """Record simulated cameras, which nobody else can be using; otherwise as `record`."""
     return _record(rig, simulation, Take(ticks), out, progress)
 
 
@@ -75,13 +76,13 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     with RecordingWriter(out, drawn, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
             for camera in opened.cameras if take.sensitivity else ():
-                camera.set_sensitivity(take.sensitivity or Sensitivity())
+                camera.registers.set_sensitivity(take.sensitivity or Sensitivity())
             streams = record_session(
                 opened.cameras,
                 opened.trigger,
                 extent,
                 recording,
-                _part(progress, 0.0, share),
+                part(progress, 0.0, share),
                 control=take.control,
                 waits=devices is not None,
                 rejoin_s=take.rejoin_s if devices is None else 0.0,
@@ -91,12 +92,12 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
             scene = dataclasses.replace(opened.scene, begins_s=recording.first_plane / rig.tick_rate_hz)
             planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
             with disk_errors(folder):
-                report = _part(progress, share, _WRITTEN)
+                report = part(progress, share, _WRITTEN)
                 write_truth(scene, devices.built(rig), planes, every, folder, report, sensor=devices.sensor)
         manifest = recording.commit(recording.entries(), opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
     if manifest.reason:
-        raise IncompleteError(f"{manifest.reason}", do=f"{out} keeps what was recorded, marked incomplete")
+        raise IncompleteError(manifest.reason, do=f"{out} keeps what was recorded, marked incomplete")
     return manifest
 
 
@@ -117,12 +118,3 @@ def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:
     truth = instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
     ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
     return DiskUse(planes * sum(plane_bytes) + truth, take.keep_free_bytes, ring, devices is not None)
-
-
-def _part(progress: Progress, first: float, last: float) -> Progress:
-    """Report a part of the work as [first, last] of the whole."""
-
-    def report(fraction: float, message: str) -> None:
-        progress(first + fraction * (last - first), message)
-
-    return report

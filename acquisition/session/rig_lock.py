@@ -1,4 +1,4 @@
-"""One operator at a time: whoever records with a rig holds its lock."""
+"""Lets one operator at a time record with a rig, by a lock."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _folder() -> Path:
 
 
 def _open(path: Path) -> int:
-    """Opened by whoever may read it: with O_CREAT the kernel would refuse another user's file in a shared folder."""
+    """Open the file for whoever may read it: with O_CREAT the kernel refuses another user's file in a shared folder."""
     for flags in (os.O_RDWR, os.O_RDONLY, os.O_RDWR | os.O_CREAT):
         with contextlib.suppress(FileNotFoundError, PermissionError):
             handle = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)

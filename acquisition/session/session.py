@@ -15,8 +15,7 @@ from acquisition.recording.manifest import Trigger
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
 from acquisition.session.capture import Capture, CaptureRules, SessionCamera
-from acquisition.session.clocks import tell_clock
-from acquisition.session.contact import Recovery
+from acquisition.session.contact import RejoinRules
 from acquisition.session.health import describe
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
@@ -24,17 +23,14 @@ _STOP_MARGIN_S = 0.05  # after the furthest camera, so that all can end at the s
 
 
 class TriggerLine(Protocol):
-    """What starts armed cameras; `kind` goes into the manifest."""
+    """Starts armed cameras.
 
-    @property
-    def kind(self) -> Trigger:
-        """How the cameras are started."""
-        ...
+    `kind` goes into the manifest; `period_s` is the time between the sync pulses that follow the trigger, None where
+    none do.
+    """
 
-    @property
-    def period_s(self) -> float | None:
-        """Seconds between the sync pulses that follow the trigger; None where none do."""
-        ...
+    kind: Trigger
+    period_s: float | None
 
     def fire(self) -> None:
         """Start every armed camera."""
@@ -43,7 +39,7 @@ class TriggerLine(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """What a person tells a session while it runs: `stop` ends it cleanly, `save` begins it after a pre-trigger."""
+    """A person's word to a running session: `stop` ends it cleanly, `save` begins it after a pre-trigger."""
 
     stop: threading.Event = field(default_factory=threading.Event)
     save: threading.Event = field(default_factory=threading.Event)
@@ -51,7 +47,7 @@ class Control:
 
 @dataclass(frozen=True)
 class Extent:
-    """What is recorded: `planes` of every camera, None until stopped; with `pre_planes`, from so many before `save`."""
+    """The planes recorded of every camera, None until stopped; with `pre_planes`, from so many before `save`."""
 
     planes: int | None
     pre_planes: int | None = None
@@ -70,14 +66,14 @@ def record_session(
 ) -> list[StreamWriter]:
     """Record every camera into `recording`, which stays to be committed; a thread a camera and one a file.
 
-    A camera that fails, or a disk that fills, is noted in `recording.problems` and the others go on, or end together.
-    `waits`: the cameras wait for the host, so that a full ring holds them up instead of losing planes. A camera that is
-    lost is reset and looked for, `rejoin_s` long, and recorded on; the run is incomplete all the same.
+    A camera that fails is noted in `recording.problems`, and the others go on; where a disk fills, all end together.
+    With `waits`, the cameras wait for the host, so that a full ring holds them up instead of losing planes. A camera
+    that is lost is reset and looked for, for `rejoin_s` seconds, and recorded on; the run is incomplete all the same.
     Raises DeviceError naming the camera that does not arm, or the first to fail where none sent a plane.
     """
     extent = Extent(extent) if isinstance(extent, int) else extent
-    recovery = Recovery(rejoin_s, time.monotonic, trigger.kind, trigger.period_s)
-    rules = CaptureRules(recording.rig.tick_rate_hz, trigger.kind, waits, extent.pre_planes, recovery)
+    rejoin = RejoinRules(rejoin_s, time.monotonic, trigger.period_s)
+    rules = CaptureRules(recording.rig.tick_rate_hz, trigger.kind, waits, extent.pre_planes, rejoin)
     captures = [Capture(c, recording.stream(c.id, c.layout, extent.planes), rules) for c in cameras]
     run = _Run(captures, extent, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:
@@ -86,7 +82,7 @@ def record_session(
             for capture in captures:
                 if capture.contact:
                     capture.contact.begin()
-                capture.camera.arm()
+                capture.camera.ensure_ready()
             run.steer()
             tasks = [pool.submit(capture.run, run.abort) for capture in captures]
             trigger.fire()
@@ -99,9 +95,8 @@ def record_session(
     run.conclude()
     for capture in captures:
         capture.writer.device = capture.contact and capture.contact.to_json()
-    if trigger.period_s is not None:
-        for capture in captures:
-            tell_clock(capture, trigger.period_s, recording.rig.tick_rate_hz)
+        if trigger.period_s is not None:
+            capture.tell_clock(trigger.period_s)
     return [capture.writer for capture in captures]
 
 
@@ -180,6 +175,5 @@ class _Run:
         each = written // len(self._captures)
         if self._extent.planes is None:
             return 0.0, f"{each} planes, {health}"
-        return written / (
-            self._extent.planes * len(self._captures)
-        ), f"{each} of {self._extent.planes} planes, {health}"
+        fraction = written / (self._extent.planes * len(self._captures))
+        return fraction, f"{each} of {self._extent.planes} planes, {health}"

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,15 +20,15 @@ from numpy.typing import NDArray
 from acquisition.errors import AcquisitionError
 
 Missed = tuple[tuple[int, ...], tuple[tuple[int, int, int], ...]]  # pulses; (first, last, how many) of some
-MOST_STEPS = 1_000_000  # periods between two stamps; more is a broken clock
-MOST_NAMED = 1000  # pulses missed behind the last stamp that are named one by one; more are given as a range
-_ON_THE_WAY = 0.1  # periods
-_FAR = 5.0  # robust standard deviations; stamps farther from the line are not used
-_FINEST_S = 1e-9  # the resolution of a stamp
+MOST_STEPS = 1_000_000  # most periods between two stamps; more is a broken clock
+MOST_NAMED = 1000  # most pulses missed behind the last stamp that are named one by one; more are given as a range
+_ON_THE_WAY = 0.1  # periods for which a pulse that is due may still be on its way
+_FAR = 5.0  # robust standard deviations from the line; stamps farther off are not used
+_FINEST_S = 1e-9  # resolution of a stamp in seconds
 
 
 class TimingError(AcquisitionError):
-    """Stamps or light from which no time can be told; the message is the reason."""
+    """Stamps or light from which no time can be told."""
 
     exit_code = 2
 
@@ -38,10 +37,10 @@ class TimingError(AcquisitionError):
 class ClockEstimate:
     """One camera's clock against the rig clock, in seconds.
 
-    `skew_s` is how far the camera's clock is ahead in the middle of the clip, `offset_s` at its start, `drift_ppm` by
-    how many millionths it is fast; their standard deviations are None where too few pulses were left to tell.
-    `missed_pulses` were not seen; `missed_between` are (first, last, how many) of pulses some of which were not seen.
-    `outlying_pulses` were stamped so far off that they are not used; `last_pulse` is the last one that was stamped.
+    The camera's clock is ahead by `skew_s` in the middle of the recording and by `offset_s` at its start, and fast by
+    `drift_ppm` millionths; their standard deviations are None where too few pulses were left to tell. `missed_pulses`
+    were not seen; `missed_between` are (first, last, how many) of pulses some of which were not seen. `outlying_pulses`
+    were stamped so far off that they are not used; `last_pulse` is the last one that was stamped.
     """
 
     skew_s: float
@@ -58,7 +57,7 @@ class ClockEstimate:
     last_pulse: int = 0
 
     def with_missed_until(self, until_s: float, last_stamp_s: float, period_s: float) -> ClockEstimate:
-        """Also name the pulses that would have been seen behind the last stamp, before `until_s` on the camera's clock.
+        """Return the estimate with the pulses missed behind the last stamp, before `until_s` on the camera's clock.
 
         One that was due just before `until_s` may still be on its way, so it is not called missed.
         """
@@ -73,30 +72,18 @@ class ClockEstimate:
         return dataclasses.replace(self, missed_pulses=(*self.missed_pulses, *behind))
 
     def to_json(self) -> dict[str, object]:
-        """The estimate as a JSON object of the same names."""
+        """Return the estimate as a JSON object of the same names."""
         return dataclasses.asdict(self)
-
-
-def estimate_clocks(
-    stamps: Mapping[str, tuple[NDArray[np.integer], NDArray[np.float64]]], period_s: float, duration_s: float
-) -> dict[str, ClockEstimate]:
-    """`estimate_clock` for each camera; TimingError names the camera."""
-    found = {}
-    for camera_id, (counted, stamps_s) in stamps.items():
-        try:
-            found[camera_id] = estimate_clock(counted, stamps_s, period_s, duration_s)
-        except TimingError as error:
-            raise TimingError(f"{camera_id}: {error}") from error
-    return found
 
 
 def estimate_clock(
     counted: NDArray[np.integer], stamps_s: NDArray[np.float64], period_s: float, duration_s: float
 ) -> ClockEstimate:
-    """The clock of a camera that had `counted` [N] pulses, from 0 for the trigger, when it stamped one at `stamps_s`.
+    """Return the clock of a camera that had counted `counted` [N] pulses when it stamped one at `stamps_s` [N].
 
-    A pulse may be given more than once. `duration_s` is the clip's. Raises TimingError for no pulses, arrays of
-    different lengths, numbers that are not finite, or a clock that stands still or goes backwards.
+    The trigger is pulse 0; a pulse may be given more than once. `period_s` is the time between pulses, `duration_s`
+    the length of the recording. Raises TimingError for no pulses, arrays of different lengths, numbers that are not
+    finite, or a clock that stands still or goes backwards.
     """
     counted, stamps_s = np.asarray(counted, dtype=np.int64), np.asarray(stamps_s, dtype=np.float64)
     _refuse_useless(counted, stamps_s, period_s)
@@ -125,7 +112,7 @@ def _refuse_useless(counted: NDArray, stamps_s: NDArray[np.float64], period_s: f
 
 
 def _missed(pulses: NDArray[np.int64], counted_steps: NDArray) -> Missed:
-    """The pulses that were missed, and where some of several were."""
+    """Return the pulses that were missed, and the stretches in which some were."""
     surely, among = [], []
     short = np.diff(pulses) - counted_steps
     for k in np.flatnonzero(short > 0):
@@ -143,7 +130,10 @@ def _fit(
     scale_s: tuple[float, float],
     missed: Missed,
 ) -> ClockEstimate:
-    """Fit error = offset + drift * time to the stamps near the line; `scale_s`: the period, the middle of the clip."""
+    """Fit error = offset + drift * time to the stamps near the line.
+
+    `scale_s` are the pulses' period and the middle of the recording.
+    """
     period_s, middle_s = scale_s
     rig_s = pulses.astype(np.float64) * period_s
     error_s = stamps_s - rig_s
@@ -177,7 +167,7 @@ def _fit(
 
 
 def _near_the_line(rig_s: NDArray[np.float64], error_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Stamps [N] within a few robust standard deviations of the median line."""
+    """Return which stamps [N] are within a few robust standard deviations of the median line."""
     half = len(rig_s) // 2
     if half == 0:
         return np.ones(len(rig_s), dtype=bool)

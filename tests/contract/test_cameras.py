@@ -13,6 +13,7 @@ import pytest
 import usb.core
 from maintenance import usbip
 from maintenance.trigger_line import TriggerWire
+from maintenance.usb_models import CameraOnUsb
 
 from acquisition.devices.device_clock import DeviceClock, Pace
 from acquisition.devices.device_model import DeviceModel
@@ -20,7 +21,7 @@ from acquisition.devices.discovery import serial_of
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.protocol import Block, BlockStatus
-from acquisition.devices.registers import LinkCounters, Sensitivity, State
+from acquisition.devices.registers import LinkCounters, Sensitivity, State, Status
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
@@ -99,7 +100,7 @@ class UsbIpBench(MockBench):
 
     def plug(self, *models: DeviceModel) -> None:
         self.models += models
-        self.devices |= {model.serial: usbip.UsbIpDevice(model) for model in models}
+        self.devices |= {model.serial: usbip.UsbIpDevice(CameraOnUsb(model)) for model in models}
         for model in models:
             wait_until(lambda serial=model.serial: serial in self.connected())
 
@@ -115,7 +116,7 @@ class UsbIpBench(MockBench):
         self.unplug(serial)
         [model] = [model for model in self.models if model.serial == serial]
         model.power_up()
-        self.devices[serial] = usbip.UsbIpDevice(model)
+        self.devices[serial] = usbip.UsbIpDevice(CameraOnUsb(model))
         wait_until(lambda: serial in self.connected())
 
     def limit_usbfs(self, megabytes: int) -> None:
@@ -133,6 +134,12 @@ class UsbIpBench(MockBench):
         for device in self.devices.values():
             device.unplug()
         wait_until(lambda: not self.connected())
+
+
+def release(model: DeviceModel) -> None:
+    """Have the camera go on after it hung."""
+    model.faults.hold(None)
+    model.run.wake()
 
 
 def wait_until(holds, tries: int = 1000) -> None:
@@ -176,88 +183,93 @@ def read_all(camera: UsbCamera) -> np.ndarray:
 
 def test_all_planes_arrive_bit_for_bit(bench, camera):
     assert camera.layout == LAYOUT
-    camera.arm()
-    assert camera.status().state is State.ARMED
+    camera.ensure_ready()
+    assert camera.registers.read(Status).state is State.ARMED
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
-    assert camera.damages == 0
-    assert camera.status().emitted_planes == len(PLANES)
+    assert camera.stream.damages == 0
+    assert camera.registers.read(Status).emitted_planes == len(PLANES)
 
 
 def test_a_rig_without_a_line_starts_by_command(camera):
-    camera.arm()
+    camera.ensure_ready()
     SoftwareTrigger([camera]).fire()
     assert camera.read_block(1).first_plane == 0
 
 
 def test_an_armed_camera_sends_nothing_before_the_trigger(camera):
-    camera.arm()
+    camera.ensure_ready()
     assert camera.read_block(0.01) is None
 
 
 def test_a_stopped_camera_can_be_armed_again(bench, camera):
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     camera.read_block(1)
     camera.ensure_stopped()
-    assert camera.status().state is State.IDLE
-    bench.model._source.left = PLANES
-    camera.arm()
+    assert camera.registers.read(Status).state is State.IDLE
+    bench.model.stream.source.left = PLANES
+    camera.ensure_ready()
     bench.fire()
     assert camera.read_block(1).first_plane == 0
 
 
 def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
-    bench.model.hold(576 + 512)  # a block, and half of the next: no short packet ends it
-    camera.arm()
+    bench.model.faults.hold(576 + 512)  # a block, and half of the next: no short packet ends it
+    camera.ensure_ready()
     bench.fire()
     assert camera.read_block(0.2).first_plane == 0
     assert camera.read_block(0.2) is None
-    assert len(camera._parser._buffer) == 512
-    bench.model.release()
+    assert len(camera.stream._parser._buffer) == 512
+    release(bench.model)
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
-    assert camera.damages == 0
+    assert camera.stream.damages == 0
 
 
 @pytest.mark.parametrize("sent", [0, 512, 576 + 512])
 def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
-    bench.model.hold(sent)
-    camera.arm()
+    bench.model.faults.hold(sent)
+    camera.ensure_ready()
     bench.fire()
     bench.model.halt()
-    bench.model.release()
+    release(bench.model)
     first = camera.read_block(0.2)
     assert first is None or sent > 576
     np.testing.assert_array_equal(np.concatenate([*([first.packed] if first else []), read_all(camera)]), PLANES)
-    assert camera.damages == 0
+    assert camera.stream.damages == 0
 
 
 def test_a_damaged_block_is_dropped_and_counted(bench, camera):
-    bench.model.flip_bit(100)
-    camera.arm()
+    bench.model.faults.flip_bit(100)
+    camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
-    assert camera.damages == 1
+    assert camera.stream.damages == 1
 
 
 def test_an_unplugged_camera_is_named_at_once_and_ever_after(bench, camera):
-    camera.arm()
+    camera.ensure_ready()
     bench.unplug()
-    for call in (lambda: camera.read_block(600), lambda: camera.read_block(600), camera.arm, camera.start):
+    for call in (
+        lambda: camera.read_block(600),
+        lambda: camera.read_block(600),
+        camera.ensure_ready,
+        camera.start_acquiring,
+    ):
         with pytest.raises(DeviceError, match=r"cam12 \(serial A1\): it is not connected any more"):
             call()
     camera.ensure_stopped()
 
 
 def test_a_camera_that_came_back_is_another_device(bench, camera):
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     bench.replug()
     with pytest.raises(DeviceError, match="not connected any more"):
         read_all(camera)
-    bench.model._source.left = PLANES
+    bench.model.stream.source.left = PLANES
     again = UsbCamera.open(CAMERA, RATE, bench.backend)
-    again.arm()
+    again.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(again), PLANES)
     again.close()
@@ -269,10 +281,10 @@ def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
     cameras = [
         UsbCamera.open(dataclasses.replace(CAMERA, id=f"cam{i}", serial=f"N{i}"), RATE, bench.backend) for i in range(9)
     ]
-    bench.models[5].hold(576 * 20 + 512)
+    bench.models[5].faults.hold(576 * 20 + 512)
     with ThreadPoolExecutor(9) as pool:
         for camera in cameras:
-            camera.arm()
+            camera.ensure_ready()
         tasks = [pool.submit(read_all, camera) for camera in cameras]
         bench.fire()
         bench.unplug("N4")
@@ -291,11 +303,11 @@ def test_a_full_kernel_is_one_line_and_no_hang(bench, camera):
     camera.close()
     camera = UsbCamera.open(CAMERA, RATE, bench.backend)
     with pytest.raises(DeviceError, match=r"cam12 .*memory for USB transfers full .* write 256 to \S*usbfs_memory_mb$"):
-        camera.arm()
+        camera.ensure_ready()
     camera.close()
     bench.limit_usbfs(16)
     camera = UsbCamera.open(CAMERA, RATE, bench.backend)
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
     camera.close()
@@ -306,7 +318,7 @@ def test_what_a_slow_reader_loses_is_counted_to_the_plane(bench):
     now_s = [0.0]
     bench.plug(bench.camera("P1", Stored(planes), pace=Pace(160, lambda: now_s[0])))
     camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="P1"), RATE, bench.backend)
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     blocks = []
     for due in (80, 160, 900, 980, 1700, 5000):
@@ -319,7 +331,7 @@ def test_what_a_slow_reader_loses_is_counted_to_the_plane(bench):
         assert block.dropped_planes == lost
         np.testing.assert_array_equal(block.packed, planes[block.first_plane : next_plane])
         assert bool(block.status & BlockStatus.OVERRUN) == bool(block.status & BlockStatus.DISCARDED)
-    status = camera.status()
+    status = camera.registers.read(Status)
     assert sum(len(block.packed) for block in blocks) + status.dropped_planes == status.emitted_planes == 2000
     assert lost > 0
     assert any(block.status & BlockStatus.OVERRUN for block in blocks)
@@ -327,19 +339,19 @@ def test_what_a_slow_reader_loses_is_counted_to_the_plane(bench):
 
 
 def test_a_repeated_block_is_left_out(bench, camera, monkeypatch):
-    send = bench.model._next_block
-    monkeypatch.setattr(bench.model, "_next_block", lambda: 2 * send())
-    camera.arm()
+    send = bench.model.stream.next_block
+    monkeypatch.setattr(bench.model.stream, "next_block", lambda: 2 * send())
+    camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
-    assert (camera.repeats, camera.damages) == (3, 0)
+    assert (camera.stream.repeats, camera.stream.damages) == (3, 0)
 
 
 def test_every_block_tells_a_pulse_and_its_time(bench):
     clock = DeviceClock(offset_s=0.002, drift_ppm=50, missed=frozenset({4}))
     bench.plug(bench.camera("T1", Stored(np.zeros((4000, 6), np.uint8)), clock=clock))
     camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="T1"), RATE, bench.backend)
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()  # and a pulse each millisecond, which is 20 planes
     pairs = [(block.sync_pulses, block.pulse_time_s) for block in read_blocks(camera)]
     for k, (count, time_s) in enumerate(pairs):
@@ -356,7 +368,7 @@ def test_how_fast_it_is(bench, capsys):
     bench.plug(bench.camera("F1", Stored(planes, layout)))
     fast = dataclasses.replace(CAMERA, serial="F1", width=400, height=250)
     camera = UsbCamera.open(fast, RATE, bench.backend)
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     start_s, taken = time.monotonic(), 0
     while taken < len(planes):
@@ -400,50 +412,50 @@ def test_a_device_that_may_not_be_opened_does_not_hide_the_others(bench, monkeyp
 
 
 def test_threshold_and_exposure_are_set_while_idle_only(bench, camera):
-    assert camera.sensitivity() == Sensitivity(1000, 1000)
-    camera.set_sensitivity(Sensitivity(2000, 500))
-    assert bench.model.sensitivity.gain == 0.25
+    assert camera.registers.read(Sensitivity) == Sensitivity(1000, 1000)
+    camera.registers.set_sensitivity(Sensitivity(2000, 500))
+    assert bench.model.registers.sensitivity.gain == 0.25
     with pytest.raises(CameraSetupError, match="cam12: found the threshold 4001, expected 250 to 4000"):
-        camera.set_sensitivity(Sensitivity(4001))
-    camera.arm()
+        camera.registers.set_sensitivity(Sensitivity(4001))
+    camera.ensure_ready()
     with pytest.raises(DeviceError, match="cam12"):
-        camera.set_sensitivity(Sensitivity())
-    assert camera.sensitivity() == Sensitivity(2000, 500)
+        camera.registers.set_sensitivity(Sensitivity())
+    assert camera.registers.read(Sensitivity) == Sensitivity(2000, 500)
 
 
 def test_the_clock_is_latched_against_the_host_s(bench, camera):
-    first = camera.latch()
+    first = camera.clock.latch()
     assert first.run_s is None
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     time.sleep(0.05)
-    second = camera.latch()
+    second = camera.clock.latch()
     apart = first.uncertainty_s + second.uncertainty_s + 1e-6
     assert second.oscillator_s - first.oscillator_s == pytest.approx(second.host_s - first.host_s, abs=apart)
     assert 0.05 <= second.run_s < second.oscillator_s
 
 
 def test_what_the_link_counts_is_read(bench, camera):
-    assert camera.link_counters() == LinkCounters()
-    bench.model.link = LinkCounters(3, 1, 0)
-    assert camera.link_counters() == LinkCounters(3, 1, 0)
+    assert camera.registers.read(LinkCounters) == LinkCounters()
+    bench.model.run.link = LinkCounters(3, 1, 0)
+    assert camera.registers.read(LinkCounters) == LinkCounters(3, 1, 0)
 
 
 def test_a_camera_that_was_reset_by_the_host_is_opened_again(bench, camera):
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     assert camera.read_block(1).first_plane == 0
-    camera.reset()
+    camera.recovery.reset()
     wait_until(lambda: reopens(camera))
-    bench.model._source.left = PLANES
-    camera.arm()
+    bench.model.stream.source.left = PLANES
+    camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
 
 
 def reopens(camera: UsbCamera) -> bool:
     try:
-        camera.reopen()
+        camera.recovery.reopen()
     except DeviceError:
         return False
     return True
@@ -454,20 +466,20 @@ def test_a_camera_that_was_plugged_in_anew_is_opened_again_and_keeps_time(bench)
     bench.plug(bench.camera("R1", Counted(), pace=Pace(1 << 30)))
     model = bench.models[-1]
     camera = UsbCamera.open(dataclasses.replace(CAMERA, serial="R1"), RATE, bench.backend)
-    camera.arm()
+    camera.ensure_ready()
     bench.fire()
     while not (block := camera.read_block(1)):
         pass
-    began_s = model._started_s
+    began_s = model.run.started_s
     assert block.first_plane == 0
     bench.replug("R1")
     assert model.state is State.IDLE
     wait_until(lambda: reopens(camera))
-    camera.arm(joins=True)
+    camera.ensure_ready(joins=True)
     while not (block := camera.read_block(1)):
         pass
     assert (block.first_plane, block.device_time_ns) == (0, 0)
-    pulses = (model._started_s - began_s) / 1e-3
+    pulses = (model.run.started_s - began_s) / 1e-3
     assert pulses == pytest.approx(round(pulses), abs=1e-6)
     camera.close()
 
@@ -506,13 +518,13 @@ def run(bench, tmp_path):
         control, began = Control(), []
 
         def play() -> None:
-            wait_until(lambda: models[1]._emitted_planes > 2 * PULSES_S * RATE)
-            began.append(models[1]._started_s)
+            wait_until(lambda: models[1].run.emitted_planes > 2 * PULSES_S * RATE)
+            began.append(models[1].run.started_s)
             lose()
             if returns:
-                wait_until(lambda: models[1].state is State.RUNNING and models[1]._started_s != began[0])
-                wait_until(lambda: models[1]._emitted_planes > 2 * PULSES_S * RATE)
-                began.append(models[1]._started_s)
+                wait_until(lambda: models[1].state is State.RUNNING and models[1].run.started_s != began[0])
+                wait_until(lambda: models[1].run.emitted_planes > 2 * PULSES_S * RATE)
+                began.append(models[1].run.started_s)
             else:
                 time.sleep(0.1 + 2 * rejoin_s)
             control.stop.set()
@@ -560,7 +572,7 @@ def test_a_camera_that_hangs_is_reset_and_rejoins(run, bench, monkeypatch):
     if not isinstance(bench.backend, MockBackend):
         pytest.skip("USB/IP does not tell a device of a reset of its port, which would end what it hangs in")
     monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.02)
-    recording, began = run("software", lambda: run.models[1].hold(0), 20.0)
+    recording, began = run("software", lambda: run.models[1].faults.hold(0), 20.0)
     lost = recording.manifest.camera("cam01")
     place = (began[1] - began[0]) * RATE
     [back] = lost.device["returns"]

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.devices.open import open_cameras
+from acquisition.devices.registers import LinkCounters, Sensitivity
 from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
 from acquisition.session.preflight import Surroundings, preflight
@@ -34,20 +35,20 @@ def test_the_pre_flight_passes(rig, tmp_path):
 def test_every_camera_answers_beside_its_stream(rig):
     with open_cameras(rig, None, 0) as opened:
         for camera in opened.cameras:
-            first, last = camera.latch(), camera.latch()
+            first, last = camera.clock.latch(), camera.clock.latch()
             assert last.oscillator_s > first.oscillator_s, camera.id
             assert first.uncertainty_s < 1e-2, camera.id
-            camera.set_sensitivity(camera.sensitivity())
-            camera.link_counters()
+            camera.registers.set_sensitivity(camera.registers.read(Sensitivity))
+            camera.registers.read(LinkCounters)
 
 
 def test_a_reset_by_the_host_brings_every_camera_back(rig):
     with open_cameras(rig, None, 0) as opened:
         for camera in opened.cameras:
-            camera.reset()
+            camera.recovery.reset()
             threading.Event().wait(2.0)  # to enumerate anew
-            camera.reopen()
-            camera.arm()
+            camera.recovery.reopen()
+            camera.ensure_ready()
             camera.ensure_stopped()
 
 

@@ -6,6 +6,7 @@ import hidraw
 import numpy as np
 import pytest
 from maintenance import usbip
+from maintenance.usb_models import BoxOnUsb
 
 from acquisition.devices.box_model import BoxModel, MockHid
 from acquisition.devices.device_model import DeviceModel
@@ -68,7 +69,7 @@ class UsbIpBench(MockBench):
     """The same box on this kernel's own HID stack."""
 
     def plug(self) -> None:
-        self.device = usbip.UsbIpDevice(self.model, usbip.HIGH_SPEED)
+        self.device = usbip.UsbIpDevice(BoxOnUsb(self.model), usbip.HIGH_SPEED)
         self.wait_for(1)
         self.hid = LateHid()
         self.hid.open_path(hidraw.enumerate(VENDOR_ID, BOX_PRODUCT_ID)[0]["path"])
@@ -106,7 +107,7 @@ def test_one_pulse_starts_every_armed_camera_and_more_follow(bench):
     assert box.status() == BoxStatus(BoxState.PULSING, 2000, 6)
     parser = BlockParser()
     for _ in range(3):
-        parser.feed(bench.cameras[0].stream(1 << 20, 1))
+        parser.feed(bench.cameras[0].stream.send(1 << 20, 1))
     assert [block.sync_pulses for block in iter(parser.next, None)] == [1, 3, 5]  # a block is 4 ms
     box.close()
     assert bench.model.status().state is BoxState.IDLE

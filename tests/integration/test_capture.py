@@ -24,7 +24,7 @@ from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
 from acquisition.scenes.catalog import build_scene
 from acquisition.session import capture as capture_module
-from acquisition.session.capture import gaps_of
+from acquisition.session.backlog import gaps_of
 from acquisition.session.record import Take, record, simulate
 from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
@@ -51,16 +51,22 @@ class RandomSource:
 class LossyModel(DeviceModel):
     """Loses its second block on the way."""
 
-    def _next_block(self) -> bytes:
-        if self._emitted_blocks == 1:
-            super()._next_block()
-        return super()._next_block()
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        send = self.stream.next_block
+
+        def next_block() -> bytes:
+            if self.run.emitted_blocks == 1:
+                send()
+            return send()
+
+        self.stream.next_block = next_block
 
 
 class DeafModel(DeviceModel):
     """Never hears the trigger."""
 
-    def trigger(self) -> None:
+    def trigger(self, period_s: float = 0.0) -> None:
         pass
 
 
@@ -163,7 +169,7 @@ class NoisyModel(DeviceModel):
 
     def __init__(self, *arguments):
         super().__init__(*arguments)
-        self.link_per_block = LinkCounters(errors=2)
+        self.faults.link_per_block = LinkCounters(errors=2)
 
 
 def test_what_a_camera_says_of_itself_stands_in_the_manifest(tmp_path):
@@ -187,7 +193,7 @@ def test_threshold_and_exposure_change_the_spikes_and_leave_out_the_truth(tmp_pa
         manifest = record(small, uri, Take(200, sensitivity=sensitivity), tmp_path / name)
         recording = Recording.open(tmp_path / name)
         rates[name] = recording.stream("cam11").counts(0, 200).mean()
-        assert manifest.camera("cam11").device["sensitivity"] == (sensitivity or Sensitivity())._asdict()
+        assert manifest.camera("cam11").device["sensitivity"] == dataclasses.asdict(sensitivity or Sensitivity())
         assert (recording.truth is not None) == (name == "nominal")
     assert rates["dim"] == pytest.approx(rates["nominal"] / 4, rel=0.02)
     with pytest.raises(CameraSetupError, match="cam00: found the threshold 9, expected 250 to 4000"):

@@ -153,9 +153,8 @@ def test_a_rig_that_is_not_this_one_fails_for_every_camera(bench, change, found)
 
 
 def test_firmware_that_differs_is_named(bench):
-    identity = DeviceModel("x", Dark(), 1.0)  # a camera of another firmware, of this protocol
-    other = UsbCamera.open(dataclasses.replace(RIG.cameras[0], serial="x"), 1.0, MockBackend([identity])).identity()
-    bench.odd["cam11"] = lambda camera: Odd(camera, identity=lambda: other._replace(firmware_version=7))
+    for camera, model in zip(RIG.cameras, bench.models, strict=True):
+        model.registers.firmware_version = 7 if camera.id == "cam11" else 1
     checks = bench.checks()
     assert failed(checks) == ["firmware"]
     assert checks["firmware"].found.endswith("; 7 in cam11")

@@ -43,7 +43,7 @@ class Sender:
         self.sent = self.dropped = 0
         self.before_block = lambda number: None
 
-    def arm(self) -> None:
+    def ensure_ready(self) -> None:
         self.sent = 0
 
     def ensure_stopped(self) -> None:
@@ -221,7 +221,7 @@ def test_the_manifest_says_what_is_going_on(tmp_path, capture):
         fractions.append(message)
 
     class Armed(Sender):
-        def arm(self):
+        def ensure_ready(self):
             seen.add(read_any_manifest(tmp_path / "rec.partial").status)
 
     manifest = capture([Armed(0, 600, pause_s=0.001)], 600 * BLOCK_PLANES, progress=look)

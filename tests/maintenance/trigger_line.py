@@ -20,5 +20,4 @@ class TriggerWire:
     def fire(self) -> None:
         """Send the first pulse."""
         for model in self._models:
-            model.sync_period_s = self.period_s or 0.0
-            model.trigger()
+            model.trigger(self.period_s or 0.0)

@@ -29,9 +29,8 @@ _POLL_S = 0.02
 
 
 class UsbModel(Protocol):
-    """What a device is below its bus."""
+    """A device below its bus; `maintenance.usb_models` has two."""
 
-    serial: str
     stream_endpoint: int
 
     def control(self, kind: int, request: int, value: int, index: int, data: bytes = b"") -> bytes:
@@ -39,15 +38,15 @@ class UsbModel(Protocol):
         ...
 
     def stream(self, size: int, timeout_s: float) -> memoryview:
-        """Bytes of the bulk pipe; raises StallError."""
+        """Return bytes of the bulk pipe; raises StallError."""
         ...
 
     def take(self, endpoint: int, data: bytes) -> None:
-        """Bytes to another bulk pipe; raises StallError."""
+        """Take bytes for another bulk pipe; raises StallError."""
         ...
 
     def give(self, endpoint: int) -> bytes:
-        """The next message of another bulk pipe, empty where there is none; raises StallError."""
+        """Return the next message of another bulk pipe, empty where there is none; raises StallError."""
         ...
 
     def wake(self) -> None:
@@ -112,7 +111,7 @@ class UsbIpDevice:
                 self._control(number, setup, b"" if inward else self._take(size))
 
     def _take(self, size: int) -> bytes:
-        """Exactly `size` bytes, or none at the end."""
+        """Return exactly `size` bytes, or none at the end."""
         data = bytearray()
         while len(data) < size:
             try:
@@ -137,7 +136,7 @@ class UsbIpDevice:
         self._submitted(number, 0, answer, len(answer) if kind & 0x80 else len(data))
 
     def _message(self, number: int, endpoint: int, size: int, data: bytes | None) -> None:
-        """A transfer of another endpoint: `data` is taken at once, without data it waits for a message."""
+        """Answer a transfer of another endpoint: `data` is taken at once, without data it waits for a message."""
         try:
             if data is not None:
                 self._model.take(endpoint, data)
@@ -217,7 +216,7 @@ class UsbIpDevice:
 
 
 def is_available() -> bool:
-    """Whether this process may plug devices into a virtual host controller."""
+    """Return whether this process may plug devices into a virtual host controller."""
     return os.access(HOST_CONTROLLER / "attach", os.W_OK)
 
 
@@ -230,7 +229,7 @@ def _free_port(hub: str) -> int:
 
 
 def _standard(kind: int, request: int) -> bytes | None:
-    """The answer to what every device is asked: its status, configuration, interface, power figures."""
+    """Answer what every device is asked: its status, configuration, interface, power figures."""
     if (kind == 0x80 and request == 0x00) or (kind in (0x81, 0x82) and request == 0x00):
         return bytes(2)
     if (kind, request) in ((0x00, 0x09), (0x01, 0x0B), (0x00, 0x30), (0x00, 0x31), (0x00, 0x03), (0x00, 0x01)):

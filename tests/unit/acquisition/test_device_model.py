@@ -6,7 +6,7 @@ import pytest
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.protocol import BlockParser
-from acquisition.devices.registers import Geometry, Request, State, Status, decode_tick_rate
+from acquisition.devices.registers import Geometry, Request, State, Status, TickRate
 from acquisition.spikes.layout import PlaneLayout
 
 
@@ -28,21 +28,21 @@ def model_of(planes: int = 200) -> DeviceModel:
 
 def drain(model: DeviceModel, size: int) -> list:
     parser = BlockParser()
-    while data := model.stream(size, 0.001):
+    while data := model.stream.send(size, 0.001):
         parser.feed(data)
     return list(iter(parser.next, None))
 
 
 def test_registers_describe_the_camera():
     model = model_of()
-    assert Geometry.decode(model.read_register(Request.GEOMETRY)) == Geometry(PlaneLayout(9, 5), 80)
-    assert decode_tick_rate(model.read_register(Request.TICK_RATE)) == 20_000
-    assert Status.decode(model.read_register(Request.STATUS)).state is State.IDLE
+    assert Geometry.decode(model.registers.read(Request.GEOMETRY)) == Geometry(PlaneLayout(9, 5), 80)
+    assert TickRate.decode(model.registers.read(Request.TICK_RATE)).hz == 20_000
+    assert Status.decode(model.registers.read(Request.STATUS)).state is State.IDLE
 
 
 def test_a_block_of_full_size_is_a_megabyte():
-    assert DeviceModel("A1", RandomSource(PlaneLayout(400, 250), 1), 2e4).geometry.planes_per_block == 80
-    assert DeviceModel("A1", RandomSource(PlaneLayout(1000, 1000), 1), 2e4).geometry.planes_per_block == 8
+    assert DeviceModel("A1", RandomSource(PlaneLayout(400, 250), 1), 2e4).stream.geometry.planes_per_block == 80
+    assert DeviceModel("A1", RandomSource(PlaneLayout(1000, 1000), 1), 2e4).stream.geometry.planes_per_block == 8
 
 
 @pytest.mark.parametrize("size", [1 << 20, 512, 97])
@@ -54,26 +54,26 @@ def test_the_stream_is_the_source_bit_for_bit(size):
     assert [b.first_plane for b in blocks] == [0, 80, 160]
     assert [b.device_time_ns for b in blocks] == [0, 4_000_000, 8_000_000]
     assert {b.sync_pulses for b in blocks} == {1}
-    np.testing.assert_array_equal(np.concatenate([b.packed for b in blocks]), model._source.all)
+    np.testing.assert_array_equal(np.concatenate([b.packed for b in blocks]), model.stream.source.all)
 
 
 def test_nothing_is_sent_before_the_trigger_and_after_stop():
     model = model_of()
     model.trigger()  # not armed: counted, not obeyed
     model.command(Request.ARM)
-    assert not model.stream(1000, 0.001)
+    assert not model.stream.send(1000, 0.001)
     model.command(Request.START)
-    assert model.stream(10, 0.001)
+    assert model.stream.send(10, 0.001)
     model.command(Request.STOP)
-    assert not model.stream(1000, 0.001)
-    assert model._source.asked == 80  # paced by the reader: one block
+    assert not model.stream.send(1000, 0.001)
+    assert model.stream.source.asked == 80  # paced by the reader: one block
 
 
 def test_the_trigger_ends_a_read_that_waits():
     model = model_of()
     model.command(Request.ARM)
     found = []
-    reader = threading.Thread(target=lambda: found.append(len(model.stream(10, 60))))
+    reader = threading.Thread(target=lambda: found.append(len(model.stream.send(10, 60))))
     reader.start()
     model.trigger()
     reader.join()
@@ -83,10 +83,10 @@ def test_the_trigger_ends_a_read_that_waits():
 def test_what_the_device_does_not_know_stalls():
     model = model_of()
     with pytest.raises(StallError):
-        model.read_register(0x7F)
+        model.registers.read(0x7F)
     with pytest.raises(StallError):
         model.command(0x7F)
     with pytest.raises(StallError):
         model.command(Request.START)  # not armed
     with pytest.raises(StallError):
-        model.control(0x80, 0x06, 0x0309, 0)  # string 9
+        model.control(0x80, 0x06, 0x0309)  # string 9

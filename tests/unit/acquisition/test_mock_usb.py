@@ -72,10 +72,10 @@ def test_a_short_read_is_no_error(device, models):
     assert len(device.read(DIRECT.stream_endpoint, 1 << 20)) == 64 + 80 * 4 + 32
 
 
-def test_a_halted_pipe_stalls_until_it_is_cleared(device, models, backend):
+def test_a_halted_pipe_stalls_until_it_is_cleared(device, models):
     device.ctrl_transfer(COMMAND, Request.ARM)
     TriggerWire(models).fire()
-    backend.halt("A1")
+    models[0].halt()
     for _ in range(2):
         with pytest.raises(usb.core.USBError) as caught:
             device.read(DIRECT.stream_endpoint, 1024)

@@ -19,8 +19,7 @@ from acquisition.devices.registers import (
     Identity,
     State,
     Status,
-    decode_tick_rate,
-    encode_tick_rate,
+    TickRate,
     pixel_format,
 )
 from acquisition.errors import DeviceError
@@ -258,7 +257,7 @@ def test_the_other_registers_round_trip():
     status = Status(State.ARMED, 3, 10**12, 7)
     assert Status.decode(status.encode()) == status
     assert Identity.decode(Identity(1, 4).encode()) == Identity(1, 4)
-    assert decode_tick_rate(encode_tick_rate(20_000.5)) == 20_000.5
+    assert TickRate.decode(TickRate(20_000.5).encode()).hz == 20_000.5
 
 
 @pytest.mark.parametrize(
