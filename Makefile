@@ -67,7 +67,7 @@ stability: install
 
 # From the committed documents alone: minutes, where the runs behind them took hours.
 evidence: install
-	$(PY) -m reconstruction.bench.evidence
+	PYTHONPATH=tests $(PY) -m maintenance.evidence
 
 faults: install
 	PYTHONPATH=tests $(PY) -m maintenance.faults --jobs 50 --out tests/benchmarks/faults.json
@@ -76,7 +76,7 @@ load: install
 	PYTHONPATH=tests $(PY) -m maintenance.load --out tests/benchmarks/service_load.json
 
 sheets: install
-	$(PY) -m reconstruction.bench.sheets --out runs/sheets
+	PYTHONPATH=tests $(PY) -m maintenance.sheets --out runs/sheets
 
 serve: install
 	$(VENV)/bin/spike4dgs serve --devices mock:fan_and_ball --with-worker

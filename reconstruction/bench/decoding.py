@@ -1,4 +1,4 @@
-"""How fast packed planes become images, beside the plain NumPy recipes of the public tools and a copy of the bytes.
+"""Times packed planes becoming images, beside the NumPy recipes of the public tools and a copy of the bytes.
 
 The recipes unpack every plane of the recording once and then work on arrays of a byte a pixel. TFP is the mean of the
 planes around the instant. TFI walks over planes, back and ahead from the instant, and counts the silent ones until all
@@ -25,13 +25,13 @@ IMAGES, CAMERAS = 20, 9
 
 
 def tfp_recipe(stream: SpikeStream, planes: Sequence[int]) -> list[NDArray]:
-    """Images [H, W] as the public tools make them: unpack all, then a mean over the window."""
+    """Return images [H, W] as the public tools make them: unpack all, then take the mean over the window."""
     spikes = unpack_reference(stream.packed, stream.layout)
     return [spikes[max(0, k - HALF_WINDOW) : k + HALF_WINDOW + 1].mean(axis=0) for k in planes]
 
 
 def tfi_recipe(stream: SpikeStream, planes: Sequence[int]) -> list[NDArray]:
-    """Images [H, W] as the public tools make them: unpack all, then walk away from the instant plane by plane."""
+    """Return images [H, W] as the public tools make them: unpack all, then walk plane by plane from the instant."""
     spikes = unpack_reference(stream.packed, stream.layout).astype(bool)
     images = []
     for plane in planes:
@@ -42,7 +42,7 @@ def tfi_recipe(stream: SpikeStream, planes: Sequence[int]) -> list[NDArray]:
 
 
 def _walk(spikes: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Silent planes [H, W] before each pixel's first spike."""
+    """Return the number of silent planes [H, W] before each pixel's first spike."""
     silent, waiting = np.zeros(spikes.shape[1:], dtype=np.int64), np.ones(spikes.shape[1:], dtype=bool)
     for plane in spikes:
         waiting &= ~plane
@@ -53,7 +53,7 @@ def _walk(spikes: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def bench_decoding(document: BenchDocument, stream: SpikeStream) -> None:
-    """Unpacking, TFP and TFI of one recording, in seconds and as ratios; a rig of nine takes every core."""
+    """Time unpacking, TFP and TFI of one recording, in seconds and as ratios; a rig of nine takes every core."""
     instants = list(np.linspace(10, len(stream) - 10, IMAGES).astype(int))
     window = np.ascontiguousarray(stream.packed[: 2 * HALF_WINDOW + 1])
     packed, layout = stream.packed, stream.layout

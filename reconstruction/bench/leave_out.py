@@ -1,13 +1,13 @@
-"""What a plan leaves out against a run that leaves out nothing: seconds, memory, error, at equal steps and equal time.
+"""Measures what a plan leaves out against a run that leaves out nothing: seconds, memory and error.
 
-Every run is made in a process of its own. `cost_db` is how much better the other run is (a plan may cost LEAST_DB),
-`saved_s` and `saved_mb` how much more processor time and memory it takes; of a single decision these stand beside what
-the plan claimed. A plan that is wrong is measured by a mover it misses, with the watch and without.
+Every run is made in a process of its own, at equal steps and at equal time. `cost_db` is how much better the other run
+is (a plan may cost COST_DB), `saved_s` and `saved_mb` how much more processor time and memory it takes. Of a single
+decision these stand beside the plan's own claims. The price of a wrong plan is measured by a mover that it misses, with
+the watch and without.
 """
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,10 +17,11 @@ from typing import TypeVar
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.open import Simulation
-from acquisition.durable import made_aside, write_json
+from acquisition.durable import made_aside
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
+from reconstruction.bench.conventions import kept
 from reconstruction.bench.leave_out_cases import (
     BUDGET_S,
     CASES,
@@ -37,7 +38,7 @@ from reconstruction.bench.leave_out_cases import (
 )
 from rigs.toml import catalog_rig
 
-COST_DB = 0.1  # the most that a plan may cost
+COST_DB = 0.1  # dB that a plan may cost at most
 Result = TypeVar("Result")
 SCORES = ("psnr_db", "dynamic_psnr_db")
 OMISSIONS = (
@@ -49,25 +50,23 @@ OMISSIONS = (
 
 @dataclass(frozen=True)
 class Bench:
-    """Where runs lie, how many steps and seconds they have, and the process that makes each."""
+    """The folder of the runs, and their length in steps and in seconds (None: at equal steps alone)."""
 
     work: Path
     steps: int = STEPS
     budget_s: float | None = BUDGET_S
 
     def row(self, case: Case, arm: Arm, decision: str, budget_s: float | None = None) -> dict:
-        """The run of a case by an arm: measured now, or found in `work`."""
+        """Return the run of a case by an arm: measured now, or found in `work`."""
         extent = f"{budget_s:g}s" if budget_s else f"{self.steps}"
         name = f"{case.name}-{arm.name}-{extent}"
-        file = self.work / f"{name}.json"
-        if not file.exists():
-            steps = None if budget_s else self.steps
-            recording = recorded(case, self.work)
-            found = apart(partial(_measured, recording, arm, self.work / f"{name}.run", steps, budget_s))
-            write_json(file, found)
         about = {"case": case.name, "scene": case.scene, "seed": case.seed, "decision": decision}
         about |= {"run": "plan" if arm in (PLAN, GREY) else "all", "extent": extent}
-        return about | json.loads(file.read_text())
+        return about | kept(self.work / f"{name}.json", lambda: self._run(case, arm, name, budget_s))
+
+    def _run(self, case: Case, arm: Arm, name: str, budget_s: float | None) -> dict:
+        steps = None if budget_s else self.steps
+        return apart(partial(_measured, recorded(case, self.work), arm, self.work / f"{name}.run", steps, budget_s))
 
 
 def bench_leave_out(
@@ -78,7 +77,7 @@ def bench_leave_out(
     cases: Sequence[Case] = CASES,
     time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
-    """Every case by its plan, by everything on and with each decision of its own switched; runs lie in `work`.
+    """Run every case by its plan, with everything on, and with each of its decisions switched; runs lie in `work`.
 
     `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run found in `work` is
     not repeated, so that a stopped bench resumes.
@@ -102,7 +101,7 @@ def bench_leave_out(
 
 
 def _compare(document: BenchDocument, bench: Bench, case: Case) -> None:
-    """A case at equal steps and at equal time, and each of its decisions."""
+    """Add a case at equal steps and at equal time, and each of its decisions."""
     plan, everything = bench.row(case, PLAN, "all"), bench.row(case, case.all, "all")
     document.rows += [plan, everything]
     document.summary |= costs(case.name, plan, everything)
@@ -125,7 +124,7 @@ def _compare(document: BenchDocument, bench: Bench, case: Case) -> None:
 
 
 def costs(key: str, plan: dict, other: dict) -> dict[str, float]:
-    """What the plan costs in dB and saves in seconds of a processor and MB, as far as both runs have them."""
+    """Return what a plan costs in dB and saves in processor seconds and MB, as far as both runs have them."""
     if "refused" in plan or "refused" in other:
         return {}
     found = {f"{key}.saved_s": other["cpu_s"] - plan["cpu_s"], f"{key}.saved_mb": other["peak_mb"] - plan["peak_mb"]}
@@ -136,7 +135,7 @@ def costs(key: str, plan: dict, other: dict) -> dict[str, float]:
 
 
 def claims(key: str, plan: dict, decision: str) -> dict[str, float]:
-    """What the plan said that a decision saves, where it said so."""
+    """Return what the plan said that a decision saves, where it said so."""
     said = plan.get("decisions", {}).get(decision, {})
     found = {f"{key}.claimed_s": said.get("saves_s")}
     if said.get("saves_bytes") is not None:
@@ -145,7 +144,7 @@ def claims(key: str, plan: dict, decision: str) -> dict[str, float]:
 
 
 def _mistaken(document: BenchDocument, bench: Bench) -> None:
-    """A plan that took a mover for still: undone by the watch, and left as it is."""
+    """Add a plan that took a mover for still: undone by the watch, and left as it is."""
     watched, left = bench.row(MISSED, PLAN, "watch"), bench.row(MISSED, UNWATCHED, "watch")
     document.rows += [watched, left]
     gains = costs(MISSED.name, left, watched)
@@ -158,13 +157,13 @@ def _mistaken(document: BenchDocument, bench: Bench) -> None:
 
 
 def _measured(recording: Path, arm: Arm, out: Path, steps: int | None, budget_s: float | None) -> dict:
-    from reconstruction.bench.leave_out_run import Job, measured  # torch, in the process of the run alone
+    from reconstruction.bench.leave_out_run import Job, measured  # loads torch, in the process of the run alone
 
     return measured(Job(recording, arm, out, steps, budget_s))
 
 
 def recorded(case: Case, work: Path) -> Path:
-    """The recording of a case in `work`, simulated where there is none; a dead camera's planes are zeros."""
+    """Return the recording of a case in `work`, simulated where there is none; a dead camera's planes are zeros."""
     path = work / f"{case.scene}-{case.seed}-{case.ticks}{f'-no-{case.dead}' if case.dead else ''}"
     if path.exists():
         return path
@@ -178,6 +177,6 @@ def recorded(case: Case, work: Path) -> Path:
 
 
 def apart(work: Callable[[], Result]) -> Result:
-    """What `work` returns, done in a fresh process."""
+    """Call `work` in a fresh process and return its result."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(work)

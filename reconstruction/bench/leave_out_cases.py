@@ -1,7 +1,7 @@
-"""What the leave-out bench runs: for each case what a plan leaves out, and what an engine does that leaves out nothing.
+"""Lists the cases of the leave-out bench: a plan, an engine that leaves out nothing, and single decisions switched.
 
-Clips are small, 200x125 and mostly 200 planes, with as many Gaussians a pixel as a run of 400x250 has: figures are to
-be compared with one another, not with those of other benches.
+Clips are small, 200x125 and mostly 200 planes, with as many Gaussians a pixel as a run of 400x250 has. Compare their
+figures with one another, not with those of other benches.
 """
 
 from __future__ import annotations
@@ -9,22 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from reconstruction.bench.variants import HOLDOUT
+from reconstruction.bench.conventions import HOLDOUT, VIEWS
 from reconstruction.run.configuration import ReconstructionConfig
 
 SIZE, TICKS = (200, 125), 200
 GAUSSIANS = 12_000
 STEPS, QUICK_STEPS, BUDGET_S = 400, 40, 10.0
 DEAD = "cam00"
-TRAINING = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam22")
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One way to run a case.
+    """One way to run a case: `choices` are fields of the configuration that differ from the default.
 
-    `choices`: fields of the configuration. `everywhere`: every pixel is taken to move. `channels`: of the Gaussians;
-    where given, the training alone is measured, from the first snapshot of a run by the plan.
+    `everywhere`: every pixel is taken to move. `channels`: number of the Gaussians' channels; where it is given, the
+    training alone is measured, from the first snapshot of a run by the plan.
     """
 
     name: str
@@ -33,16 +32,16 @@ class Arm:
     channels: int | None = None
 
     def config(self, *, steps: int | None = None, budget_s: float | None = None) -> ReconstructionConfig:
-        """The configuration of a run to a number of steps, or to a budget."""
+        """Return the configuration of a run of so many steps, or to a budget in seconds."""
         kind: dict[str, Any] = {"holdout": HOLDOUT, "gaussians": GAUSSIANS} | self.choices
         return ReconstructionConfig(steps=steps, budget_s=budget_s, **kind)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A recording of `ticks` planes and the decisions that are its own, each with the arm that decides otherwise.
+    """A recording of `ticks` planes, and the arm that decides otherwise for each decision that it tests (`switches`).
 
-    `dead`: a camera whose planes are empty. `everything`: what the arm `all` does beyond EVERYTHING.
+    `dead`: a camera whose planes are empty. `everything`: choices of the arm `all` beyond EVERYTHING.
     """
 
     name: str
@@ -67,7 +66,7 @@ EVERYTHING: dict[str, Any] = {
     "refine": "on",
     "tick_stride": 1,
 }
-AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses what is dark
+AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses dark recordings
 PLAN = Arm("plan")
 MOTION = Arm("motion", {"model": "linear"})
 POSES = Arm("poses", {"init": "natural"})
@@ -75,9 +74,9 @@ IMAGES = Arm("images", {"images": "adaptive"})
 INSTANTS = Arm("instants", {"tick_stride": 1})
 SUPERVISION = Arm("supervision", {"supervision": "image-variation"})
 GAUSSIANS_TWICE = Arm("Gaussians", {"gaussians": 2 * GAUSSIANS})
-VIEWS = Arm("views", {"views": TRAINING})
+ALL_VIEWS = Arm("views", {"views": VIEWS})
 GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
-UNWATCHED = Arm("unwatched", {"model": "static"})  # what is asked for by name is not undone
+UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a model that was asked for
 
 
 def _switched(*arms: Arm) -> dict[str, Arm]:
@@ -90,7 +89,7 @@ CASES = (
     Case("calibrated", "fan_and_ball", 2, _switched(POSES)),
     Case("few-movers", "stiff", 101, _switched(IMAGES, INSTANTS)),
     Case("dim", "dim", 101, _switched(MOTION), ticks=800, everything=AS_GIVEN),
-    Case("one-dead-view", "fan_and_ball", 3, _switched(VIEWS), dead=DEAD, everything=AS_GIVEN | {"views": TRAINING}),
+    Case("one-dead-view", "fan_and_ball", 3, _switched(ALL_VIEWS), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}),
     Case("outdoors", "outdoor", 101, _switched(IMAGES, GAUSSIANS_TWICE)),
 )
 MISSED = Case("missed-mover", "faint", 101, {})

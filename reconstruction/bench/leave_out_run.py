@@ -1,4 +1,4 @@
-"""One run of the leave-out bench, in a process of its own: what it took, how good it is, what the plan claimed."""
+"""Makes one run of the leave-out bench: its seconds and memory, its scores, and the claims of its plan."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,11 +18,11 @@ from torch import Tensor
 from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
+from reconstruction.bench.conventions import HOLDOUT, truth_of
 from reconstruction.bench.leave_out_cases import PLAN, Arm
-from reconstruction.bench.variants import HOLDOUT
+from reconstruction.bench.score_run import STAGES
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
-from reconstruction.evaluation.truth import Truth
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
@@ -36,13 +36,12 @@ from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 
 Result = TypeVar("Result")
-SAMPLE_S = 0.01
-STAGES = ("plan", "poses", "images", "points", "train")
+SAMPLE_S = 0.01  # seconds between two looks at the memory
 
 
 @dataclass(frozen=True)
 class Job:
-    """A recording, an arm, the folder `out` the run has to itself, and how long it is: one of `steps`, `budget_s`."""
+    """A recording, an arm, the folder `out` that the run has to itself, and its length: `steps` or `budget_s`."""
 
     recording: Path
     arm: Arm
@@ -52,9 +51,9 @@ class Job:
 
 
 def measured(job: Job) -> dict:
-    """Seconds, processor seconds, peak memory in MB, scores and claims of a run; or why there is none.
+    """Return seconds, processor seconds, peak memory in MB, scores and claims of a run; or `refused` and the reason.
 
-    The memory is that of this whole process: call it in a fresh one. The folder of the run is gone afterwards.
+    The memory is that of this whole process, so call it in a fresh one. Deletes the folder of the run.
     """
     row: dict = {"revision": code_revision()}
     try:
@@ -73,17 +72,14 @@ def _reconstructed(job: Job) -> dict:
     shutil.rmtree(job.out, ignore_errors=True)
     run, row = _clocked(lambda: _run(job))
     plan = run.plan
-    claims = {
-        d.about: {"choice": d.choice, "reason": d.reason, "saves_s": d.saves_s, "saves_bytes": d.saves_bytes}
-        for d in plan.decisions
-    }
+    claims = {d.about: asdict(d) for d in plan.decisions}
     row |= {f"seconds.{stage}": run.document["seconds"][stage] for stage in STAGES}
     row |= {"steps": run.document["steps"], "model": plan.model, "views": len(plan.views)}
     return row | _scores(run, load_cloud(run.checkpoint)) | {"decisions": claims}
 
 
 def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
-    """What `work` returns, and what it took."""
+    """Call `work`; return its result, and the seconds, processor seconds and peak memory in MB that it took."""
     with Memory() as memory:
         began, processed = time.monotonic(), time.process_time()
         result = work()
@@ -92,7 +88,7 @@ def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
 
 
 def _run(job: Job) -> RunFolder:
-    """A run up to its training; what has no option is put in after the plan."""
+    """Reconstruct up to the training; masks, which have no option, are put in after the plan."""
     config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
     run = reconstruct(job.recording, job.out, config, _quiet, last="plan")
     if job.arm.everywhere:
@@ -106,16 +102,15 @@ def _quiet(stage: str) -> Progress:
 
 
 def _scores(run: RunFolder, cloud: SceneModel) -> dict[str, float]:
-    """Of the held-out camera, against the truth."""
+    """Score the held-out camera against the truth."""
     recording = posed(run, Recording.open(run.recording), refined=True)
-    assert recording.truth is not None
-    held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, Truth.open(recording.truth))
-    assert truth is not None
-    return score_against_truth(cloud, held_out, truth)
+    true = truth_of(recording)
+    held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, true)
+    return score_against_truth(cloud, held_out, truth or true)
 
 
 def _trained(job: Job, channels: int) -> dict:
-    """The training alone, of Gaussians with so many channels, all of which are compared with the grey target images."""
+    """Measure the training alone, of Gaussians with so many channels, each compared with the grey target images."""
     run = _run(replace(job, arm=PLAN))
     recording = Recording.open(job.recording)
     cloud = DynamicCloud.from_state(load_checkpoint(run.snapshots()[0])["cloud"])
@@ -141,7 +136,7 @@ class EveryChannel(ImageTerm):
         super().__init__(**vars(grey))
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:
-        """The loss of one render against its target image [H, W]."""
+        """Return the loss of one render against its target image [H, W]."""
         light = rendered.intensity
         losses = [
             super(EveryChannel, self).against(replace(rendered, intensity=light[..., c : c + 1]), target)
@@ -151,9 +146,9 @@ class EveryChannel(ImageTerm):
 
 
 class Memory:
-    """The most anonymous memory this process holds while it is entered: `peak_mb`, sampled by a thread.
+    """Samples the most anonymous memory that this process holds while it is entered: `peak_mb`.
 
-    What is mapped from files, such as libraries, is left out: it comes and goes as others on the machine need memory.
+    Memory mapped from files, such as libraries, is left out: it comes and goes as others on the machine need memory.
     """
 
     def __enter__(self) -> Memory:
@@ -172,7 +167,7 @@ class Memory:
 
 
 def held_mb() -> float:
-    """Anonymous memory of this process in MB."""
+    """Return the anonymous memory of this process in MB."""
     found = re.search(r"RssAnon:\s+(\d+) kB", Path("/proc/self/status").read_text())
     assert found is not None
     return int(found[1]) * 1024 / 1e6

@@ -1,4 +1,4 @@
-"""What calibrated pixels are worth: the error of a still picture before and after the correction."""
+"""Measures the worth of calibrated pixels: the error of a still picture before and after the correction."""
 
 from __future__ import annotations
 
@@ -15,40 +15,39 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.bench.conventions import HOLDOUT, means
 from reconstruction.images.pixels import estimate_pixels
 from reconstruction.metrics.image import psnr_db
 from rigs.toml import catalog_rig
 
-CAMERA = "cam11"
 FLAT_PLANES = DARK_PLANES = 4000
 PICTURE_PLANES = 2000
-_CHUNK = 100
+CHUNK = 100  # planes made at a time
 
 
 def bench_pixels(scene_name: str, seeds: Sequence[int]) -> BenchDocument:
-    """The centre camera of the lab rig, 400x250, looks at a still scene, at even light and at none.
+    """Let the centre camera of the lab rig, 400x250, look at a still scene, at even light and at none.
 
     `before_db` is the plain mean of the planes, `defects_mended_db` the same with true values at hot and dead pixels,
     `after_db` with the calibration.
     """
     document = BenchDocument("pixels", [_row(scene_name, seed) for seed in seeds])
-    for name in ("before_db", "defects_mended_db", "after_db"):
-        document.summary[name] = float(np.mean([row[name] for row in document.rows]))
+    document.summary = means(document.rows, ("before_db", "defects_mended_db", "after_db"))
     document.summary["gain_db"] = document.summary["after_db"] - document.summary["before_db"]
     return document
 
 
 def _row(scene_name: str, seed: int) -> dict:
     rig = catalog_rig("lab3x3")
-    camera = rig.camera(CAMERA)
+    camera = rig.camera(HOLDOUT)
     scene = build_scene(scene_name, seed)
     truth = scene.render(camera, np.zeros(1)).intensity[0]
 
     def exposed(light: NDArray[np.float32] | float, planes: int) -> SpikeStream:
-        sensor = Sensor(camera.width, camera.height, "real", seed, rig.ids.index(CAMERA), threads=0)
+        sensor = Sensor(camera.width, camera.height, "real", seed, rig.ids.index(HOLDOUT), threads=0)
         layout = PlaneLayout(camera.width, camera.height)
-        image = np.broadcast_to(np.asarray(light, np.float32), (_CHUNK, camera.height, camera.width))
-        packed = [pack(sensor.expose(image), layout) for _ in range(planes // _CHUNK)]
+        image = np.broadcast_to(np.asarray(light, np.float32), (CHUNK, camera.height, camera.width))
+        packed = [pack(sensor.expose(image), layout) for _ in range(planes // CHUNK)]
         return SpikeStream(np.concatenate(packed), layout, rig.tick_rate_hz)
 
     flat, dark = exposed(FLAT_LEVEL, FLAT_PLANES), exposed(0.0, DARK_PLANES)

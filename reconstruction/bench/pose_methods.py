@@ -1,15 +1,16 @@
-"""The methods of the pose bench: spikes of some views and a nominal rig in, geometry out."""
+"""Lists the methods of the pose bench: each finds geometry from a recording whose rig is the nominal one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.recording.reader import Recording
 from acquisition.scenes.boards import charuco
+from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.features import MOST_PLANES, long_image
@@ -19,73 +20,65 @@ from reconstruction.images.methods.tfi import tfi
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.initialisers import InitOptions, initialise, msdi_alone
 from reconstruction.initialization.sfm import sfm
-from rigs.rig import Rig
 
-DATE = "2026-01-01"  # of the rigs found, which nobody keeps
+DATE = "2026-01-01"  # date written into the rigs found, which nobody keeps
+BOARD_SCENE, BOARD_TICKS = "board_charuco_moving", 2000
 Images = dict[str, NDArray[np.float32]]
-Run = Callable[[Recording, Rig, Sequence[str], int | None], Geometry]
+Run = Callable[[Recording, Sequence[str], int | None], Geometry]
 
 
 @dataclass(frozen=True)
 class PoseMethod:
-    """`run` takes a recording, the nominal rig, the views' ids and how many planes there are (None: all)."""
+    """A way to find cameras: `run` takes a recording with the nominal rig, the views' ids, and planes (None: all)."""
 
     name: str
     about: str
     run: Run
 
 
-def _nominal(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    return Geometry(rig)
-
-
-def _natural(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    found = calibrate_natural(rig, _long(recording, views, planes), DATE)
-    return Geometry(found.rig, report=found.report)
-
-
-def _tfi_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    middle = recording.planes // 2
-    return sfm(rig, {view: tfi(recording.stream(view), middle).intensity for view in views})
-
-
-def _long_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    return sfm(rig, _long(recording, views, planes))
-
-
 def _long(recording: Recording, views: Sequence[str], planes: int | None) -> Images:
     return {view: long_image(recording.stream(view), planes or MOST_PLANES) for view in views}
 
 
-def _msdi(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    return msdi_alone(replace(recording, rig=rig), views)
+def _colmap(intensity: Callable[[SpikeStream, int], NDArray[np.float32]]) -> Run:
+    """Return COLMAP from scratch on images of the middle of the clip."""
+    return lambda recording, views, _: sfm(
+        recording.rig, {view: intensity(recording.stream(view), recording.planes // 2) for view in views}
+    )
 
 
-def _msdi_ba(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    return initialise("msdi", replace(recording, rig=rig), views, InitOptions())
-
-
-def _msdi_colmap(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    middle = recording.planes // 2
-    return sfm(rig, {view: msdi(recording.stream(view), middle).intensity for view in views})
-
-
-def _board(recording: Recording, rig: Rig, views: Sequence[str], planes: int | None) -> Geometry:
-    found = calibrate_board(replace(recording, rig=rig), parse_board(charuco().spec), DATE)
+def _natural(recording: Recording, views: Sequence[str], planes: int | None) -> Geometry:
+    found = calibrate_natural(recording.rig, _long(recording, views, planes), DATE)
     return Geometry(found.rig, report=found.report)
 
 
-BOARD_SCENE, BOARD_TICKS = "board_charuco_moving", 2000
+def _board(recording: Recording, views: Sequence[str], planes: int | None) -> Geometry:
+    found = calibrate_board(recording, parse_board(charuco().spec), DATE)
+    return Geometry(found.rig, report=found.report)
+
+
 BOARD = PoseMethod("board", f"a ChArUco board waved for {BOARD_TICKS} planes", _board)
 METHODS = {
     method.name: method
     for method in (
-        PoseMethod("nominal", "the rig as drawn", _nominal),
-        PoseMethod("tfi+colmap", "TFI images of one instant, COLMAP from scratch", _tfi_colmap),
-        PoseMethod("msdi-image+colmap", "MSDI images of one instant, COLMAP from scratch", _msdi_colmap),
-        PoseMethod("long+colmap", "long-window images, COLMAP from scratch", _long_colmap),
+        PoseMethod("nominal", "the rig as drawn", lambda recording, *_: Geometry(recording.rig)),
+        PoseMethod(
+            "tfi+colmap", "TFI images of one instant, COLMAP from scratch", _colmap(lambda s, k: tfi(s, k).intensity)
+        ),
+        PoseMethod(
+            "msdi-image+colmap",
+            "MSDI images of one instant, COLMAP from scratch",
+            _colmap(lambda s, k: msdi(s, k).intensity),
+        ),
+        PoseMethod(
+            "long+colmap", "long-window images, COLMAP from scratch", lambda r, v, n: sfm(r.rig, _long(r, v, n))
+        ),
         PoseMethod("natural", "natural-scene calibration from the nominal rig", _natural),
-        PoseMethod("msdi", "MSDI's network alone, at one instant", _msdi),
-        PoseMethod("msdi+ba", "MSDI, then natural calibration from its cameras", _msdi_ba),
+        PoseMethod("msdi", "MSDI's network alone, at one instant", lambda r, v, _: msdi_alone(r, v)),
+        PoseMethod(
+            "msdi+ba",
+            "MSDI, then natural calibration from its cameras",
+            lambda r, v, _: initialise("msdi", r, v, InitOptions()),
+        ),
     )
 }

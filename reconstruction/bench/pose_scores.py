@@ -1,26 +1,26 @@
-"""Depth and points of estimated cameras against the truth, in the true frame."""
+"""Scores the depth and points of estimated cameras against the truth, in the true frame."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.bench.pose_clip import PoseClip
+from reconstruction.bench.conventions import KnownRecording
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.sweep import SweepOptions, depth_range_m
 from reconstruction.pipeline.stages import swept_maps
 from rigs.rig import Rig
 from rigs.similarity import align
 
-CLOSE = 0.01  # of the true depth
-MOST_POINTS = 20000  # of a method's own that are scored
-WRONG = 0.5  # relative error that counts as no more than this: a point behind a camera, say
+CLOSE = 0.01  # relative error up to which a depth counts as complete
+MOST_POINTS = 20000  # points of a method's own that are scored
+WRONG = 0.5  # relative error at most, of a point behind a camera, say
 
 
-def score_sweep(found: Rig, clip: PoseClip) -> dict[str, float]:
-    """`abs_rel` of the confirmed depths of a plane sweep on long-window images, and `complete`.
+def score_sweep(found: Rig, clip: KnownRecording) -> dict[str, float]:
+    """Return `abs_rel` of the confirmed depths of a plane sweep on long-window images, and `complete`.
 
-    That is the share of the still pixels whose depth is within CLOSE of the truth.
+    `complete` is the share of the still pixels whose depth is within CLOSE of the truth.
     """
     cameras = list(align(found, clip.rig).carry_rig(found).cameras)
     images = [clip.long_images[c.id] for c in cameras]
@@ -37,8 +37,8 @@ def score_sweep(found: Rig, clip: PoseClip) -> dict[str, float]:
     return {"abs_rel": float(errors.mean()), "complete": float((errors < CLOSE).sum() / pixels)}
 
 
-def score_own_points(found: Geometry, clip: PoseClip) -> dict[str, float]:
-    """`points`, how many a method has, and `points_abs_rel`: of each in the view that agrees best, on still pixels."""
+def score_own_points(found: Geometry, clip: KnownRecording) -> dict[str, float]:
+    """Return `points`, a method's number of points, and `points_abs_rel`: each in its best view, on still pixels."""
     if not len(found.points):
         return {}
     rng = np.random.default_rng(0)
@@ -59,8 +59,8 @@ def score_own_points(found: Geometry, clip: PoseClip) -> dict[str, float]:
     return {"points": float(len(found.points)), "points_abs_rel": float(np.minimum(best[known], WRONG).mean())}
 
 
-def _truth(clip: PoseClip, camera_id: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """True depth [H, W] in m at the middle of the clip, and where it is known and nothing moves."""
+def _truth(clip: KnownRecording, camera_id: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the true depth [H, W] in m at the middle of the clip, and where it is known and nothing moves."""
     planes = clip.truth.planes(camera_id)
     frame = clip.truth.frame(camera_id, planes[len(planes) // 2])
     return frame.depth, ~frame.moving & np.isfinite(frame.depth)

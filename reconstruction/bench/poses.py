@@ -1,26 +1,24 @@
-"""Where the cameras stand, by every method: error against run time, over nominal errors, views, and recording lengths.
+"""Measures where each method finds the cameras: error against run time, rig error, number of views and length.
 
 Every method is given the same spikes and the same rig as drawn, which is the true one misplaced by about so many
-degrees, cm and percent of the focal length. Errors are after similarity alignment; depth is by a plane sweep with the
-cameras found, on still pixels, and of the method's own points where it has any.
+degrees, cm and percent of the focal length. Errors are after similarity alignment. Depth errors are those of a plane
+sweep with the cameras found, on still pixels, and of the method's own points where it has any.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.bench_document import BenchDocument
-from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.revision import code_revision
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.bench.pose_clip import PoseClip
+from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, kept, means, named
 from reconstruction.bench.pose_methods import BOARD, DATE, METHODS, PoseMethod
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
 from reconstruction.calibration.natural import NaturalOptions, gather, solve
@@ -29,32 +27,48 @@ from reconstruction.metrics.poses import pose_errors
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 
-ERROR = 2.0  # of the nominal rig where nothing else is said
+ERROR = 2.0  # usual error of the nominal rig, in degrees, cm and percent of the focal length
 ERRORS = (0.0, 1.0, 3.0, 5.0)
-ORDER = ("cam11", "cam01", "cam10", "cam12", "cam21", "cam00", "cam02", "cam20", "cam22")
-VIEWS = (3, 5, 7)
+ORDER = (HOLDOUT, *VIEWS)
+COUNTS = (3, 5, 7)  # numbers of views
 PLANES = (20, 40, 100)
 TRIALS, TRIAL_TURNS_DEG = 20, (2.0, 4.0)
-SWEPT = ("natural", "msdi", "msdi+ba")  # over nominal errors and views
-SWEPT_CLIPS = 2  # the first so many
+SWEPT = ("natural", "msdi", "msdi+ba")  # methods that are measured over nominal errors and numbers of views
+SWEPT_CLIPS = 2  # recordings, the first ones, for these
 SCORES = ("rotation_deg", "translation_percent", "focal_percent", "seconds", "abs_rel", "complete", "points_abs_rel")
 
 
-def bench_poses(
-    clips: Sequence[PoseClip], board: PoseClip | None, work: Path, progress: Progress, *, quick: bool = False
-) -> BenchDocument:
-    """Every method on every clip; then what the best of them take of worse rigs, fewer views, shorter recordings.
+@dataclass(frozen=True)
+class Sight:
+    """The circumstances of a measurement: error of the nominal rig, number of views, and planes (None: all)."""
 
-    `board` is a recording of the board that the method of that name sees. What is in the folder `work` is not measured
-    again, so that a stopped bench resumes.
+    error: float = ERROR
+    views: int = len(ORDER)
+    planes: int | None = None
+
+
+def bench_poses(
+    clips: Sequence[KnownRecording],
+    board: KnownRecording | None,
+    work: Path,
+    progress: Progress,
+    *,
+    quick: bool = False,
+) -> BenchDocument:
+    """Measure every method on every clip, then the best of them with worse rigs, fewer views and shorter recordings.
+
+    `board` is a recording of the board that the method of that name sees. Rows found in the folder `work` are not
+    measured again, so that a stopped bench resumes.
     """
     document = BenchDocument("poses")
-    jobs = [(clip, job) for number, clip in enumerate(clips) for job in jobs_of(number, quick)]
+    jobs = [(clip, *job) for number, clip in enumerate(clips) for job in jobs_of(number, quick)]
     if board:
-        jobs.append((board, Job(BOARD.name, lambda clip: [measured(BOARD, clip)])))
-    for number, (clip, job) in enumerate(jobs):
-        progress(number / len(jobs), f"{clip.scene}: {job.about}")
-        document.rows += job.kept(clip, work)
+        jobs.append((board, BOARD.name, lambda clip: [measured(BOARD, clip)]))
+    for number, (clip, about, run) in enumerate(jobs):
+        progress(number / len(jobs), f"{clip.scene}: {about}")
+        file = work / f"{clip.scene}-{clip.seed}-{about.replace(' ', '-')}.json"
+        found = kept(file, lambda c=clip, r=run: {"rows": [row | {"revision": code_revision()} for row in r(c)]})
+        document.rows += found["rows"]
     _summarise(document)
     document.omissions += [
         "TFI + DUSt3R: no checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own",
@@ -64,59 +78,37 @@ def bench_poses(
     return document
 
 
-@dataclass(frozen=True)
-class Job:
-    """Some rows of one clip."""
+def jobs_of(number: int, quick: bool) -> list[tuple[str, Callable[[KnownRecording], list[dict]]]]:
+    """Return the name and the work of each measurement on the clip of that number."""
 
-    about: str
-    run: Callable[[PoseClip], list[dict]]
+    def job(about: str, method: PoseMethod, sight: Sight, *, scored: bool = False):
+        return about, lambda clip: [measured(method, clip, sight, scored=scored)]
 
-    def kept(self, clip: PoseClip, work: Path) -> list[dict]:
-        """The rows, measured now or found in `work`."""
-        file = work / f"{clip.scene}-{clip.seed}-{self.about.replace(' ', '-')}.json"
-        if not file.exists():
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_json(file, {"rows": [row | {"revision": code_revision()} for row in self.run(clip)]})
-        return json.loads(file.read_text())["rows"]
-
-
-def jobs_of(number: int, quick: bool) -> list[Job]:
-    """What is measured on the clip of that number."""
-    jobs = [Job(name, lambda clip, m=method: [measured(m, clip, scored=True)]) for name, method in METHODS.items()]
+    jobs = [job(name, method, Sight(), scored=True) for name, method in METHODS.items()]
     if quick:
         return jobs
     for method in (METHODS[name] for name in SWEPT if number < SWEPT_CLIPS):
-        jobs += [Job(f"{method.name} at {e:g}", lambda c, m=method, e=e: [measured(m, c, error=e)]) for e in ERRORS]
-        jobs += [Job(f"{method.name} of {v}", lambda c, m=method, v=v: [measured(m, c, views=v)]) for v in VIEWS]
-    natural = METHODS["natural"]
-    jobs += [Job(f"natural in {n}", lambda c, n=n: [measured(natural, c, planes=n)]) for n in PLANES]
-    return [*jobs, Job("natural from random rigs", _trials)]
+        jobs += [job(f"{method.name} at {error:g}", method, Sight(error=error)) for error in ERRORS]
+        jobs += [job(f"{method.name} of {views}", method, Sight(views=views)) for views in COUNTS]
+    jobs += [job(f"natural in {planes}", METHODS["natural"], Sight(planes=planes)) for planes in PLANES]
+    return [*jobs, ("natural from random rigs", _trials)]
 
 
-def measured(
-    method: PoseMethod,
-    clip: PoseClip,
-    *,
-    error: float = ERROR,
-    views: int = len(ORDER),
-    planes: int | None = None,
-    scored: bool = False,
-) -> dict:
-    """A row: the cameras found and how far they are off, or why there are none; `scored` with depths and points."""
-    nominal = misplaced(clip.rig, error, clip.seed)
-    ids = [c for c in nominal.ids if c in ORDER[:views]]
-    about = {"method": method.name, "scene": clip.scene, "seed": clip.seed, "nominal": error, "views": views}
-    about |= {"planes": planes} if planes else {}
+def measured(method: PoseMethod, clip: KnownRecording, sight: Sight = Sight(), *, scored: bool = False) -> dict:
+    """Return the row of a method: its errors, or why it refused; `scored` adds those of depths and points."""
+    nominal = misplaced(clip.rig, sight.error, clip.seed)
+    ids = [c for c in nominal.ids if c in ORDER[: sight.views]]
+    about = {"method": method.name, "scene": clip.scene, "seed": clip.seed}
+    about |= {"nominal": sight.error, "views": sight.views} | ({"planes": sight.planes} if sight.planes else {})
     began = time.perf_counter()
     try:
-        found = method.run(clip.recording, nominal, ids, planes)
+        found = method.run(replace(clip.recording, rig=nominal), ids, sight.planes)
     except ReconstructionError as refusal:
         return about | {"seconds": time.perf_counter() - began, "refused": str(refusal)}
     row = about | {"seconds": time.perf_counter() - began} | _errors(found.rig.only(ids), clip.rig)
     if method is BOARD:
         row |= {"scale_percent": 100 * abs(align(found.rig, clip.rig).scale - 1)}
-    for name in ("rotation_sd_deg", "focal_sd_percent"):
-        row |= {name: found.report[name]} if name in found.report else {}
+    row |= {name: found.report[name] for name in ("rotation_sd_deg", "focal_sd_percent") if name in found.report}
     if scored:
         row |= score_sweep(found.rig.only(ids), clip) | score_own_points(found, clip)
     return row
@@ -127,8 +119,8 @@ def _errors(found: Rig, true: Rig) -> dict[str, float]:
     return {name: getattr(off, name) for name in ("rotation_deg", "translation_percent", "focal_percent")}
 
 
-def _trials(clip: PoseClip) -> list[dict]:
-    """Natural calibration from TRIALS random rigs; features and matches, which know nothing of a rig, are made once."""
+def _trials(clip: KnownRecording) -> list[dict]:
+    """Calibrate from TRIALS random rigs; features and matches do not depend on the rig and are made once."""
     evidence, rng, rows = gather(clip.long_images), np.random.default_rng(clip.seed), []
     for trial in range(TRIALS):
         turn = float(rng.uniform(*TRIAL_TURNS_DEG))
@@ -144,31 +136,28 @@ def _trials(clip: PoseClip) -> list[dict]:
 
 
 def _summarise(document: BenchDocument) -> None:
-    """Means over the scenes: of each method as it is; by nominal error, views and planes; and the trials' worst."""
+    """Add means over the scenes: of each method as it is, by nominal error, views and planes; and the trials' worst."""
     for name in (*METHODS, BOARD.name):
         rows = [r for r in document.rows if r["method"] == name]
-        for key, wanted in (("nominal", ERRORS), ("views", VIEWS), ("planes", PLANES)):
+        for key, wanted in (("nominal", ERRORS), ("views", COUNTS), ("planes", PLANES)):
             for value in wanted:
-                _means(document, f"{name}.{key}{value:g}", [r for r in rows if r.get(key) == value], SCORES[:4])
+                _add(document, f"{name}.{key}{value:g}", [r for r in rows if r.get(key) == value], SCORES[:4])
         plain = [r for r in rows if r["nominal"] == ERROR and r["views"] == len(ORDER) and "planes" not in r]
-        _means(document, name, plain, SCORES)
+        _add(document, name, plain, SCORES)
     trials = [r for r in document.rows if r["method"] == "natural.trial"]
     if trials:
-        _means(document, "natural.trial", trials, SCORES[:3])
+        _add(document, "natural.trial", trials, SCORES[:3])
         document.summary["natural.trial.count"] = len(trials)
         for score in SCORES[:2]:
             worst = max((r[score] for r in trials if score in r), default=float("nan"))
             document.summary[f"natural.trial.worst_{score}"] = worst
 
 
-def _means(document: BenchDocument, name: str, rows: Sequence[dict], scores: Sequence[str]) -> None:
-    if not rows:
-        return
-    for score in scores:
-        values = [r[score] for r in rows if score in r and (score != "seconds" or "refused" not in r)]
-        if values:
-            document.summary[f"{name}.{score}"] = float(np.mean(values))
-    refused = sum("refused" in r for r in rows)
+def _add(document: BenchDocument, name: str, rows: Sequence[dict], scores: Sequence[str]) -> None:
+    """Add the means over the rows that were not refused, and how many were."""
+    found = [row for row in rows if "refused" not in row]
+    document.summary |= named(name, means(found, scores))
+    refused = len(rows) - len(found)
     if refused:
         document.summary[f"{name}.refused"] = refused
         document.omissions.append(f"{name}: refused on {refused} of {len(rows)} recordings, which its means leave out")

@@ -1,5 +1,4 @@
-"""The native rasterizer: milliseconds and what the arithmetic would take, against its torch reference, on one thread
-and two; and where a whole step's time goes."""
+"""Times the native rasterizer against its arithmetic and its torch reference, and a whole step part by part."""
 
 from __future__ import annotations
 
@@ -19,17 +18,17 @@ from rigs.camera import Camera
 from rigs.toml import catalog_rig
 
 COUNTS = (20_000, 60_000)
-RADIUS_PX = 5.0  # mean 3-sigma radius
-REFERENCE = (500, 100, 64)  # Gaussians, width, height the reference is timed at
+RADIUS_PX = 5.0  # mean 3-sigma radius of a Gaussian
+REFERENCE = (500, 100, 64)  # Gaussians, width and height at which the reference is timed
 REPEATS = 30
-# Additions and multiplications a pixel that a splat reaches: u, v 6, exponent 5, exp 13, cap 1, weight 1, sums 5; and
-# back the same without the sums, then 7 for d and B, 3 for g, 22 for the moments.
+# Additions and multiplications for each pixel that a splat reaches. Forward: u, v 6, exponent 5, exp 13, cap 1,
+# weight 1, sums 5. Backward: the same without the sums, 7 for d and B, 3 for g, 22 for the moments.
 FORWARD_FLOP, BACKWARD_FLOP = 31, 58
-STORED_BYTES = 48  # of a Gaussian
+STORED_BYTES = 48  # bytes of a stored Gaussian
 
 
 def bench_rasterizer() -> BenchDocument:
-    """Random clouds before the lab rig's centre camera at 400x250, intensity, depth and alpha.
+    """Time random clouds before the lab rig's centre camera at 400x250: intensity, depth and alpha.
 
     `forward_ms`, `backward_ms` and `x_reference` are on one thread, `steps_per_s` (motion, rendering, L1 and SSIM, the
     gradients of all, Adam) on all. `..._of_limit` is the useful arithmetic and traffic at the rates of a matrix product
@@ -54,7 +53,7 @@ def bench_rasterizer() -> BenchDocument:
 
 
 def random_cloud(count: int, camera: Camera) -> Instantaneous:
-    """Gaussians of all opacities, 1.2 to 3.2 m before `camera`."""
+    """Return Gaussians of all opacities, 1.2 to 3.2 m before `camera`."""
     generator = torch.Generator().manual_seed(count)
     z = 1.2 + 2 * torch.rand(count, generator=generator)
     x = (torch.rand(count, generator=generator) - 0.5) * camera.width / camera.fx * z
@@ -71,7 +70,7 @@ def random_cloud(count: int, camera: Camera) -> Instantaneous:
 
 
 def seconds_of(cloud: Instantaneous, camera: Camera, backend: Backend, repeats: int) -> tuple[float, float]:
-    """Seconds of a forward pass and of a backward pass, the fastest of each."""
+    """Return the seconds of the fastest forward pass and of the fastest backward pass."""
     leaves = Instantaneous(*(t.clone().requires_grad_(True) for t in cloud))
     forward, backward = [], []
     for _ in range(repeats + 1):
@@ -104,7 +103,7 @@ def _kernel_row(cloud: Instantaneous, camera: Camera, threads: int) -> dict:
 
 
 def _limits_s(work: Work, count: int, camera: Camera, threads: int) -> tuple[float, float]:
-    """What the useful work would take forward and backward at the best rates this machine showed."""
+    """Return the seconds that the useful work would take forward and backward at this machine's best rates."""
     size = 768
     a, b = (torch.rand(size, size) for _ in range(2))
     flop_per_s = 2 * size**3 / fastest_s(lambda: a @ b, 10)

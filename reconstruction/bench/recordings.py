@@ -1,8 +1,8 @@
-"""Recordings nobody here made, for the image bench: numbers only, and only where the files are.
+"""Reads and scores published recordings for the image bench, where their files are at hand.
 
-The synthetic one has a truth picture. Its grey values are linear: the slope image times one factor (1 / 0.6, by least
-squares) meets it to 36 dB as it is, and to 22 dB if it is taken for gamma 2.2. So PSNR and SSIM are of the image times
-that one factor, fitted for each image, against the grey values over 255, with data range 1.
+The synthetic recording has a truth picture. Its grey values are linear: the slope image times one factor (1 / 0.6, by
+least squares) meets it to 36 dB as it is, and to 22 dB if it is taken for gamma 2.2. So PSNR and SSIM are of the image
+times that factor, fitted for each image, against the grey values over 255, with data range 1.
 """
 
 from __future__ import annotations
@@ -17,22 +17,25 @@ from numpy.typing import NDArray
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.bench.conventions import RATE_HZ
 from reconstruction.bench.scores import Scorer
 from reconstruction.metrics.image import psnr_db, ssim
 
-RATE_HZ = 20000.0  # which the files do not say, and nothing here depends on
 VIDAR = PlaneLayout(400, 250)
 CAR, DIM, SYNTHETIC = "histsflow_car.dat", "zoo_uhsr.npz", "zoo_data_200_part1.dat"
 TRUTH = "zoo_data_200_part1_gt.png"
 
 
 def spikedata_folder() -> Path:
-    """Where recordings are that are not in the repository."""
+    """Return the folder of recordings that are not in the repository."""
     return Path(os.environ.get("SPIKE4DGS_SHARED", Path(__file__).parents[3] / "shared")) / "spikedata"
 
 
 def open_recording(path: Path) -> SpikeStream:
-    """The stream of a Vidar `.dat`, or of an `.npz` whose `spk` [T, H, W] is upright."""
+    """Open a Vidar `.dat`, or an `.npz` whose `spk` [T, H, W] is upright.
+
+    The files do not tell their plane rate; RATE_HZ is assumed, and no score depends on it.
+    """
     if path.suffix != ".npz":
         return SpikeStream.open(path, VIDAR, RATE_HZ)
     with np.load(path, allow_pickle=False) as stored:
@@ -42,7 +45,7 @@ def open_recording(path: Path) -> SpikeStream:
 
 
 def score_recording(scorer: Scorer, image: NDArray[np.float32], truth: Path | None) -> dict[str, float]:
-    """Naturalness of an image whose white is its 99.9th percentile; with a truth picture also its errors."""
+    """Return the naturalness of an image [H, W], white being its 99.9th percentile, and its errors against `truth`."""
     found = scorer.alone(image, float(np.percentile(image, 99.9)))
     if truth is None:
         return found

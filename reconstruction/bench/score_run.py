@@ -1,14 +1,12 @@
-"""What a finished training is worth: its held-out view against truth, at its end and along the way."""
+"""Scores a finished training: its held-out view against the truth, at its end and along the way."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from acquisition.recording.reader import Recording
-from reconstruction.bench.variants import HOLDOUT
-from reconstruction.errors import BadRunError
+from reconstruction.bench.conventions import HOLDOUT, truth_of
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
-from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.run.folder import RunFolder
@@ -20,17 +18,16 @@ CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 
 
 def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> dict:
-    """Scores of a trained run, its costs, and the `curve` of its snapshots: PSNR and depth after so many wall seconds.
+    """Return the scores of a trained run, its costs, and the `curve` of its snapshots by wall seconds.
 
     `recording` has the truth; the run may have read one derived from it, with other cameras or fewer planes. Scoring
-    lies behind the training, so that no second of it is on the run's clock.
+    follows the training, so that no second of it is on the run's clock. Raises BadRunError where there is no truth.
     """
-    if recording.truth is None:
-        raise BadRunError("found no truth", "a simulated recording to score against", where=recording.path)
+    true = truth_of(recording)
     own = posed(run, Recording.open(run.recording), refined=True)
     seen = replace(recording, rig=replace(own.rig, tick_rate_hz=recording.tick_rate_hz))
-    held_out, truth = held_out_camera(seen, HOLDOUT, run.plan.views, Truth.open(recording.truth))
-    assert truth is not None
+    held_out, truth = held_out_camera(seen, HOLDOUT, run.plan.views, true)
+    truth = truth or true
     states = [load_checkpoint(path) for path in run.snapshots()]
     clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)
@@ -42,6 +39,7 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
         "steps": run.document["steps"],
         "steps_per_s": run.document["steps"] / seconds["train"],
         unit: sum(run.document[unit].values()),
+        "held_out_used": run.document.get("poses", {}).get("held_out_used", False),
         **{m: last[m] for m in METRICS if m in last},
         **{f"seconds.{s}": seconds[s] for s in STAGES},
         **(score_floors(held_out, truth, composite_sources(run, own)) if floors else {}),

@@ -1,4 +1,4 @@
-"""What the image bench says of one image: errors against truth, naturalness without, and what there is no means for."""
+"""Scores single images for the image bench: errors against the truth, and naturalness without one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.bench.clips import Truth
+from reconstruction.bench.streams import TrueImage
 from reconstruction.metrics.image import psnr_db, ssim
 from reconstruction.metrics.lpips import Lpips
 from reconstruction.metrics.natural import Niqe, brisque
@@ -18,7 +18,7 @@ from reconstruction.metrics.sharpness import edge_sharpness
 from reconstruction.report.pictures import grey
 
 Image = NDArray[np.float32]
-MODEL, SPANS = "brisque_model_live.yml", "brisque_range_live.yml"
+MODEL, SPANS, PRISTINE = "brisque_model_live.yml", "brisque_range_live.yml", "niqe_pris_params.npz"
 DEFINITIONS = (
     "PSNR over linear intensity with the scene's white as data range, SSIM with a Gaussian window of 1.5 pixels and "
     "population covariance over the same range; dynamic_ over the pixels that see a mover at the instant"
@@ -27,7 +27,7 @@ DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Scorer:
-    """Every metric whose parameters are in `folder`; `omissions` says what is missing. Build with `open`."""
+    """The metrics whose parameters were found; `omissions` names the others. Build with `open`."""
 
     lpips: Lpips | None
     brisque: Callable[[NDArray[np.uint8]], float] | None
@@ -36,25 +36,25 @@ class Scorer:
 
     @classmethod
     def open(cls, folder: Path | None) -> Scorer:
-        """Look for AlexNet's weights and the parameters of BRISQUE and NIQE; raises BadRunError for broken ones."""
+        """Find AlexNet's weights and the parameters of BRISQUE and NIQE; raises BadRunError for broken ones."""
         network = sorted(folder.glob("alexnet*.pth")) if folder else []
-        files = {name: folder / name for name in (MODEL, SPANS)} if folder else {}
-        pristine = folder / "niqe_pris_params.npz" if folder else None
-        missing = []
-        if not network:
-            missing.append("lpips: found no alexnet*.pth; give its folder with --metric-files")
-        if not files or not all(file.exists() for file in files.values()):
-            missing.append("brisque: found no brisque_model_live.yml and brisque_range_live.yml in --metric-files")
-        if pristine is None or not pristine.exists():
-            missing.append("niqe: found no niqe_pris_params.npz in --metric-files")
-        judge = None
-        if not any(line.startswith("brisque") for line in missing):
-            judge = functools.partial(brisque, **{"model": files[MODEL], "spans": files[SPANS]})
-        niqe = Niqe(pristine) if pristine is not None and pristine.exists() else None
-        return cls(Lpips(network[0]) if network else None, judge, niqe, tuple(missing))
+        model, spans, pristine = ((folder or Path()) / name for name in (MODEL, SPANS, PRISTINE))
+        judged = bool(folder) and model.exists() and spans.exists()
+        known = bool(folder) and pristine.exists()
+        found = {
+            "lpips": (network, "alexnet*.pth"),
+            "brisque": (judged, f"{MODEL} and {SPANS}"),
+            "niqe": (known, PRISTINE),
+        }
+        return cls(
+            Lpips(network[0]) if network else None,
+            functools.partial(brisque, model=model, spans=spans) if judged else None,
+            Niqe(pristine) if known else None,
+            tuple(f"{name}: found no {files} in --metric-files" for name, (there, files) in found.items() if not there),
+        )
 
-    def against(self, image: Image, truth: Truth) -> dict[str, float]:
-        """Errors of an image in spikes per tick."""
+    def against(self, image: Image, truth: TrueImage) -> dict[str, float]:
+        """Return the errors of an image [H, W] in spikes per tick, and its naturalness."""
         found = {
             "psnr_db": psnr_db(image, truth.light, truth.white),
             "ssim": ssim(image, truth.light, truth.white),
@@ -68,7 +68,7 @@ class Scorer:
         return found | self.alone(image, truth.white)
 
     def alone(self, image: Image, white: float) -> dict[str, float]:
-        """Naturalness of the image as a person would see it."""
+        """Return the naturalness of an image [H, W] as a person would see it; `white` is shown as white."""
         pixels = grey(image, white)
         found = {}
         if self.brisque:

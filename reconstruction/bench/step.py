@@ -1,4 +1,4 @@
-"""One optimisation step cut at its seams: seconds of motion, renderer, loss, their gradients and Adam."""
+"""Times one optimisation step part by part: motion, renderer, loss, their gradients and Adam."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from reconstruction.scene_model import TimeSpan
 from reconstruction.training.adam import Adam
 from rigs.camera import Camera
 
-MOVING = 0.4  # of the Gaussians
-WHITE = 0.6  # spikes per tick
+MOVING = 0.4  # share of the Gaussians that move
+WHITE = 0.6  # brightest light, in spikes per tick
 INSTANT_S = 0.4
-LOSS = "loss and its gradient"  # the part that torch shares with a kernel; each other is a native call in its wrapper
+LOSS = "loss and its gradient"  # torch beside a kernel; every other part is a native call
 PARTS = ("motion", "renderer", LOSS, "renderer gradient", "motion gradient", "Adam")
 
 
 def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
-    """`cloud` with its last Gaussians moving a little, alive throughout, in a clip of one second."""
+    """Return `cloud` with its last Gaussians moving a little, alive throughout, in a clip of one second."""
     still = round((1 - MOVING) * len(cloud.means))
     stored = cloud._replace(opacities=cloud.opacities.clamp(0.01, 0.99).logit())
     motion = PolynomialMotion.at_rest(torch.full((len(cloud.means) - still,), 0.5), duration=1.0)
@@ -41,13 +41,13 @@ def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
 
 
 def loss_of(rendering: Rendering, target: Tensor) -> Tensor:
-    """L1 and SSIM, as training has them."""
+    """Return L1 and SSIM of a render against its target [H, W], weighted as in training."""
     image = rendering.intensity[..., 0]
     return 0.8 * (image - target).abs().mean() / WHITE + 0.2 * (1 - ssim(image, target, WHITE))
 
 
 class Step:
-    """A cloud, a view and its target, to be stepped whole or in parts."""
+    """A cloud, a view and its target, which can be stepped as a whole or in parts."""
 
     def __init__(self, cloud: Instantaneous, camera: Camera):
         self.cloud, self.camera = dynamic_cloud(cloud), camera
@@ -57,13 +57,13 @@ class Step:
         self.adam = Adam([{"params": [leaf], "lr": 1e-6} for leaf in self.leaves])
 
     def whole(self) -> None:
-        """As training does it."""
+        """Take one step as training does."""
         self.adam.zero_grad(set_to_none=True)
         loss_of(render(self.cloud.at(INSTANT_S), self.camera), self.target).backward()
         self.adam.step()
 
     def parts(self) -> dict[str, float]:
-        """Seconds of each part of one step."""
+        """Take one step and return the seconds of each part."""
         seconds: dict[str, float] = {}
 
         def timed(name: str, work: Callable[[], Any]) -> Any:
@@ -85,7 +85,7 @@ class Step:
         return seconds
 
     def fastest(self, repeats: int) -> tuple[float, dict[str, float]]:
-        """The least seconds of a whole step, and of each part."""
+        """Return the least seconds of a whole step, and of each part, over `repeats` steps."""
         whole, parts = [], []
         for _ in range(repeats):
             started = time.perf_counter()

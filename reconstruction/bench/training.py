@@ -1,110 +1,111 @@
-"""Error against run time of whole reconstructions: recording in, scored centre view out."""
+"""Measures error against run time of whole reconstructions: the engine at several budgets, and one choice changed.
+
+The runs are cells of a protocol, as those of the paper bench. `auto` is scored beside the floors.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.bench_document import BenchDocument
-from acquisition.durable import write_json
 from acquisition.progress import Progress
-from acquisition.recording.reader import Recording
-from reconstruction.bench.score_run import METRICS, score_run
-from reconstruction.bench.variants import AUTO, BUDGETS_S, CLEAN, MIDDLE_S, Variant
-from reconstruction.pipeline.run import reconstruct
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
+from reconstruction.bench.conventions import means, named
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.bench import run_protocol
+from reconstruction.bench.paper.diagrams import ERROR, against_time
+from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
+from reconstruction.bench.paper.run import Laboratory
+from reconstruction.bench.paper.summary import gaps, times_to
+from reconstruction.bench.score_run import METRICS
+from reconstruction.methods.catalogue import OURS
 
+SHORT, MIDDLE, LONGEST = BUDGETS = (Effort(30.0), Effort(60.0), Effort(120.0))
 TARGETS_DB = (28, 30, 31, 33, 34)
-FLOOR = "depth_blend"
+FLOORS = ("nearest_view", "depth_blend")
+FOUR_DGS = Method("4dgs", {"model": "4dgs", "images": "tfi"})
+ABLATIONS = (
+    *(Method(f"model.{model.name}", {"model": model.name}) for model in OURS if model.moves),
+    *(Method(f"supervision.{name}", {"supervision": name}) for name in m.SPIKE_LOSSES),
+)
+METHODS = (m.AUTO, m.CLEAN, FOUR_DGS, *ABLATIONS)
+MARGINS = ((m.CLEAN, -1, LONGEST), (FOUR_DGS, 1, MIDDLE))  # ours less theirs; for the bound, theirs less ours
 
 
-@dataclass(frozen=True)
-class Clip:
-    """A simulated recording and what it is of."""
+def training_protocol(scenes: tuple[str, ...] | None = None, *, quick: bool = False) -> Protocol:
+    """Return the runs of the bench: all, or those on `scenes`; `quick`: the engine at one budget.
 
-    scene: str
-    seed: int
-    path: Path
-
-
-def bench_training(
-    clips: Sequence[Clip], variants: Sequence[Variant], work: Path, progress_of: Callable[[str], Progress]
-) -> BenchDocument:
-    """Reconstruct each clip by each variant that names its scene, at its budgets; runs lie in `work`.
-
-    The centre camera is held out. A finished run in `work` is not repeated, so that a stopped bench resumes.
+    A scene that is asked for is run by the whole engine, whichever kind it is.
     """
-    document = BenchDocument("training")
-    for variant in variants:
-        for clip in (c for c in clips if c.scene in variant.scenes):
-            for budget_s in variant.budgets_s:
-                out = work / f"{clip.scene}-{clip.seed}-{variant.name}-{budget_s:g}s"
-                if not (out / "scores.json").exists():
-                    run = reconstruct(clip.path, out, variant.config(budget_s), progress_of, last="train")
-                    scores = score_run(run, Recording.open(clip.path), floors=variant.name == AUTO.name)
-                    write_json(out / "scores.json", {"scene": clip.scene, "seed": clip.seed, **scores})
-                scores = json.loads((out / "scores.json").read_text())
-                spent_s = scores["curve"][-1]["seconds"]
-                document.rows.append({"method": variant.name, "budget_s": budget_s, "seconds": spent_s, **scores})
-        _summarise(document, variant)
+    chosen = (*EVALUATION, *DEVELOPMENT) if scenes is None else scenes
+    engine = EVALUATION if scenes is None else scenes
+    evaluated, developed = (tuple(s for s in kind if s in chosen) for kind in (EVALUATION, DEVELOPMENT))
+    batches = [Batch("training", engine, (MIDDLE,) if quick else BUDGETS, (m.AUTO.name,))]
+    if not quick:
+        batches += [
+            Batch("training", evaluated, (LONGEST,), (m.CLEAN.name,)),
+            Batch("training", evaluated, (MIDDLE,), (FOUR_DGS.name,)),
+            Batch("training", developed, (SHORT,), tuple(method.name for method in ABLATIONS)),
+        ]
+    table = Table("training", "Error against run time", "", tuple(Row(method.name, method) for method in METHODS))
+    return Protocol((table,), tuple(batches))
+
+
+def shown_cells(protocol: Protocol) -> list[Cell]:
+    """Return the engine's longest run of each scene."""
+    own = [cell for cell in protocol.cells() if cell.method == m.AUTO]
+    longest = max((cell.effort.budget_s or 0.0 for cell in own), default=0.0)
+    return [cell for cell in own if cell.effort.budget_s == longest]
+
+
+def bench_training(protocol: Protocol, laboratory: Laboratory, progress: Progress) -> BenchDocument:
+    """Run the protocol and return its rows, with means over scenes, times to levels, and margins in the summary."""
+    laboratory.floors = (m.AUTO.name,)
+    document = run_protocol("training", protocol, laboratory, progress)
+    for name, effort in dict.fromkeys((r["method"], r["effort"]) for r in document.rows):
+        document.summary |= named(name, means(_rows(document, name, effort), (*METRICS, "steps_per_s")), f"@{effort}")
+    _times_to(document)
     _margins(document)
+    document.omissions.append("one seed a scene")
     return document
 
 
-def _rows(document: BenchDocument, method: str, budget_s: float | None = None) -> list[dict]:
-    return [r for r in document.rows if r["method"] == method and budget_s in (None, r["budget_s"])]
-
-
-def _summarise(document: BenchDocument, variant: Variant) -> None:
-    """Means over the scenes at each budget."""
-    for budget_s in variant.budgets_s:
-        rows = _rows(document, variant.name, budget_s)
-        for metric in METRICS:
-            found = [r[metric] for r in rows if metric in r]
-            if found:
-                document.summary[f"{variant.name}.{metric}@{budget_s:g}"] = float(np.mean(found))
-        if rows:
-            speeds = [r["steps_per_s"] for r in rows]
-            document.summary[f"{variant.name}.steps_per_s@{budget_s:g}"] = float(np.mean(speeds))
-    if variant.name == AUTO.name:
-        _times_to(document)
+def _rows(document: BenchDocument, method: str, effort: str) -> list[dict]:
+    return [r for r in document.rows if (r["method"], r["effort"]) == (method, effort)]
 
 
 def _times_to(document: BenchDocument) -> None:
-    """The mean over recordings of the first second at which any run of it reached a level, where all did."""
-    curves: dict[tuple[str, int], list[dict]] = {}
-    for row in _rows(document, AUTO.name):
-        curves.setdefault((row["scene"], row["seed"]), []).extend(row["curve"])
+    """Add the mean over recordings of the first second at which any run of it reached a level, where all did."""
     for target in TARGETS_DB:
-        reached = [[p["seconds"] for p in points if p["psnr_db"] >= target] for points in curves.values()]
-        if reached and all(reached):
-            document.summary[f"{AUTO.name}.seconds_to_{target}"] = float(np.mean([min(s) for s in reached]))
+        times = times_to(document.rows, m.AUTO.name, target)
+        reached = [t for t in times if t is not None]
+        if times and len(reached) == len(times):
+            document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = float(np.mean(reached))
         else:
-            document.omissions.append(f"{target} dB: reached on {sum(map(bool, reached))} of {len(reached)} recordings")
+            document.omissions.append(f"{target} dB: reached on {len(reached)} of {len(times)} recordings")
 
 
 def _margins(document: BenchDocument) -> None:
-    """How far the engine lies above the floor on its worst scene, below clean images and above 4DGS on TFI images."""
-    longest = BUDGETS_S[-1]
-    for budget_s in BUDGETS_S:
-        above = [r["psnr_db"] - r[f"{FLOOR}.psnr_db"] for r in _rows(document, AUTO.name, budget_s)]
-        if above:
-            document.summary[f"margin.floor@{budget_s:g}"] = float(min(above))
-    for name, other, sign, budget_s in (("clean", CLEAN.name, -1, longest), ("4dgs", "4dgs", 1, MIDDLE_S)):
-        pairs = [
-            sign * (a["psnr_db"] - b["psnr_db"])
-            for a in _rows(document, AUTO.name, budget_s)
-            for b in _rows(document, other, budget_s)
-            if (a["scene"], a["seed"]) == (b["scene"], b["seed"])
-        ]
-        if pairs:
-            document.summary[f"margin.{name}@{budget_s:g}"] = float(np.mean(pairs))
-    floors = _rows(document, AUTO.name, longest)
-    for floor in ("nearest_view", FLOOR):
-        for metric in ("psnr_db", "dynamic_psnr_db"):
-            found = [r[f"{floor}.{metric}"] for r in floors if f"{floor}.{metric}" in r]
-            if found:
-                document.summary[f"{floor}.{metric}"] = float(np.mean(found))
+    """Add how far the engine lies above the floor on its worst scene, below clean images and above 4DGS."""
+    _, floor = FLOORS
+    for effort in BUDGETS:
+        rows = _rows(document, m.AUTO.name, effort.label)
+        if rows:
+            least = min(r["psnr_db"] - r[f"{floor}.psnr_db"] for r in rows)
+            document.summary[f"margin.floor@{effort.label}"] = float(least)
+        if effort is LONGEST:
+            scores = [f"{name}.{metric}" for name in FLOORS for metric in ("psnr_db", "dynamic_psnr_db")]
+            document.summary |= means(rows, scores)
+    for other, sign, effort in MARGINS:
+        found = gaps(document.rows, m.AUTO.name, other.name, effort.label)
+        if found:
+            document.summary[f"margin.{other.name}@{effort.label}"] = sign * float(np.mean(found))
+
+
+def plot_training(path: Path, document: dict) -> None:
+    """Draw every method's error against run time; documents of older revisions name the budget, not the effort."""
+    rows = [{"effort": f"{row['budget_s']:g}", **row} for row in document["rows"]]
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    against_time(path, document | {"rows": rows}, names, "psnr_db", ("Whole reconstructions", ERROR))

@@ -1,25 +1,26 @@
-"""Views nobody captured: error against the distance from the nearest camera that trained, between and beyond them.
+"""Measures views nobody captured: error against the distance from the nearest camera that trained.
 
-The scene is rendered anew from each viewpoint by the ray caster, so that there is truth wherever one looks from. Lines
-of viewpoints start at the centre of the array and at a corner camera; each looks at the scene's centre.
+The ray caster renders the scene anew from each viewpoint, so that there is a truth everywhere. Lines of viewpoints
+start at the centre of the array and at a corner camera; every viewpoint looks at the scene's centre.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
-from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.scene import Scene
-from reconstruction.bench.training import Clip
+from reconstruction.bench.conventions import KnownRecording, means, named
 from reconstruction.evaluation.evaluate import score_view
 from reconstruction.evaluation.truth import TruthFrame
+from reconstruction.report.orbit import write_orbit
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_cloud
@@ -27,18 +28,18 @@ from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
 
-INSTANTS = (0.125, 0.375, 0.625, 0.875)  # shares of the clip
-SAMPLES = 4  # x 4 rays a pixel
+INSTANTS = (0.125, 0.375, 0.625, 0.875)  # instants, as shares of the clip
+SAMPLES = 4  # rays a pixel along each axis
 SCORES = ("psnr_db", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "empty")
-BETWEEN = tuple(np.linspace(-1, 1, 9))  # in half widths of the array, along its middle row
-BEYOND_M = (0.05, 0.1, 0.2, 0.4, 0.8, 1.2)  # sideways and upwards from a corner camera
-FORWARD_M = (0.1, 0.2, 0.4, 0.6, 0.8)  # from the centre of the array towards the scene
-BACKWARD_M = (0.2, 0.4, 0.8)
+BETWEEN = tuple(np.linspace(-1, 1, 9))  # places along the middle row, in half widths of the array
+BEYOND_M = (0.05, 0.1, 0.2, 0.4, 0.8, 1.2)  # distances sideways and upwards from a corner camera
+FORWARD_M = (0.1, 0.2, 0.4, 0.6, 0.8)  # distances from the centre of the array towards the scene
+BACKWARD_M = (0.2, 0.4, 0.8)  # distances from the centre of the array away from the scene
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera that is not in the rig, on a line of them, `distance_m` from the nearest training camera."""
+    """A camera that is not in the rig: its line, metres along it, and metres from the nearest training camera."""
 
     line: str
     along_m: float
@@ -47,7 +48,7 @@ class Viewpoint:
 
 
 def viewpoints(rig: Rig, views: Sequence[str], center: Sequence[float]) -> Iterator[Viewpoint]:
-    """The lines `between` (the middle row), `beyond` (outwards from a corner), `forward` and `backward`."""
+    """Yield the lines `between` (the middle row), `beyond` (outwards from a corner), `forward` and `backward`."""
     cameras = [rig.camera(view) for view in views]
     spots = np.stack([camera.center for camera in cameras])
     middle, half = (spots.max(axis=0) + spots.min(axis=0)) / 2, np.ptp(spots, axis=0) / 2
@@ -70,13 +71,13 @@ def viewpoints(rig: Rig, views: Sequence[str], center: Sequence[float]) -> Itera
             yield Viewpoint(line, float(along_m), distance_m, camera)
 
 
-def bench_viewpoints(clips: Sequence[Clip], runs: Sequence[RunFolder], progress: Progress) -> BenchDocument:
-    """The last state of each run of a clip, from every viewpoint; the rig's poses must be the true ones."""
+def bench_viewpoints(runs: Sequence[tuple[KnownRecording, RunFolder]], progress: Progress) -> BenchDocument:
+    """Score the last state of each clip's run from every viewpoint; the rig's poses must be the true ones."""
     document = BenchDocument("viewpoints")
-    for i, (clip, run) in enumerate(zip(clips, runs, strict=True)):
-        scene, recording = build_scene(clip.scene, clip.seed), Recording.open(clip.path)
+    for i, (clip, run) in enumerate(runs):
+        scene = build_scene(clip.scene, clip.seed)
         cloud = load_cloud(run.snapshots()[-1])
-        found = list(viewpoints(recording.rig, run.plan.views, scene.center))
+        found = list(viewpoints(clip.recording.rig, run.plan.views, scene.center))
         for j, viewpoint in enumerate(found):
             scores = _scores(scene, cloud, viewpoint.camera)
             about = {"scene": clip.scene, "seed": clip.seed, "line": viewpoint.line, "method": "auto"}
@@ -84,7 +85,7 @@ def bench_viewpoints(clips: Sequence[Clip], runs: Sequence[RunFolder], progress:
             spent_s = run.document["seconds"]["train"]
             document.rows.append({**about, **place, **scores, "seconds": spent_s})
             progress(
-                (i + (j + 1) / len(found)) / len(clips), f"{clip.scene}: {viewpoint.line} {viewpoint.along_m:.2f} m"
+                (i + (j + 1) / len(found)) / len(runs), f"{clip.scene}: {viewpoint.line} {viewpoint.along_m:.2f} m"
             )
     _summarise(document)
     document.omissions.append("viewpoints behind the scene or more than 1.2 m from the nearest camera")
@@ -92,32 +93,36 @@ def bench_viewpoints(clips: Sequence[Clip], runs: Sequence[RunFolder], progress:
 
 
 def frames_at(scene: Scene, camera: Camera, instants_s: NDArray[np.float64]) -> list[TruthFrame]:
-    """The truth of a viewpoint at the instants."""
+    """Return the truth of a viewpoint at the instants."""
     frames = scene.render(camera, instants_s, SAMPLES)
     moving = np.isin(frames.ids, list(scene.movers.values()))
     return [TruthFrame(-1, *found) for found in zip(frames.intensity, frames.depth, moving, strict=True)]
 
 
 def _scores(scene: Scene, cloud: SceneModel, camera: Camera) -> dict[str, float]:
-    """Means over INSTANTS; `empty` is the share of pixels without a surface where there is one."""
-    span = cloud.clip.last_s - cloud.clip.first_s
-    instants_s = cloud.clip.first_s + span * np.array(INSTANTS)
+    """Return means over INSTANTS; `empty` is the share of pixels without a surface where there is one."""
+    instants_s = np.array([cloud.clip.instant_s(share) for share in INSTANTS])
     rows: list[dict[str, float]] = []
     for instant_s, frame in zip(instants_s, frames_at(scene, camera, instants_s), strict=True):
         view = cloud.look(camera, float(instant_s))
         known = np.isfinite(frame.depth)
         empty = float((known & ~np.isfinite(view.depth)).sum() / max(1, known.sum()))
         rows.append(score_view(view, frame, scene.white) | {"empty": empty})
-    found = {score: [row[score] for row in rows if np.isfinite(row[score])] for score in SCORES}
-    return {score: float(np.mean(values)) for score, values in found.items() if values}
+    return means(rows, SCORES)
 
 
 def _summarise(document: BenchDocument) -> None:
-    """Means over the scenes at each place of each line, by centimetres along it."""
-    places = dict.fromkeys((row["line"], row["along_m"]) for row in document.rows)
-    for line, along_m in places:
+    """Add means over the scenes at each place of each line, by centimetres along it."""
+    for line, along_m in dict.fromkeys((row["line"], row["along_m"]) for row in document.rows):
         rows = [r for r in document.rows if (r["line"], r["along_m"]) == (line, along_m)]
-        for score in SCORES:
-            found = [r[score] for r in rows if score in r]
-            if found:
-                document.summary[f"{line}{100 * along_m:+.0f}cm.{score}"] = float(np.mean(found))
+        document.summary |= named(f"{line}{100 * along_m:+.0f}cm", means(rows, SCORES))
+
+
+def write_flythroughs(folder: Path, runs: Sequence[tuple[KnownRecording, RunFolder]], progress: Progress) -> None:
+    """Write SCENE.mp4 for each: intensity beside depth, while the camera circles and the clip plays once."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, (clip, run) in enumerate(runs):
+        rig, cloud = clip.recording.rig, load_cloud(run.snapshots()[-1])
+        centre, white = rig.camera(run.config.holdout or rig.ids[0]), build_scene(clip.scene, clip.seed).white
+        write_orbit(folder / f"{clip.scene}.mp4", cloud, rig, centre, white, progress)
+        progress((i + 1) / len(runs), f"fly-through of {clip.scene}")

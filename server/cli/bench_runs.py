@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,9 +15,9 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS
 from server.cli.bench_recordings import recorded, recording
 
 if TYPE_CHECKING:
+    from reconstruction.bench.conventions import KnownRecording
     from reconstruction.bench.paper.method import Protocol
     from reconstruction.bench.paper.run import Laboratory
-    from reconstruction.bench.training import Clip
     from reconstruction.run.folder import RunFolder
 
 _PARSED_BYTES = 10_000_000_000
@@ -69,7 +69,7 @@ def _images(asked: Asked) -> BenchDocument:
 
 def _draw_images(asked: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.contact_sheet import write_sheet
-    from reconstruction.bench.plot_images import plot_images
+    from reconstruction.bench.diagrams import plot_images
 
     plot_images(out / "images.png", found)
     write_sheet(out / "images-sheet.png", asked.work / "images")
@@ -82,18 +82,18 @@ def _pixels(asked: Asked) -> BenchDocument:
 
 
 def _poses(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.pose_clip import PoseClip
+    from reconstruction.bench.conventions import KnownRecording
     from reconstruction.bench.pose_methods import BOARD_SCENE, BOARD_TICKS
     from reconstruction.bench.poses import bench_poses
 
     work, quick = asked.work, asked.quick
-    clips = [PoseClip(*found) for found in recorded(asked.named(EVALUATION), work)]
-    boards = [] if quick else [PoseClip(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
+    clips = [KnownRecording(*found) for found in recorded(asked.named(EVALUATION), work)]
+    boards = [] if quick else [KnownRecording(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
     return bench_poses(clips, boards[0] if boards else None, work / "poses", asked.progress_of("poses"), quick=quick)
 
 
 def _draw_poses(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.plot_poses import plot_poses
+    from reconstruction.bench.diagrams import plot_poses
 
     plot_poses(out / "poses.png", found)
 
@@ -114,30 +114,38 @@ def _recorder(asked: Asked) -> BenchDocument:
 
 
 def _training(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.training import Clip, bench_training
-    from reconstruction.bench.variants import AUTO, VARIANTS
+    from reconstruction.bench.training import bench_training
 
-    named, variants = asked.named((*EVALUATION, *DEVELOPMENT)), list(VARIANTS)
-    if asked.scenes:  # a scene that is asked for is run by the whole engine, whichever kind it is
-        variants = [replace(v, scenes=named) if v is AUTO else v for v in variants]
-    if asked.quick:
-        variants = [replace(v, budgets_s=v.budgets_s[1:2]) for v in variants[:1]]
-    clips = [Clip(scene, seed, path) for scene, seed, path in recorded(named, asked.work)]
-    document = bench_training(clips, variants, asked.work, asked.progress_of)
-    document.omissions.append("one seed a scene")
-    return document
+    return bench_training(_training_protocol(asked), _training_runs(asked), asked.progress_of("training"))
 
 
 def _draw_training(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.contact_sheet import write_run_strip, write_sheet
-    from reconstruction.bench.plot import plot_training
+    from reconstruction.bench.contact_sheet import run_tiles, write_sheet, write_strip
+    from reconstruction.bench.training import plot_training, shown_cells
 
     plot_training(out / "training.png", found)
-    longest = max(r["budget_s"] for r in found["rows"] if r["method"] == "auto")
-    strips = asked.work / "strips"
-    for run in sorted(asked.work.glob(f"*-auto-{longest:g}s")):
-        write_run_strip(strips / f"{run.name}.png", run)
+    strips = asked.work / "training" / "strips"
+    for clip, run in _training_runs(asked).runs(shown_cells(_training_protocol(asked))):
+        write_strip(strips / f"{clip.scene}.png", run_tiles(clip, run))
     write_sheet(out / "training-sheet.png", strips, most_px=1200)
+
+
+def _training_protocol(asked: Asked) -> Protocol:
+    """Return the runs of the training bench that were asked for."""
+    from reconstruction.bench.training import training_protocol
+
+    scenes = asked.named((*EVALUATION, *DEVELOPMENT)) if asked.scenes or asked.quick else None
+    return training_protocol(scenes, quick=asked.quick)
+
+
+def _training_runs(asked: Asked) -> Laboratory:
+    """Return the folder in which the runs of the training bench are made and kept."""
+    from reconstruction.bench.paper.run import Laboratory
+
+    def recording_of(scene: str, seed: int) -> Path:
+        return recording(scene, seed, asked.work)
+
+    return Laboratory(asked.work / "training", recording_of, asked.progress_of, asked.keep)
 
 
 def _leave_out(asked: Asked) -> BenchDocument:
@@ -149,7 +157,7 @@ def _leave_out(asked: Asked) -> BenchDocument:
 
 
 def _draw_leave_out(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.plot_leave_out import plot_leave_out
+    from reconstruction.bench.diagrams import plot_leave_out
 
     plot_leave_out(out / "leave-out.png", found)
 
@@ -166,9 +174,8 @@ def _draw_paper(asked: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.paper.others import open_others
     from reconstruction.bench.paper.tables import write_tables
 
-    others = open_others(out)
-    write_tables(out / "paper.md", found, _protocol(asked), others)
-    write_diagrams(out, found, others)
+    write_tables(out / "paper.md", found, _protocol(asked), open_others(out))
+    write_diagrams(out, found)
 
 
 def _protocol(asked: Asked) -> Protocol:
@@ -184,32 +191,30 @@ def _protocol(asked: Asked) -> Protocol:
 def _viewpoints(asked: Asked) -> BenchDocument:
     from reconstruction.bench.viewpoints import bench_viewpoints
 
-    return bench_viewpoints(*_seen(asked), asked.progress_of("viewpoints"))
+    return bench_viewpoints(_seen(asked), asked.progress_of("viewpoints"))
 
 
 def _draw_viewpoints(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.plot_viewpoints import plot_viewpoints, write_flythroughs, write_viewpoint_sheet
+    from reconstruction.bench.contact_sheet import viewpoint_tiles, write_sheet, write_strip
+    from reconstruction.bench.diagrams import plot_viewpoints
+    from reconstruction.bench.viewpoints import write_flythroughs
 
-    clips, runs = _seen(asked)
+    runs, strips = _seen(asked), asked.work / "viewpoints"
     plot_viewpoints(out / "viewpoints.png", found)
-    write_viewpoint_sheet(out / "viewpoints-sheet.png", clips, runs)
-    write_flythroughs(out / "work" / "flythroughs", clips, runs, asked.progress_of("fly-throughs"))
+    for clip, run in runs:
+        write_strip(strips / f"{clip.scene}.png", viewpoint_tiles(clip, run))
+    write_sheet(out / "viewpoints-sheet.png", strips, most_px=1200)
+    write_flythroughs(asked.work / "flythroughs", runs, asked.progress_of("fly-throughs"))
 
 
-def _seen(asked: Asked) -> tuple[Sequence[Clip], Sequence[RunFolder]]:
+def _seen(asked: Asked) -> list[tuple[KnownRecording, RunFolder]]:
     """Return a recording of each scene and the run of it that `paper` makes at a minute; make those that lack."""
-    from reconstruction.bench.paper.protocol import LONG, OURS, QUICK
-    from reconstruction.bench.training import Clip
-    from reconstruction.run.folder import RunFolder
+    from reconstruction.bench.paper.methods import AUTO
+    from reconstruction.bench.paper.protocol import LONG, QUICK
 
-    method, effort, scenes = OURS.method, LONG, asked.named(EVALUATION)
     if asked.quick:
-        method, effort, scenes = QUICK.tables[0].rows[0].method, QUICK.batches[0].efforts[0], DEVELOPMENT
-    assert method is not None
-    bench = laboratory(asked)
-    cells = [method.on(scene, effort) for scene in scenes]
-    clips = [Clip(cell.scene, cell.seed, bench.recording_of(cell.scene, cell.seed)) for cell in cells]
-    return clips, [RunFolder.open(bench.folder(cell)) for cell in cells]
+        return laboratory(asked).runs(QUICK.cells()[:1])
+    return laboratory(asked).runs(AUTO.on(scene, LONG) for scene in asked.named(EVALUATION))
 
 
 def laboratory(asked: Asked) -> Laboratory:

@@ -1,67 +1,65 @@
 """The training bench on one small recording: its document, its sheet, and that it resumes."""
 
-import numpy as np
 import pytest
 
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
 from acquisition.session.record import simulate
 from reconstruction.bench import training as bench
-from reconstruction.bench.contact_sheet import write_run_strip, write_sheet
-from reconstruction.bench.plot import plot_training
-from reconstruction.bench.training import Clip, bench_training
-from reconstruction.bench.variants import AUTO, CLEAN, VARIANTS, Variant
+from reconstruction.bench.contact_sheet import run_tiles, write_sheet, write_strip
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper import run as runs
+from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
+from reconstruction.bench.paper.run import Laboratory
+from reconstruction.bench.training import bench_training, plot_training, shown_cells, training_protocol
 from rigs.toml import catalog_rig
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
 SCENE = "fan_and_ball"
+SMALL = [method.changed(method.name, gaussians=3000) for method in (m.AUTO, m.CLEAN)]
 
 
-@pytest.fixture(scope="module")
-def clips(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recordings") / "rec"
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_bench_scores_what_it_ran_and_runs_nothing_twice(tmp_path, monkeypatch):
+    path = tmp_path / "rec"
     simulate(Simulation(SCENE, seed=3), catalog_rig("ci3x3"), 120, path)
-    return [Clip(SCENE, 3, path)]
-
-
-def test_a_bench_scores_what_it_ran_and_runs_nothing_twice(clips, tmp_path, monkeypatch):
-    small = {"gaussians": 3000}
-    variants = [
-        Variant(AUTO.name, "", small, (120.0,), (SCENE,)),
-        Variant(CLEAN.name, "", small | CLEAN.choices, (120.0,), (SCENE,)),
-        Variant("elsewhere", "", {}, scenes=("traffic",)),
-    ]
-    monkeypatch.setattr(Variant, "config", lambda v, budget_s: config(v))
-    document = bench_training(clips, variants, tmp_path, lambda stage: silent).to_json()
+    laboratory = Laboratory(tmp_path / "work", lambda scene, seed: path, lambda stage: silent)
+    table = Table("training", "", "", tuple(Row(method.name, method) for method in SMALL))
+    protocol = Protocol((table,), (Batch("training", (SCENE,), (Effort(steps=40),)),))
+    monkeypatch.setattr(bench, "MARGINS", ((SMALL[1], -1, Effort(steps=40)),))
+    monkeypatch.setattr(bench, "BUDGETS", (Effort(steps=40),))
+    document = bench_training(protocol, laboratory, silent).to_json()
     assert [r["method"] for r in document["rows"]] == ["auto", "clean"]
     assert all(r["steps"] == 40 and r["seconds"] > 0 and len(r["curve"]) > 2 for r in document["rows"])
-    level = document["summary"]["auto.psnr_db@120"]
+    level = document["summary"]["auto.psnr_db@40steps"]
     assert level == pytest.approx(document["rows"][0]["psnr_db"], abs=1e-6)
     gap = document["rows"][1]["psnr_db"] - document["rows"][0]["psnr_db"]
-    assert document["summary"]["margin.clean@120"] == pytest.approx(gap, abs=1e-6)
-    monkeypatch.setattr(bench, "reconstruct", lambda *a, **k: pytest.fail("ran again"))
-    again = bench_training(clips, variants, tmp_path, lambda stage: silent).to_json()
+    assert document["summary"]["margin.clean@40steps"] == pytest.approx(gap, abs=1e-6)
+    above = level - document["rows"][0]["depth_blend.psnr_db"]
+    assert document["summary"]["margin.floor@40steps"] == pytest.approx(above, abs=1e-6)
+    monkeypatch.setattr(runs, "reconstruct", lambda *a, **k: pytest.fail("ran again"))
+    again = bench_training(protocol, laboratory, silent).to_json()
     assert again["summary"] == document["summary"]
-    plot_training(tmp_path / "training.png", document)
-    write_run_strip(tmp_path / "strips" / "a.png", tmp_path / f"{SCENE}-3-auto-120s")
+    plot_training(tmp_path / "training.png", document | {"rows": [r | {"budget_s": 1.0} for r in document["rows"]]})
+    ((clip, run),) = laboratory.runs(protocol.cells()[:1])
+    write_strip(tmp_path / "strips" / "a.png", run_tiles(clip, run))
     write_sheet(tmp_path / "sheet.png", tmp_path / "strips")
     assert (tmp_path / "training.png").stat().st_size > 1000
     assert (tmp_path / "sheet.png").stat().st_size > 1000
 
 
-def config(variant):
-    from reconstruction.run.configuration import ReconstructionConfig
+@pytest.mark.parametrize("scenes", [None, ("traffic",), ("fan_and_ball", "stiff")])
+def test_every_run_is_a_configuration_and_choices_are_made_on_development_scenes(scenes):
+    protocol = training_protocol(scenes)
+    for cell in protocol.cells():
+        assert cell.method.config(cell.effort, cell.seed).budget_s == cell.effort.budget_s
+        if cell.method.name.startswith(("model.", "supervision.")):
+            assert cell.scene in DEVELOPMENT
+    assert {cell.scene for cell in protocol.cells()} == set(scenes or (*EVALUATION, *DEVELOPMENT))
+    assert [cell.effort.label for cell in shown_cells(protocol)] == ["120"] * len(scenes or EVALUATION)
 
-    return ReconstructionConfig(holdout="cam11", budget_s=None, steps=40, **variant.choices)
 
-
-def test_every_variant_is_a_configuration_on_known_scenes():
-    from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
-
-    assert len({v.name for v in VARIANTS}) == len(VARIANTS)
-    for variant in VARIANTS:
-        assert set(variant.scenes) <= {*EVALUATION, *DEVELOPMENT}
-        assert all(variant.config(b).budget_s == b for b in variant.budgets_s)
-        if variant.name.startswith(("model.", "supervision.")):
-            assert set(variant.scenes) <= set(DEVELOPMENT), "choices are made on development scenes"
-    assert np.isfinite([b for v in VARIANTS for b in v.budgets_s]).all()
+def test_a_quick_bench_is_one_run_of_the_engine():
+    (cell,) = training_protocol(("traffic",), quick=True).cells()
+    assert cell.name == "traffic-101-auto-60"

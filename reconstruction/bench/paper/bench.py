@@ -1,4 +1,4 @@
-"""The bench: every cell of the protocol by priority, for as long as there is time; then what the tables say."""
+"""Runs every cell of a protocol by priority, for as long as there is time."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import name_of, summarise
 from rigs.errors import Spike4dgsError
 
-OVERRUN = 0.1  # of the budget, behind which a run is named
+OVERRUN = 0.1  # share of the budget beyond which an omission names the run
 NOTES = (
     "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
     "the paper's real recordings: not public; and its CARLA scenes: not public, so its figures are of other scenes",
-    "points: in every row our plane sweep, also where the paper takes those of COLMAP, DUSt3R or MSDI",
+    "points: in every row those of our plane sweep, also where the paper takes those of COLMAP, DUSt3R or MSDI",
+    "rows marked † used the held-out camera to find the poses",
     "COLMAP is given long-window images in every row; on TFI images of one instant it is in the table of poses",
 )
 
 
 @dataclass(frozen=True)
 class Clock:
-    """When to start no more cells: `limit_s` after `began`, by `now`."""
+    """A limit in seconds after which no more work is begun; None is no limit."""
 
     limit_s: float | None = None
     now: Callable[[], float] = time.monotonic
 
     def until(self) -> Callable[[], bool]:
-        """Whether there is time left, from now on."""
+        """Return a function that tells whether there is time left, counted from now on."""
         began = self.now()
         return lambda: self.limit_s is None or self.now() - began < self.limit_s
 
@@ -38,8 +39,21 @@ class Clock:
 def bench_paper(
     protocol: Protocol, laboratory: Laboratory, progress: Progress, clock: Clock = Clock()
 ) -> BenchDocument:
-    """Run what is not known yet, the most wanted first; what fails or is left out stands in the omissions."""
-    document, refusals, time_left = BenchDocument("paper"), {}, clock.until()
+    """Run the protocol of the paper, and return its rows, omissions and summary."""
+    document = run_protocol("paper", protocol, laboratory, progress, clock)
+    document.omissions += NOTES
+    summarise(document, protocol)
+    return document
+
+
+def run_protocol(
+    name: str, protocol: Protocol, laboratory: Laboratory, progress: Progress, clock: Clock = Clock()
+) -> BenchDocument:
+    """Run the cells that have no result yet, the most wanted first, and return the document of that name.
+
+    Cells that were refused or left out stand in the omissions. The summary is empty.
+    """
+    document, refusals, time_left = BenchDocument(name), {}, clock.until()
     cells = protocol.cells()
     for number, cell in enumerate(cells):
         progress(number / len(cells), cell.name)
@@ -47,13 +61,12 @@ def bench_paper(
         if found is not None:
             document.rows.append(found)
     _omissions(document, protocol, refusals)
-    summarise(document, protocol)
     progress(1.0, f"{len(document.rows)} of {len(cells)} runs")
     return document
 
 
 def _found(cell: Cell, laboratory: Laboratory, time_left: Callable[[], bool], refusals: dict[str, str]) -> dict | None:
-    """The row of a cell; None where it was refused, which `refusals` tells by its name, or not run for lack of time."""
+    """Return the row of a cell; None where it was not run for lack of time, or refused, which goes into `refusals`."""
     try:
         found = laboratory.known(cell)
         if found is None:
@@ -69,7 +82,7 @@ def _found(cell: Cell, laboratory: Laboratory, time_left: Callable[[], bool], re
 
 
 def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[str, str]) -> None:
-    """What has no figure and why: a line for each row of a table and each length of its runs."""
+    """Name every row of a table that lacks runs, with the reason and the recordings."""
     have = {name_of(row) for row in document.rows}
     for table in protocol.tables:
         for row in table.rows:
@@ -85,7 +98,6 @@ def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[st
         if row["budget_s"] is not None and row["seconds"] > (1 + OVERRUN) * row["budget_s"]:
             took = f"took {row['seconds']:.0f} s: the stages before training left no time for it"
             document.omissions.append(f"{name_of(row)}: {took}")
-    document.omissions += NOTES
     others = sorted({r["revision"] for r in document.rows if r.get("kept")})
     if others:
         document.omissions.append(f"kept from other code, at the revisions {', '.join(others)}")

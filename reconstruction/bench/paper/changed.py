@@ -1,4 +1,4 @@
-"""A recording with something done to it: its rig as drawn, or fewer planes a second. The truth stays where it is."""
+"""Writes changed copies of a recording: its rig as drawn, or fewer planes a second."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from acquisition.recording.reader import Recording
 from acquisition.recording.writer import RecordingWriter
 from acquisition.scenes.misplaced import misplaced
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.bench.clips import slowed
 from reconstruction.bench.paper.method import Change
 from reconstruction.bench.poses import ERROR
+from reconstruction.bench.streams import slowed
 from rigs.rig import Rig
 
 
 def changed(path: Path, out: Path, change: Change, seed: int) -> Path:
-    """The recording in `path` after `change`: itself, or one in `out`, written where it is not there yet.
+    """Return the recording in `path` after `change`: itself, or one in `out`, written where there is none yet.
 
-    A changed recording has the truth of its own only where its planes are those of the truth.
+    A changed recording has a truth only where its planes are those of the truth.
     """
     if change == Change():
         return path
@@ -48,7 +48,7 @@ def _write(recording: Recording, rig: Rig, change: Change, out: Path) -> None:
 
 
 def _slower(stream: SpikeStream, change: Change) -> SpikeStream:
-    """Every so manieth plane. Of each group the middle one is kept, so that what is seen is seen at the right time.
+    """Return one plane in `change.every`, the middle one of each group, so that light is seen at the right time.
 
     An even group has no middle: its planes are half a plane late.
     """

@@ -1,28 +1,29 @@
-"""Work-precision diagrams out of the documents: one question a picture, error against what it costs."""
+"""Draws the documents of the paper and training benches: one question a picture, error against what it costs."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.axes import (
+from reconstruction.bench.figures import (
     COLOURS,
+    band,
+    bars,
     caption,
     db_scale,
-    line,
+    legend_beside,
     log_axes,
-    marks,
+    name_axes,
     new_figure,
     relative_error,
     write_figure,
 )
-from reconstruction.bench.paper.other_diagrams import image_methods, pose_methods
+from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, lengths, ordinary, times_to, widest
 from reconstruction.bench.score_run import STAGES
 from reconstruction.methods.ours import BASES
@@ -30,12 +31,13 @@ from reconstruction.methods.ours import BASES
 ERROR = "RMS error of the held-out view / white  (PSNR)"
 SECONDS = "wall seconds, from recording to result"
 STOPPED = "The clock stands while a result is scored; a run that warms up came before."
-BAND = "Line: median; band: lowest to highest of recordings."
+BAND = "Line: median; band: lowest to highest of recordings. Rings: ends of runs."
+SCHEDULE = "A curve is one run's snapshots on its way to the end it was planned for; compare ends with ends."
+BARS = "Mark: median; bar: lowest to highest of recordings."
 DEPTH = ("Depth of the held-out view", "Abs Rel")
-SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name, m.MSDI["spss"].name)
+SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name, m.MSDI["image-variation"].name)
 DEEP = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values()))
-BAR = "Mark: median; bar: lowest to highest of recordings."
-SWEEPS = {  # a number in a method's name: its axis, and what it is where the name has none
+SWEEPS = {  # a number in a method's name: its axis, and its value where the name has none
     "views": ("training views", len(m.VIEWS)),
     "gaussians": ("most Gaussians", BASES.gaussians),
     "drop": ("planes a second", m.RATE_HZ),
@@ -44,143 +46,142 @@ SWEEPS = {  # a number in a method's name: its axis, and what it is where the na
 HOW = {"drop": "planes dropped", "reintegrate": "planes re-integrated"}
 
 
-def write_diagrams(out: Path, document: dict, others: Mapping[str, dict | None]) -> list[Path]:
-    """Write each diagram that has something to show as `paper-QUESTION.png`; returns what was written."""
+def write_diagrams(out: Path, document: dict) -> list[Path]:
+    """Write each diagram that has something to show as `paper-QUESTION.png`, and return what was written."""
     document = document | {"rows": ordinary(document["rows"])}
     drawn: dict[str, Callable[[Path], bool]] = {
         "novel-view": lambda path: against_time(path, document, SHOWN, "psnr_db", ("Novel view", ERROR)),
         "depth": lambda path: against_time(path, document, DEEP, "abs_rel", DEPTH),
-        "time-to": lambda path: time_to(path, document),
-        "stages": lambda path: stages(path, document),
-        "gaussians": lambda path: sweep(path, document, ("gaussians",), "Error against the number of Gaussians"),
-        "views": lambda path: sweep(path, document, ("views",), "Error against training views"),
-        "rates": lambda path: sweep(path, document, ("drop", "reintegrate"), "Error against plane rate"),
+        "time-to": lambda path: _time_to(path, document),
+        "stages": lambda path: _stages(path, document),
+        "gaussians": lambda path: _sweep(path, document, ("gaussians",), "Error against the number of Gaussians"),
+        "views": lambda path: _sweep(path, document, ("views",), "Error against training views"),
+        "rates": lambda path: _sweep(path, document, ("drop", "reintegrate"), "Error against plane rate"),
     }
-    images, poses = others.get("images"), others.get("poses")
-    if images:
-        drawn["images"] = lambda path: image_methods(path, images)
-    if poses:
-        drawn["poses"] = lambda path: pose_methods(path, poses, "rotation_deg", "rotation error / degrees", "Poses")
-        drawn["points"] = lambda path: pose_methods(path, poses, "points_abs_rel", "Abs Rel of the points", "Points")
     paths = {name: out / f"paper-{name}.png" for name in drawn}
     return [paths[name] for name, draw in drawn.items() if draw(paths[name])]
 
 
-def curves(rows: Sequence[dict], method: str, metric: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Seconds [P] and errors [R, P] of a method's `widest` runs, by snapshot; None where none has snapshots of it."""
+def curves(rows: Sequence[dict], method: str, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return seconds [P] and errors [R, P] of the snapshots of a method's `widest` runs; None where none has any."""
     own = [r for r in rows if r["method"] == method and all(metric in p for p in r["curve"])]
     if not own:
         return None
     runs = [r["curve"] for r in widest(own)]
-    count = min(len(points) for points in runs)  # an early end has fewer; the last ones are those of the end
+    count = min(len(points) for points in runs)  # a run that ended early has fewer; all have the last ones
     seconds = np.array([[p["seconds"] for p in points[-count:]] for points in runs])
     return np.median(seconds, axis=0), _error(metric, [[p[metric] for p in points[-count:]] for points in runs])
 
 
 def against_time(path: Path, document: dict, known: Sequence[str], metric: str, names: tuple[str, str]) -> bool:
-    """Error against time of training: snapshots of each method's `widest` runs, and the end of each length of them."""
+    """Draw error against run time: snapshots of each method's `widest` runs, and the end of each length of them.
+
+    `names` are the title and the name of the error's axis. Returns whether there was anything to draw.
+    """
     rows = [r for r in document["rows"] if r["method"] in known and metric in r]
     if not rows:
         return False
     title, y = names
-    figure, axes = new_figure(f"{title}: error against run time")
+    figure = new_figure(f"{title}: error against run time")
+    axes = figure.subplots()
     for number, name in enumerate(known):
         found = curves(rows, name, metric)
         if found is not None:
-            line(axes, *found, number, name)
+            band(axes, *found, number, name)
         _ends(axes, [r for r in rows if r["method"] == name], metric, number)
     log_axes(axes, SECONDS, y)
     if metric == "psnr_db":
         db_scale(axes)
-    write_figure(path, figure, caption(document, rows, f"{BAND} Rings: ends of runs. {STOPPED}"))
+    legend_beside(axes)
+    write_figure(path, figure, caption(document, rows, f"{BAND} {SCHEDULE} {STOPPED}"))
     return True
 
 
-def _error(metric: str, values: ArrayLike) -> np.ndarray:
+def _error(metric: str, values: ArrayLike) -> NDArray[np.float64]:
     return relative_error(values) if metric == "psnr_db" else np.asarray(values, dtype=np.float64)
 
 
 def _ends(axes: Axes, rows: Sequence[dict], metric: str, number: int) -> None:
-    """The end of each length of runs, median over recordings."""
+    """Ring the end of each length of runs, at the median over recordings."""
     ring = {"mfc": "none", "mec": COLOURS[number % len(COLOURS)], "markersize": 9}
     for own in lengths(rows):
-        axes.plot(_seconds(own), _error(metric, np.median([r[metric] for r in own])), "o", **ring)
+        seconds = np.median([r["seconds"] for r in own])
+        axes.plot(seconds, _error(metric, np.median([r[metric] for r in own])), "o", **ring)
 
 
-def time_to(path: Path, document: dict) -> bool:
-    """Seconds to each level, of the methods and levels that every recording reached."""
-    figure, axes = new_figure("Run time to a level of the held-out view")
+def _time_to(path: Path, document: dict) -> bool:
+    """Draw the seconds to each level, of the methods and levels that every recording reached."""
     rows = [r for r in document["rows"] if r["method"] in SHOWN]
-    drawn = 0
-    for number, name in enumerate(SHOWN):
-        reached = {target: times_to(rows, name, target) for target in TARGETS_DB}
-        whole = {target: [t for t in times if t] for target, times in reached.items() if times and all(times)}
-        if whole:
-            marks(axes, list(whole), list(whole.values()), number, name)
-            drawn += 1
-    if not drawn:
+    places: dict[str, dict[int, list[float]]] = {}
+    for name in SHOWN:
+        for target in TARGETS_DB:
+            times = times_to(rows, name, target)
+            if times and None not in times:
+                places.setdefault(name, {})[target] = [t for t in times if t is not None]
+    if not places:
         return False
+    figure = new_figure("Run time to a level of the held-out view")
+    axes = figure.subplots()
+    for name, reached in places.items():
+        bars(axes, list(reached), list(reached.values()), SHOWN.index(name), name)
     log_axes(axes, "PSNR of the held-out view / dB", SECONDS, log_x=False)
     axes.set_xticks(TARGETS_DB)
-    write_figure(path, figure, caption(document, rows, f"{BAR} A level that a recording missed has no mark. {STOPPED}"))
+    legend_beside(axes)
+    said = f"{BARS} A level that a recording missed has no mark. {STOPPED}"
+    write_figure(path, figure, caption(document, rows, said))
     return True
 
 
-def stages(path: Path, document: dict) -> bool:
-    """Seconds of each stage, mean over recordings, at the length that most methods were run at."""
+def _stages(path: Path, document: dict) -> bool:
+    """Draw the seconds of each stage, means over recordings, at the length that most methods were run at."""
     shown = lengths([r for r in document["rows"] if r["method"] in SHOWN])
     if not shown:
         return False
     rows = max(shown, key=lambda own: len({r["method"] for r in own}))
-    runs = {name: [r for r in rows if r["method"] == name] for name in SHOWN}
-    runs = {name: own for name, own in runs.items() if own}
-    figure, axes = new_figure(f"Where the seconds go (@{rows[0]['effort']})")
-    methods, left = list(runs), np.zeros(len(runs))
+    methods = [name for name in SHOWN if any(r["method"] == name for r in rows)]
+    figure = new_figure(f"Where the seconds go (@{rows[0]['effort']})")
+    axes, left = figure.subplots(), np.zeros(len(methods))
     for number, stage in enumerate(STAGES):
-        width = np.array([np.mean([r[f"seconds.{stage}"] for r in own]) for own in runs.values()])
+        width = np.array([np.mean([r[f"seconds.{stage}"] for r in rows if r["method"] == name]) for name in methods])
         axes.barh(methods, width, left=left, color=COLOURS[number], label=stage, height=0.65)
         left += width
+    name_axes(axes, "wall seconds, mean over recordings", "")
     axes.invert_yaxis()
-    axes.set_xlabel("wall seconds, mean over recordings")
-    axes.spines[["top", "right"]].set_visible(False)
     axes.legend(fontsize=8, frameon=False, ncols=len(STAGES), loc="lower center", bbox_to_anchor=(0.5, 1.0))
     write_figure(path, figure, caption(document, rows))
     return True
 
 
-def sweep(path: Path, document: dict, kinds: Sequence[str], title: str) -> bool:
-    """Error against a number in the methods' names, such as `auto.views5`."""
-    drawn = []
-    for kind in kinds:
-        named, bare = re.compile(rf"(.+)\.{kind}(\d+)"), SWEEPS[kind][1]
-        places: dict[str, dict[int, list[dict]]] = {}
-        for row in document["rows"]:
-            match = named.fullmatch(row["method"])
-            if match:
-                places.setdefault(match[1], {}).setdefault(int(match[2]), []).append(row)
-        for method, found in places.items():
-            swept = [r for rows in found.values() for r in rows]
-            whole = [r for r in document["rows"] if r["method"] == method and _alike(r, swept)]
-            drawn.append(
-                (f"{method}, {HOW[kind]}" if kind in HOW else method, found | {bare: whole} if whole else found)
-            )
+def _sweep(path: Path, document: dict, kinds: Sequence[str], title: str) -> bool:
+    """Draw error against a number in the methods' names, such as `auto.views5`."""
+    drawn = [found for kind in kinds for found in _swept(document["rows"], kind)]
     if not drawn:
         return False
-    figure, axes = new_figure(title)
+    figure = new_figure(title)
+    axes = figure.subplots()
     for number, (name, found) in enumerate(drawn):
         x = sorted(found)
-        marks(axes, x, [relative_error([r["psnr_db"] for r in found[k]]).tolist() for k in x], number, name)
+        bars(axes, x, [relative_error([r["psnr_db"] for r in found[k]]).tolist() for k in x], number, name)
     log_axes(axes, SWEEPS[kinds[0]][0], ERROR)
     db_scale(axes)
+    legend_beside(axes)
     rows = [r for _, found in drawn for some in found.values() for r in some]
-    write_figure(path, figure, caption(document, rows, BAR))
+    write_figure(path, figure, caption(document, rows, BARS))
     return True
 
 
-def _alike(row: dict, swept: Sequence[dict]) -> bool:
-    """Whether a row is of a recording and a length that the swept ones are of."""
-    return any(all(row[key] == r[key] for key in ("scene", "seed", "effort")) for r in swept)
-
-
-def _seconds(rows: Sequence[dict]) -> float:
-    return float(np.median([r["seconds"] for r in rows]))
+def _swept(rows: Sequence[dict], kind: str) -> list[tuple[str, dict[int, list[dict]]]]:
+    """Return, for each method that was swept, its rows by number; the method as it is stands at its usual number."""
+    named = re.compile(rf"(.+)\.{kind}(\d+)")
+    places: dict[str, dict[int, list[dict]]] = {}
+    for row in rows:
+        match = named.fullmatch(row["method"])
+        if match:
+            places.setdefault(match[1], {}).setdefault(int(match[2]), []).append(row)
+    drawn = []
+    for method, found in places.items():
+        alike = {(r["scene"], r["seed"], r["effort"]) for some in found.values() for r in some}
+        whole = [r for r in rows if r["method"] == method and (r["scene"], r["seed"], r["effort"]) in alike]
+        name = f"{method}, {HOW[kind]}" if kind in HOW else method
+        drawn.append((name, found | ({SWEEPS[kind][1]: whole} if whole else {})))
+    return drawn

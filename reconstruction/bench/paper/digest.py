@@ -1,4 +1,4 @@
-"""Which code a result depends on, as one number that a mere change of benches, reports or pages does not move."""
+"""Digests the code that a result depends on; a change of benches, reports or pages alone leaves the digest as it is."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ import rigs
 from acquisition.recording.manifest import MANIFEST_FILE
 from reconstruction.bench.paper.method import Cell
 
-SHOWN = ("bench", "stability", "report", "export")  # of reconstruction: what only looks at results
+SHOWN = ("bench", "stability", "report", "export")  # folders of `reconstruction` that only look at results
 SUFFIXES = {".py", ".cpp", ".h", ".npz", ".toml", ".json"}
 KEPT_DIGITS = 12
 
 
 def cell_digest(cell: Cell, recording: Path) -> str:
-    """SHA-256 of the code, the cell's choices and the recording's manifest, which has the digests of its spikes."""
+    """Return the SHA-256 of the code, the cell's choices, and the manifest that holds the digests of the spikes."""
     about = [code_digest(), asdict(cell), hashlib.sha256((recording / MANIFEST_FILE).read_bytes()).hexdigest()]
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:KEPT_DIGITS]
 
 
 def this_code() -> str:
-    """The first digits of the code's digest, by which a row says what made it."""
+    """Return the first digits of the code's digest, which a row keeps."""
     return code_digest()[:KEPT_DIGITS]
 
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 over the names and contents of the sources."""
+    """Return the SHA-256 over the names and contents of the sources."""
     digest = hashlib.sha256()
     for name, path in sorted(_sources()):
         digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
@@ -41,7 +41,7 @@ def code_digest() -> str:
 
 
 def _sources() -> Iterator[tuple[str, Path]]:
-    """The sources by name, wherever the packages are installed."""
+    """Yield the name and path of every source, wherever the packages are installed."""
     packages = {m.__name__: Path(m.__path__[0]) for m in (rigs, acquisition, reconstruction)}
     folders = [("rigs", "."), ("acquisition", "spikes"), ("acquisition", "scenes")]
     inner = sorted(f.name for f in packages["reconstruction"].iterdir() if f.is_dir() and f.name not in SHOWN)

@@ -1,4 +1,4 @@
-"""Which figures of the image and pose benches stand beside which of the paper's."""
+"""Pairs figures of the image and pose benches with the paper's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NO_SEPARATE = (
 
 @dataclass(frozen=True)
 class OtherRow:
-    """A line: `keys` are the summary's name and the factor to our unit, by metric."""
+    """A line of a table: by metric, `keys` hold the name in the summary and the factor to the table's unit."""
 
     label: str
     paper: str | None = None
@@ -26,7 +26,7 @@ class OtherRow:
 
 
 def open_others(out: Path) -> dict[str, dict | None]:
-    """The documents of the other benches in a folder; None for one that is not there."""
+    """Return the documents of the other benches in a folder; None for one that is not there."""
     files = {name: out / f"{name}.json" for name in OTHERS}
     return {name: json.loads(file.read_text()) if file.exists() else None for name, file in files.items()}
 
@@ -49,18 +49,18 @@ IMAGE_ROWS = (
     _image("slope", "slope"),
     _image("adaptive", "adaptive"),
     _image("interpolated (ours)", "interpolated"),
-    _image("Spk2ImgNet, small", "spk2imgnet", "Spk2ImgNet"),
+    _image("small Spk2ImgNet", "spk2imgnet", "Spk2ImgNet"),
     _image("blind spot", "blindspot"),
-    _image("MSDI, small", "msdi", "MSDI (joint)"),
+    _image("small MSDI", "msdi", "MSDI (joint)"),
     OtherRow("MSDI, trained separately", "MSDI (separate)", omitted=NO_SEPARATE),
 )
 POSE_ROWS = (
     _pose("the rig as drawn", "nominal"),
     _pose("TFI + COLMAP", "tfi+colmap", "TFI + COLMAP"),
-    _pose("MSDI images + COLMAP", "msdi-image+colmap", "MSDI images + COLMAP"),
+    _pose("small MSDI images + COLMAP", "msdi-image+colmap", "MSDI images + COLMAP"),
     _pose("long-window images + COLMAP", "long+colmap"),
-    _pose("MSDI alone", "msdi", "MSDI"),
-    _pose("MSDI, adjusted", "msdi+ba"),
+    _pose("small MSDI alone", "msdi", "MSDI"),
+    _pose("small MSDI, adjusted", "msdi+ba"),
     _pose("natural calibration (ours)", "natural"),
     _pose("a ChArUco board", "board"),
     OtherRow("TFI + DUSt3R", "TFI + DUSt3R", omitted=NO_DUST3R),

@@ -1,4 +1,4 @@
-"""What the authors of Spike4DGS and their reviewers put on record (NeurIPS 2025): their scenes, their machine.
+"""Lists the figures that the authors of Spike4DGS put on record (NeurIPS 2025): their scenes, their machine.
 
 No scene of theirs is public, so no figure here was measured on a scene of ours. PSNR and SSIM are means over five CARLA
 scenes; BRISQUE and NIQE are of real recordings, which have no truth; `seconds` are of one RTX 4090 (training) or A6000.
@@ -9,6 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 Figures = Mapping[str, float]
+# The models of the published tables by their published name, as `--model` has them: learning from images, from spikes.
+IMAGE_MODELS = {"D3DGS": "d3dgs", "STG": "stg", "4DGS": "4dgs"}
+SPIKE_MODELS = {
+    "Dy-SpikeGS": "dy-spikegs",
+    "SpikeGS": "spikegs",
+    "SpikeNeRF": "spikenerf",
+    "Dy-SpikeNeRF": "dy-spikenerf",
+}
 
 
 def _quality(psnr_db: float, ssim: float | None = None, minutes: float | None = None) -> Figures:

@@ -1,10 +1,10 @@
-"""One cell: reconstructed, scored and kept, so that a stopped bench goes on where it was."""
+"""Reconstructs, scores and keeps single cells, so that a stopped bench goes on where it was."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
+from reconstruction.bench.conventions import KnownRecording
 from reconstruction.bench.paper.changed import changed
 from reconstruction.bench.paper.digest import cell_digest, this_code
 from reconstruction.bench.paper.method import Cell, Effort
@@ -24,27 +25,30 @@ from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 
 SCORES = "scores.json"
-QUIET, TRIES = 0.1, 2  # a run from which others took more time than this share is run again; the quietest counts
-WARM_UP = Effort(steps=2)  # that loads what a process loads once, and is thrown away
+QUIET = 0.1  # share of the processors' time that others may take from a run before it is repeated
+TRIES = 2  # runs of one cell at most; the quietest counts
+WARM_UP = Effort(steps=2)  # length of the run that loads what a process loads once, and is thrown away
 
 
 @dataclass
 class Laboratory:
-    """Runs cells in the folder `work`; `recording_of` a scene and seed is a recording with truth.
+    """Runs cells in the folder `work` on the recordings that `recording_of` returns for a scene and seed.
 
-    `keep`: results of other code are taken as they are. What a method refuses is kept as well, with its reason.
+    With `keep` results of other code are taken as they are. The methods named by `floors` are scored beside the floors.
+    A refusal is kept as well, with its reason.
     """
 
     work: Path
     recording_of: Callable[[str, int], Path]
     progress_of: Callable[[str], Progress]
     keep: bool = False
+    floors: tuple[str, ...] = ()
     warm: bool = False
 
     def kept(self, cell: Cell) -> Path | None:
-        """The folder of a cell's run by this code, or with `keep` of any; None where there is none.
+        """Return the folder of a cell's run by this code, or with `keep` by any code; None where there is none.
 
-        With `keep` no recording is made only to know whether it is still the same.
+        With `keep` no recording is made only to compare its digest.
         """
         found = [file.parent for file in (self.work / "cells" / cell.name).glob(f"*/{SCORES}")]
         if not found:
@@ -55,7 +59,7 @@ class Laboratory:
         return own if own in found else None
 
     def known(self, cell: Cell) -> dict | None:
-        """What was kept of a cell; None where there is nothing."""
+        """Return the row that was kept of a cell; None where there is none."""
         folder = self.kept(cell)
         if folder is None:
             return None
@@ -63,7 +67,7 @@ class Laboratory:
         return row if _is_of_this_code(row) else row | {"kept": True}
 
     def folder(self, cell: Cell) -> Path:
-        """Where the run of a cell lies, which is made where there is none; raises ReconstructionError if refused."""
+        """Return the folder of a cell's run, made where there is none; raises ReconstructionError if it was refused."""
         found = self.kept(cell)
         if found is None:
             self.result(cell)
@@ -73,15 +77,22 @@ class Laboratory:
             raise ReconstructionError(refused)
         return found
 
+    def runs(self, cells: Iterable[Cell]) -> list[tuple[KnownRecording, RunFolder]]:
+        """Return each cell's recording and run, made where there is none; raises ReconstructionError if refused."""
+        return [
+            (KnownRecording(c.scene, c.seed, self.recording_of(c.scene, c.seed)), RunFolder.open(self.folder(c)))
+            for c in cells
+        ]
+
     def _own(self, cell: Cell) -> Path:
         return self.work / "cells" / cell.name / cell_digest(cell, self.recording_of(cell.scene, cell.seed))
 
     def result(self, cell: Cell) -> dict:
-        """What a cell came to, now: its row, or `refused` with the reason."""
-        config = cell.method.config(cell.effort, cell.seed)  # a name that is not known is refused before any work
+        """Run a cell and return its row, or `refused` with the reason."""
+        config = cell.method.config(cell.effort, cell.seed)  # refuses an unknown name before any work
         recording = self.recording_of(cell.scene, cell.seed)
         out = self._own(cell)
-        for left_over in out.parent.glob("*"):  # of a run that was stopped on the way
+        for left_over in out.parent.glob("*"):  # by a run that was stopped on the way
             if not (left_over / SCORES).exists():
                 shutil.rmtree(left_over)
         try:
@@ -99,7 +110,7 @@ class Laboratory:
         return found
 
     def _quietest(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
-        """What the run in `out` came to: the first that the machine's other guests left in peace, or the best so."""
+        """Run a cell until others leave it in peace, TRIES times at most, and return the scores of the quietest run."""
         tried: list[tuple[dict, Path]] = []
         while not tried or (len(tried) < TRIES and tried[-1][0]["stolen"] > QUIET):
             place = out.with_name(f"{out.name}.{len(tried)}")
@@ -118,11 +129,11 @@ class Laboratory:
         others = Stolen()
         run = reconstruct(path, out, config, self.progress_of, last="train")
         share = round(others.share(), 4)
-        scores = score_run(run, Recording.open(recording))
+        scores = score_run(run, Recording.open(recording), floors=cell.method.name in self.floors)
         return {"seconds": scores["curve"][-1]["seconds"], "stolen": share, **scores}
 
     def _warm_up(self, recording: Path) -> None:
-        """Run the pipeline once for nothing: libraries are loaded on no run's clock."""
+        """Run the pipeline once and throw the result away, so that no run's clock counts the loading of libraries."""
         if self.warm:
             return
         out = self.work / "warm-up"
@@ -142,7 +153,7 @@ def _is_of_this_code(row: dict) -> bool:
 
 
 def _reduce(out: Path) -> None:
-    """Leave of a run what tells of it and its last state; the rest is large and can be made again."""
+    """Delete all of a run but its documents, poses and last state; the rest is large and can be made again."""
     snapshots = RunFolder(out, {}).snapshots()
     kept = {out / SCORES, out / "run.json", out / "poses", out / "snapshots", *snapshots[-1:]}
     for path in [*out.iterdir(), *snapshots]:

@@ -11,12 +11,13 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench import images as bench
 from reconstruction.bench import recordings
-from reconstruction.bench.clips import slow_instant, slowed
 from reconstruction.bench.contact_sheet import write_sheet
+from reconstruction.bench.conventions import SLOWER
 from reconstruction.bench.decoding import tfi_recipe, tfp_recipe
+from reconstruction.bench.diagrams import plot_images
 from reconstruction.bench.images import Extent, ImageBench, finite, summarise
-from reconstruction.bench.plot_images import plot_images
 from reconstruction.bench.scores import Scorer
+from reconstruction.bench.streams import slow_instant, slowed
 from reconstruction.images.methods.tfi import tfi_intensities
 from reconstruction.images.methods.tfp import tfp, tfp_intensities
 from rigs.toml import catalog_rig
@@ -63,7 +64,7 @@ def test_a_finished_part_is_kept_and_another_extent_measures_again(tmp_path, mon
         document = ImageBench(extent, tmp_path).run()
         assert [row["scene"] for row in document.rows] == list(extent.scenes)
     assert runs == ["a", "a-row", "b-row", "b", "b-row"]
-    assert json.loads((tmp_path / "a-1.json").read_text())["rows"][0]["scene"] == "a"
+    assert json.loads((tmp_path / "a-1.json").read_text())["result"]["rows"][0]["scene"] == "a"
 
 
 def _one_row(document, scene, runs):
@@ -81,7 +82,7 @@ def test_a_method_that_refuses_is_an_omission(monkeypatch):
     monkeypatch.setattr(bench, "METHODS", {"tfp": tfp, "absent": absent})
     planner = ImageBench(Extent(("a",), (1,), False))
     document = BenchDocument("images")
-    truth = bench.Truth(np.full((16, 16), 0.5, np.float32), 0.6, np.zeros((16, 16), bool))
+    truth = bench.TrueImage(np.full((16, 16), 0.5, np.float32), 0.6, np.zeros((16, 16), bool))
     planner._measure(document, {"scene": "a"}, stream_of(np.ones((9, 16, 16))), (4,), [truth])
     assert [row["method"] for row in document.rows] == ["tfp"]
     assert document.rows[0]["psnr_db"] == pytest.approx(1.58, abs=0.01)
@@ -162,7 +163,7 @@ def test_one_scene_at_every_light_and_rate(tmp_path, monkeypatch):
     monkeypatch.setenv("SPIKE4DGS_SHARED", str(tmp_path))
     document = ImageBench(Extent(("fan_and_ball",), (1,)), tmp_path / "work").run()
     rows = [row for row in document.rows if row.get("part") == "scenes"]
-    assert len(rows) == len(bench.METHODS) * (1 + len(bench.LEVELS) + 2 * len(bench.SLOWER))
+    assert len(rows) == len(bench.METHODS) * (1 + len(bench.LEVELS) + 2 * len(SLOWER))
     summary = document.summary
     assert summary["adaptive.psnr_db"] > summary["tfi.psnr_db"] + 3
     assert summary["adaptive.psnr_db@light0.1"] < summary["adaptive.psnr_db"]

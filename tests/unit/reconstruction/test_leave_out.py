@@ -12,6 +12,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench import leave_out
+from reconstruction.bench.diagrams import plot_leave_out
 from reconstruction.bench.leave_out import Bench, bench_leave_out, claims, costs, recorded
 from reconstruction.bench.leave_out_cases import (
     BUDGET_S,
@@ -27,7 +28,6 @@ from reconstruction.bench.leave_out_cases import (
     Case,
 )
 from reconstruction.bench.leave_out_run import EveryChannel, Memory
-from reconstruction.bench.plot_leave_out import plot_leave_out
 from reconstruction.images.flicker import Light
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import Rendering

@@ -3,12 +3,16 @@
 import pytest
 
 from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS, SCENES
-from reconstruction.bench.paper.method import Cell, Effort, Method, seed_of
+from reconstruction.bench.conventions import VIEWS, seed_of
+from reconstruction.bench.paper.method import Cell, Effort, Method
+from reconstruction.bench.paper.methods import AUTO, LOSSES
 from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS
 from reconstruction.bench.paper.protocol import PROTOCOL, QUICK
-from reconstruction.bench.paper.published import PUBLISHED
+from reconstruction.bench.paper.published import IMAGE_MODELS, PUBLISHED, SPIKE_MODELS
 from reconstruction.bench.paper.tables import HOW
 from reconstruction.errors import BadRunError
+from reconstruction.methods.catalogue import METHODS, OURS
+from reconstruction.run.configuration import SUPERVISIONS
 from rigs.toml import catalog_rig
 
 TABLES = {table.name: table for table in PROTOCOL.tables}
@@ -89,3 +93,16 @@ def test_names_say_how_long():
     assert str(Effort(30.0)) == "30 s"
     assert str(Effort(steps=40)) == "40 steps"
     assert Cell(Method("auto"), "fan", 101, Effort(7.5)).name == "fan-101-auto-7.5"
+
+
+def test_every_baseline_is_a_published_model():
+    assert {*IMAGE_MODELS.values(), *SPIKE_MODELS.values()} == set(METHODS) - {method.name for method in OURS}
+
+
+def test_every_spike_loss_has_a_row():
+    assert {m.name for m in SUPERVISIONS.values() if not m.refused} == set(LOSSES)
+    assert TABLES["losses"].rows[0].method == AUTO
+
+
+def test_the_nearest_views_come_first():
+    assert VIEWS == ("cam01", "cam10", "cam12", "cam21", "cam00", "cam02", "cam20", "cam22")

@@ -38,7 +38,7 @@ def laboratory(tmp_path, monkeypatch):
             (out / name).touch()
 
     monkeypatch.setattr(runs, "reconstruct", reconstruct)
-    monkeypatch.setattr(runs, "score_run", lambda run, recording: SCORED)
+    monkeypatch.setattr(runs, "score_run", lambda run, recording, floors: SCORED)
     monkeypatch.setattr(runs.Recording, "open", lambda path: path)
     found = Laboratory(tmp_path / "work", lambda scene, seed: tmp_path / f"{scene}-{seed}", lambda name: silent)
     found.warm = True
@@ -64,7 +64,7 @@ def test_what_was_run_is_found_again_and_what_was_refused_has_its_reason(laborat
 
 def test_a_run_that_came_to_training_too_late_is_named(laboratory, monkeypatch):
     late = SCORED | {"curve": [{"seconds": 12.0, "psnr_db": 30.0}]}
-    monkeypatch.setattr(runs, "score_run", lambda run, recording: late)
+    monkeypatch.setattr(runs, "score_run", lambda run, recording, floors: late)
     document = bench_paper(PROTOCOL, laboratory.own, silent)
     assert any(line.startswith("fan_and_ball-2-good-10: took 12 s: the stages") for line in document.omissions)
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from acquisition.bench_document import BenchDocument
-from reconstruction.bench.paper import axes
+from reconstruction.bench import figures
+from reconstruction.bench.figures import relative_error
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.axes import relative_error
 from reconstruction.bench.paper.diagrams import curves, write_diagrams
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
 from reconstruction.bench.paper.summary import leads, summarise, times_to
-from reconstruction.bench.paper.tables import measured_table, write_tables
+from reconstruction.bench.paper.tables import measured_table, posed_by_all, write_tables
 
 STAGES = {f"seconds.{stage}": 1.0 for stage in ("plan", "poses", "images", "points", "train")}
 SHORT, LONG = Effort(30.0), Effort(60.0)
@@ -38,6 +38,7 @@ def row(method, level, scene="fan", seed=101, effort="30"):
     points = [(end / 4, level - 6), (end / 2, level - 2), (end, level)]
     machine = {"processor": "A chip", "threads": 2, "revision": "abc"}
     scores = {
+        "gaussians": 48_000,
         "psnr_db": level,
         "dynamic_psnr_db": 28.0,
         "ssim": 0.9,
@@ -103,16 +104,43 @@ def test_the_first_second_at_which_any_run_reached_a_level():
 def test_a_table_says_how_far_it_is():
     text = measured_table(TABLE, PROTOCOL, ROWS)
     lines = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
-    ours, longer, theirs, _, omitted = lines[2:]
+    ours, longer, theirs, _ = lines[2:]
     spread = "29.0 to 33.0, ± 1.00"
     paper = "27.74 dB, SSIM 0.912, 1500 s |"
-    assert ours == ["| Ours", "30 s", "30.75", "", spread, "28.00", "0.900", "0.0500", "0.970", "30.0", "4 of 4", paper]
+    assert ours == [
+        "| Ours",
+        "30 s",
+        "30.75",
+        "",
+        spread,
+        "28.00",
+        "0.900",
+        "0.0500",
+        "0.970",
+        "48,000",
+        "30.0",
+        "4 of 4",
+        paper,
+    ]
     assert longer[1:4] == ["60 s", "35.00", ""]
-    assert longer[10] == "1 of 2"
+    assert longer[11] == "1 of 2"
     assert theirs[3:5] == ["-5.00", "25.0 to 27.0"]
-    assert omitted[10:] == ["omitted", "25.76 dB, SSIM 0.898 |"]
+    assert text.endswith("Without a measurement: DUSt3R.")
     assert "Partial: 2 runs are missing" in text
-    assert "missing" in measured_table(TABLE, PROTOCOL, [])
+    nothing = measured_table(TABLE, PROTOCOL, [])
+    assert "missing" in nothing
+    assert nothing.endswith("Without a measurement: Ours; TFI + 4DGS; DUSt3R.")
+
+
+def test_rows_whose_poses_the_held_out_camera_helped_to_find_are_marked():
+    found = Table("t", "T", "", (Row("drawn", m.AUTO), Row("found", m.FOUND)))
+    protocol = Protocol((found,), (Batch("t", ("fan",), (SHORT,)),))
+    older = [row("auto", 30.0), row(m.FOUND.name, 30.0)]
+    assert "| drawn | " in measured_table(found, protocol, older)
+    assert "| found † | " in measured_table(found, protocol, older)
+    blind = [older[0], older[1] | {"held_out_used": False}]
+    assert "| found | " in measured_table(found, protocol, blind)
+    assert [posed_by_all(protocol, rows) for rows in (older, blind)] == [older[1:], []]
 
 
 def test_results_of_other_code_are_counted_as_such():
@@ -131,7 +159,7 @@ def test_all_tables_stand_in_one_file(tmp_path):
     assert "**Missing: run `spike4dgs bench images` with the same `--out`.**" in text
     assert "| natural calibration (ours) | 0.010 deg, 0.011 %, 4.92 s | - |" in text
     assert "| TFI + DUSt3R | omitted: no DUSt3R checkpoint" in text
-    assert "| MSDI alone | omitted: not in the document | 0.94 deg, 2.1 %, 9 s |" in text
+    assert "| small MSDI alone | omitted: not in the document | 0.94 deg, 2.1 %, 9 s |" in text
     assert "A chip, 2 threads" in text
     assert "| auto | 15.0 (2 of 4) | " not in text  # all four recordings come to 25 dB
     assert "| tfi+4dgs | 30.0 | 30.0 (1 of 2)" not in text
@@ -154,16 +182,10 @@ def test_a_curve_is_that_of_the_longest_runs_on_most_scenes():
 
 
 def test_a_picture_for_each_question_that_has_an_answer(tmp_path, monkeypatch):
-    monkeypatch.setattr(axes, "DPI", 40)
+    monkeypatch.setattr(figures, "DPI", 40)
     swept = [row(name, 28.0) for name in ("auto.views3", "auto.drop1000", "auto.reintegrate1000", "auto.gaussians6000")]
-    image = {"part": "scenes", "light": 1.0, "rate_by": "full", "psnr_db": 30.0, "seconds": 0.01}
-    pose = {"views": 9, "rotation_deg": 0.1, "abs_rel": 0.1, "points_abs_rel": 0.1, "seconds": 3.0, "nominal": 2.0}
-    about = {"method": "tfi", "scene": "fan", "seed": 101}
-    others = {"images": other({}) | {"rows": [about | image]}, "poses": other({}) | {"rows": [about | pose]}}
-    found = write_diagrams(tmp_path, document([*ROWS, *swept]).to_json(), others)
+    found = write_diagrams(tmp_path, document([*ROWS, *swept]).to_json())
     names = {path.stem.removeprefix("paper-") for path in found}
-    assert names == {
-        *("novel-view", "depth", "time-to", "stages", "gaussians", "views", "rates", "images", "poses", "points"),
-    }
+    assert names == {"novel-view", "depth", "time-to", "stages", "gaussians", "views", "rates"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in found)
-    assert write_diagrams(tmp_path / "none", document([]).to_json(), {}) == []
+    assert write_diagrams(tmp_path / "none", document([]).to_json()) == []

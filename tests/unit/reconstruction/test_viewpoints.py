@@ -10,8 +10,9 @@ import torch
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.session.record import simulate
-from reconstruction.bench.plot_viewpoints import plot_viewpoints, write_viewpoint_sheet
-from reconstruction.bench.training import Clip
+from reconstruction.bench.contact_sheet import viewpoint_tiles, write_sheet, write_strip
+from reconstruction.bench.conventions import KnownRecording
+from reconstruction.bench.diagrams import plot_viewpoints
 from reconstruction.bench.viewpoints import BEYOND_M, bench_viewpoints, viewpoints
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
@@ -72,12 +73,12 @@ def bench(tmp_path_factory):
         plan=SimpleNamespace(views=VIEWS),
         document={"seconds": {"train": 1.5}},
     )
-    clips = [Clip("fan_and_ball", 1, folder / "rec")]
-    return clips, [run], bench_viewpoints(clips, [run], silent).to_json()
+    runs = [(KnownRecording("fan_and_ball", 1, folder / "rec"), run)]
+    return runs, bench_viewpoints(runs, silent).to_json()
 
 
 def test_a_wall_is_scored_everywhere(bench):
-    _, _, document = bench
+    _, document = bench
     assert {row["line"] for row in document["rows"]} == {"between", "beyond", "forward", "backward"}
     assert all(5 < row["psnr_db"] < 30 and 0 <= row["empty"] <= 1 for row in document["rows"])
     near, far = (document["summary"][f"beyond+{cm}cm.empty"] for cm in (5, 120))
@@ -86,7 +87,9 @@ def test_a_wall_is_scored_everywhere(bench):
 
 
 def test_the_pictures_are_drawn(bench, tmp_path):
-    clips, runs, document = bench
+    runs, document = bench
     plot_viewpoints(tmp_path / "plot.png", document)
-    write_viewpoint_sheet(tmp_path / "sheet.png", clips, runs)
+    for clip, run in runs:
+        write_strip(tmp_path / "strips" / f"{clip.scene}.png", viewpoint_tiles(clip, run))
+    write_sheet(tmp_path / "sheet.png", tmp_path / "strips", most_px=900)
     assert min((tmp_path / name).stat().st_size for name in ("plot.png", "sheet.png")) > 1000

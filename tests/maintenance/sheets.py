@@ -1,7 +1,7 @@
 """Contact sheets of the scenes, to be looked at: three instants, depth and objects of the centre camera in one PNG.
 
-`python -m reconstruction.bench.sheets --out DIR [--seed S] [NAME...]` writes DIR/NAME.png for all scenes or those
-named; `make sheets` writes all to runs/sheets.
+`PYTHONPATH=tests python -m maintenance.sheets --out DIR [--seed S] [NAME...]` writes DIR/NAME.png for all scenes or
+those named; `make sheets` writes all to runs/sheets.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Simulated clips for the image bench: one rendering, several lights, slower planes by dropping or re-integrating.
+"""Simulates streams for the image bench: one rendering, several lights, slower planes by dropping or re-integrating.
 
 Letters: T planes, H rows, W columns, k planes to a slow one.
 """
@@ -18,16 +18,16 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.bench.conventions import HOLDOUT
 from rigs.rig import Rig
 
 CHUNK = 32  # planes rendered at a time
-CAMERA = "cam11"
 Slowing = Literal["drop", "reintegrate"]
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """At an instant: linear light [H, W] in spikes per tick, its `white`, and where something `moves` [H, W]."""
+class TrueImage:
+    """The light of an instant [H, W] in spikes per tick, its `white`, and the pixels where something `moves` [H, W]."""
 
     light: NDArray[np.float32]
     white: float
@@ -35,28 +35,28 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
-    """The centre camera's stream of a scene at each light level, with the truth at any instant."""
+class LitScene:
+    """A scene and the centre camera's stream of it at each light level, a factor of the scene's own light."""
 
     scene: Scene
     rig: Rig
     streams: dict[float, SpikeStream]
 
-    def truths(self, planes: Sequence[float], level: float = 1.0) -> list[Truth]:
-        """The truth in the middle of each of `planes` (a half is between two) with the light times `level`."""
+    def truths(self, planes: Sequence[float], level: float = 1.0) -> list[TrueImage]:
+        """Return the truth in the middle of each of `planes` (a half is between two), its light times `level`."""
         instants_s = np.array([self.rig.clock.instant_s(plane) for plane in planes])
-        frames = self.scene.render(self.rig.camera(CAMERA), instants_s)
+        frames = self.scene.render(self.rig.camera(HOLDOUT), instants_s)
         movers = np.isin(frames.ids, list(self.scene.movers.values()))
         light = frames.intensity * np.float32(level)
-        return [Truth(a, self.scene.white * level, m) for a, m in zip(light, movers, strict=True)]
+        return [TrueImage(a, self.scene.white * level, m) for a, m in zip(light, movers, strict=True)]
 
 
-def simulate_clip(name: str, seed: int, rig: Rig, planes: int, levels: Sequence[float]) -> Clip:
-    """Render `planes` of the scene once and fire a real sensor for each light level."""
-    scene, camera = build_scene(name, seed), rig.camera(CAMERA)
+def simulate_lights(name: str, seed: int, rig: Rig, planes: int, levels: Sequence[float]) -> LitScene:
+    """Render `planes` of a scene once, and let a real sensor see them at each light level."""
+    scene, camera = build_scene(name, seed), rig.camera(HOLDOUT)
     layout = PlaneLayout(camera.width, camera.height)
     raycaster = scene.raycaster(camera, 2, 0)
-    index = rig.ids.index(CAMERA)
+    index = rig.ids.index(HOLDOUT)
     sensors = {level: Sensor(camera.width, camera.height, "real", seed, index, threads=0) for level in levels}
     packed: dict[float, list] = {level: [] for level in levels}
     for first in range(0, planes, CHUNK):
@@ -65,14 +65,14 @@ def simulate_clip(name: str, seed: int, rig: Rig, planes: int, levels: Sequence[
         for level, sensor in sensors.items():
             packed[level].append(pack(sensor.expose(light * np.float32(level)), layout))
     streams = {k: SpikeStream(np.concatenate(v), layout, rig.tick_rate_hz) for k, v in packed.items()}
-    return Clip(scene, rig, streams)
+    return LitScene(scene, rig, streams)
 
 
 def slowed(stream: SpikeStream, k: int, how: Slowing) -> SpikeStream:
-    """The stream at a k-th of its plane rate.
+    """Return the stream at a k-th of its plane rate.
 
-    `drop`: every k-th plane, the light between them lost. `reintegrate`: a pixel fires when it has gathered k spikes,
-    as one with a k times higher threshold would; planes behind the last whole k are left out.
+    `drop` keeps every k-th plane and loses the light between them. `reintegrate` lets a pixel fire when it has gathered
+    k spikes, as one with a k times higher threshold would; planes after the last whole k are left out.
     """
     rate_hz = stream.tick_rate_hz / k
     if how == "drop":
@@ -88,6 +88,6 @@ def slowed(stream: SpikeStream, k: int, how: Slowing) -> SpikeStream:
 
 
 def slow_instant(plane: int, k: int, how: Slowing) -> tuple[int, float]:
-    """The slow plane that holds `plane`, and the plane of the fast stream in the middle of its light."""
+    """Return the slow plane that holds `plane`, and the middle of its light in planes of the fast stream."""
     index = plane // k
     return index, index * k + ((k - 1) / 2 if how == "reintegrate" else 0)

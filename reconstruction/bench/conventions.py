@@ -1,0 +1,108 @@
+"""Holds the choices that all benches share: recordings, the held-out camera, views, plane rates, and the cache."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durable import write_json
+from acquisition.recording.reader import Recording
+from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION_SEEDS
+from reconstruction.calibration.features import long_image
+from reconstruction.errors import BadRunError
+from reconstruction.evaluation.truth import Truth
+from rigs.rig import Rig
+from rigs.toml import catalog_rig
+
+HOLDOUT = "cam11"
+RATE_HZ = 20000
+SLOWER = (2, 4, 10, 20, 40, 100, 200)  # factors between RATE_HZ and the slower plane rates: 10 kHz down to 100 Hz
+
+
+def _nearest_first(rig: Rig) -> tuple[str, ...]:
+    """Return the ids of all cameras but HOLDOUT, the nearest to it first."""
+    centre = rig.camera(HOLDOUT).center
+    apart = {camera.id: round(float(np.linalg.norm(camera.center - centre)), 6) for camera in rig.cameras}
+    return tuple(sorted((name for name in rig.ids if name != HOLDOUT), key=apart.__getitem__))
+
+
+VIEWS = _nearest_first(catalog_rig("lab3x3"))
+
+
+def seed_of(scene: str, number: int = 0) -> int:
+    """Return a scene's seed by its number; every bench uses number 0."""
+    seeds = (*DEVELOPMENT_SEEDS[1:], DEVELOPMENT_SEEDS[0]) if scene in DEVELOPMENT else EVALUATION_SEEDS
+    return seeds[number]
+
+
+@dataclass(frozen=True)
+class KnownRecording:
+    """A simulated recording in the folder `path`, whose scene and truth are known."""
+
+    scene: str
+    seed: int
+    path: Path
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The recording; opened on first use."""
+        return Recording.open(self.path)
+
+    @cached_property
+    def truth(self) -> Truth:
+        """The truth of the recording; raises BadRunError where it has none."""
+        return truth_of(self.recording)
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The cameras where they truly stand."""
+        found = self.truth.cameras(self.recording.tick_rate_hz)
+        if found is None:
+            raise BadRunError("found no cameras in the truth", "cameras.json", where=self.path)
+        return found.only(self.recording.camera_ids)
+
+    @cached_property
+    def long_images(self) -> dict[str, NDArray[np.float32]]:
+        """The long-window image [H, W] of every camera, in spikes per tick."""
+        return {c: long_image(self.recording.stream(c)) for c in self.recording.camera_ids}
+
+
+def truth_of(recording: Recording) -> Truth:
+    """Open the truth of a recording; raises BadRunError where it has none."""
+    if recording.truth is None:
+        raise BadRunError("found no truth", "a simulated recording to score against", where=recording.path)
+    return Truth.open(recording.truth)
+
+
+def kept(file: Path | None, measure: Callable[[], dict], key: Mapping[str, object] | None = None) -> dict:
+    """Return the result of `measure`, from `file` where an earlier call with an equal `key` left it.
+
+    A new result is written to `file`, unless that is None. Results and keys are plain JSON values.
+    """
+    wanted = dict(key or {})
+    if file and file.exists():
+        found = json.loads(file.read_text())
+        if found.get("key") == wanted:
+            return found["result"]
+    result = measure()
+    if file:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, {"key": wanted, "result": result})
+    return result
+
+
+def means(rows: Sequence[Mapping[str, float]], scores: Iterable[str]) -> dict[str, float]:
+    """Return the mean of each score over the rows that have it as a finite number, without scores that none has."""
+    found = {score: [row[score] for row in rows if score in row and np.isfinite(row[score])] for score in scores}
+    return {score: float(np.mean(values)) for score, values in found.items() if values}
+
+
+def named(prefix: str, scores: Mapping[str, float], suffix: str = "") -> dict[str, float]:
+    """Return `scores` under the names that a summary has for them: `PREFIX.SCORESUFFIX`."""
+    return {f"{prefix}.{score}{suffix}": value for score, value in scores.items()}

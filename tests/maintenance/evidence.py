@@ -1,0 +1,128 @@
+"""Writes EVIDENCE.md, its tables and its figures anew from the committed documents: `make evidence`.
+
+`EVIDENCE.md.in` beside this file is the text; each `{{NAME FIGURE FORMAT}}` in it becomes a figure of
+`tests/benchmarks/NAME.json`: `revision`, `rows`, a name of the summary, or one of `derived`. `FIGURE minus FIGURE`
+stands for a difference. The tables of a document go into
+`NAME.md` beside it. Pictures of runs (sheets, videos) need the runs and are made by the benches themselves.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import click
+from maintenance.evidence_tables import page
+
+from acquisition.durable import write_durably
+from reconstruction.bench.diagrams import plot_images, plot_leave_out, plot_poses, plot_viewpoints
+from reconstruction.bench.paper.diagrams import write_diagrams
+from reconstruction.bench.paper.others import open_others
+from reconstruction.bench.paper.protocol import PROTOCOL
+from reconstruction.bench.paper.summary import name_of, ordinary
+from reconstruction.bench.paper.tables import posed_by_all, write_tables
+from reconstruction.bench.score_run import METRICS
+from reconstruction.bench.training import plot_training
+from reconstruction.errors import BadRunError
+from reconstruction.networks.training.curve import plot_curves as plot_learned
+from reconstruction.networks.training.msdi_curve import plot_curves as plot_msdi
+from reconstruction.stability.plot import plot_stability
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCHMARKS = ROOT / "tests" / "benchmarks"
+NETWORKS = ROOT / "reconstruction" / "networks"
+TEMPLATE = Path(__file__).with_name("EVIDENCE.md.in")
+FIGURE = re.compile(r"\{\{([\w-]+) (\S+)(?: minus (\S+))?(?: (\S+))?\}\}")
+PLOTS: Mapping[str, Callable[[Path, dict], None]] = {
+    "training": plot_training,
+    "images": plot_images,
+    "poses": plot_poses,
+    "viewpoints": plot_viewpoints,
+    "leave-out": plot_leave_out,
+    "stability": plot_stability,
+}
+
+
+def read_documents(folder: Path = BENCHMARKS) -> dict[str, dict]:
+    """Return every document of the folder by its name."""
+    return {file.stem: json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))}
+
+
+def filled(template: str, documents: Mapping[str, dict]) -> str:
+    """Return the text with every figure put in; raises BadRunError for a figure that no document has."""
+
+    known = {name: figures(name, document) for name, document in documents.items()}
+
+    def value(name: str, key: str) -> float | str:
+        if key not in known.get(name, {}):
+            raise BadRunError(f"found the figure {key}", f"one of {name}.json", where=TEMPLATE.name)
+        return known[name][key]
+
+    def figure(found: re.Match[str]) -> str:
+        name, key, less, form = found.groups()
+        shown = value(name, key)
+        if less:
+            shown = float(shown) - float(value(name, less))
+        return format(shown, form or "")
+
+    return FIGURE.sub(figure, template)
+
+
+def figures(name: str, document: dict) -> dict[str, float | str]:
+    """Return every figure of a document by its name: the summary's, what `derived` adds, and the revision."""
+    found = dict(document["summary"]) | {"revision": document["revision"], "rows": len(document["rows"])}
+    return found | derived(document["rows"]) if name == "paper" else found
+
+
+def derived(rows: list[dict]) -> dict[str, float]:
+    """Return figures of the paper bench's rows, beside its summary.
+
+    `CELL.SCORE` is a score of a single run, `poses.held_out` the number of rows whose poses were found with the help of
+    the held-out camera, and `METHOD.least_gaussians` and `.most_gaussians` the range over the runs of a method.
+    """
+    found = {f"{name_of(r)}.{score}": r[score] for r in rows for score in METRICS if score in r}
+    found["poses.held_out"] = len(posed_by_all(PROTOCOL, rows))
+    for method in {r["method"] for r in rows}:
+        counts = [r["gaussians"] for r in ordinary(rows) if r["method"] == method and "gaussians" in r]
+        if counts:
+            found |= {f"{method}.least_gaussians": min(counts), f"{method}.most_gaussians": max(counts)}
+    return found
+
+
+def hours(documents: Mapping[str, dict]) -> float:
+    """Return the hours that the measured runs of all documents took, without scoring and simulation."""
+    return sum(float(row.get("seconds") or 0) for d in documents.values() for row in d["rows"]) / 3600
+
+
+def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
+    """Write the tables of every document as NAME.md."""
+    for name, document in documents.items():
+        if name == "paper":
+            write_tables(folder / "paper.md", document, PROTOCOL, open_others(folder))
+        else:
+            write_durably(folder / f"{name}.md", page(name, document).encode())
+
+
+@click.command()
+@click.option("--folder", type=click.Path(path_type=Path), default=BENCHMARKS, show_default=True)
+@click.option("--text", type=click.Path(path_type=Path), default=ROOT / "EVIDENCE.md", show_default=True)
+def main(folder: Path, text: Path) -> None:
+    """Draw every figure and fill every table anew, and say how long the runs behind them took."""
+    documents = read_documents(folder)
+    for name, plot in PLOTS.items():
+        if name in documents:
+            plot(folder / f"{name}.png", documents[name])
+    if "paper" in documents:
+        write_diagrams(folder, documents["paper"])
+    write_pages(folder, documents)
+    plot_learned([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
+    plot_msdi([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
+    write_durably(text, filled(TEMPLATE.read_text(), documents).encode())
+    whole = hours({name: found for name, found in documents.items() if name != "paper"}) + PROTOCOL.hours
+    click.echo(f"{text} stands on {hours(documents):.1f} hours of measured runs; all of `make bench` is {whole:.0f}")
+
+
+if __name__ == "__main__":
+    main()

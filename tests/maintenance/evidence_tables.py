@@ -1,0 +1,141 @@
+"""Writes the tables of single documents as Markdown pages: what was measured, with which code, on which machine."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+from reconstruction.bench.conventions import means
+from reconstruction.bench.paper.tables import markdown
+
+COMMANDS = {
+    "faults": "make faults",
+    "service_load": "make load",
+    "stability": "spike4dgs stability --full",
+}
+ABOUT = {
+    "faults": "Fifty jobs on a real web process with two workers, each database in turn, while processes are killed, "
+    "and clients cancel, resume and restart. `lost`: accepted and gone; `undone`: never completed; `repeated`: "
+    "finished work done again; `reopened`: a finished stage begun again; `torn`: half-written under a final name.",
+    "images": "The evaluation scenes, centre camera, 400x250, real sensor, three instants each; PSNR and SSIM against "
+    "the exact light. `@light`: factors of the scene's light; `@drop` and `@reintegrate`: planes a second.",
+    "leave-out": "200x125, 12,000 Gaussians, 400 steps. Positive costs are what the plan loses against the other run; "
+    "`saves` is what the other run takes more. `everything on` is an engine that does not look at the scene.",
+    "pixels": "A still picture by a centre camera whose pixels were calibrated from a flat and a dark recording.",
+    "poses": "The rig as drawn is the true one misplaced by about 2 degrees, 2 cm and 2% of the focal length. Errors "
+    "are after similarity alignment; refused runs are not in the means. `nominal`, `views`, `planes` with a number: "
+    "rigs off by so many degrees, so many views, so many planes. `natural.trial` starts from 20 random rigs a scene.",
+    "rasterizer": "Random clouds; intensity, depth and alpha on one thread, a whole step on two. `_of_limit`: time of "
+    "the useful arithmetic alone over the time taken.",
+    "recorder": "A byte source faster than the disk through the real rings and writers, with hashing; the parser on "
+    "one core.",
+    "service_load": "200 clients of one request a second each for a minute, 1,000 jobs queued, clients, service and a "
+    "busy stage on the same two cores.",
+    "stability": "`rows` is the number of backends, methods or models that a case ran on.",
+    "training": "Budgets are wall seconds to the last checkpoint, images and points included, in a process that has "
+    "loaded its libraries; true poses. `model.*` and `supervision.*` change one choice on the development scene.",
+    "viewpoints": "The paper bench's runs of a minute from where no camera stood: along the middle row of the array, "
+    "outwards from a corner camera, towards the scene and away from it. Cameras stand at -0.2, 0 and 0.2 m.",
+}
+NUMBERED = re.compile(r"(?P<row>.+)\.(?P<score>[a-z][a-z_0-9]*)(?P<at>@.+)?")
+SMALL = re.compile(r"(?<![\w-])(spk2imgnet|msdi-image|msdi|4dgs)(?![\w-])")
+LEAST_ROWS = 3  # rows that must have a score for it to be a column
+MOST_PLACES = 6  # values behind an @ that may stand in the rows' names
+VIEWPOINT_SCORES = (("psnr_db", ".1f"), ("dynamic_psnr_db", ".1f"), ("abs_rel", ".4f"), ("empty", ".3f"))
+LEFT_OUT_SCORES = (
+    ("saved_s", ".1f"),
+    ("claimed_s", ".1f"),
+    ("saved_mb", ".0f"),
+    ("claimed_mb", ".1f"),
+    ("cost_db", "+.2f"),
+    ("dynamic_cost_db", "+.2f"),
+)
+
+
+def page(name: str, document: dict) -> str:
+    """Return the page of a document: its head, its own tables, its summary and its omissions."""
+    device = document["device"]
+    head = (
+        f"`{COMMANDS.get(name, f'spike4dgs bench {name}')}`, revision {document['revision']}, {device['processor']}, "
+    )
+    head += f"{device['threads']} threads; drawn from [{name}.json]({name}.json) by `make evidence`."
+    parts = [f"# {name.capitalize().replace('_', ' ')}", head, ABOUT[name]]
+    parts += [TABLES[name](document)] if name in TABLES else _summary(document["summary"])
+    if document["omissions"]:
+        parts += ["## Omissions", "\n".join(f"- {line}" for line in document["omissions"])]
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(summary: Mapping[str, float]) -> list[str]:
+    """Return scores that several rows have as tables of these rows, and the other names line by line.
+
+    Where a score has many values behind an @ (lights, plane rates), these are the columns of a table of their own.
+    """
+    split = {key: match for key in summary if (match := NUMBERED.fullmatch(key))}
+    places = list(dict.fromkeys(match["at"] for match in split.values() if match["at"]))
+    plain, swept = {}, {}
+    for key, match in split.items():
+        label, value = SMALL.sub(r"small \1", match["row"]), f"{summary[key]:.5g}"
+        if match["at"] and len(places) > MOST_PLACES:
+            swept.setdefault(f"{label}, {match['score']}", {})[match["at"]] = value
+        else:
+            plain.setdefault(f"{label} {match['at'] or ''}".strip(), {})[match["score"]] = value
+    counts = [score for found in plain.values() for score in found]
+    scores = [score for score in dict.fromkeys(counts) if counts.count(score) >= LEAST_ROWS]
+    tabled = {label: found for label, found in plain.items() if set(found) & set(scores)}
+    shown = {key for key, match in split.items() if match["score"] in scores}
+    rest = {key: value for key, value in summary.items() if key not in shown}
+    tables = [_grid(tabled, scores), _grid(swept, places)]
+    lines = [[key, f"{value:.5g}"] for key, value in rest.items()]
+    return [t for t in (*tables, markdown(("figure", "value"), lines) if lines else "") if t]
+
+
+def _grid(rows: Mapping[str, Mapping[str, str]], columns: Sequence[str]) -> str:
+    """Return a table of the rows that have one of the columns; empty where there is none."""
+    lines = [[label, *(found.get(column, "") for column in columns)] for label, found in rows.items()]
+    return markdown(("", *columns), lines) if lines else ""
+
+
+def _viewpoints(document: dict) -> str:
+    """Return means over the scenes at each place, and the worst of them."""
+    rows, lines = document["rows"], []
+    for line, along_m in dict.fromkeys((r["line"], r["along_m"]) for r in rows):
+        own = [r for r in rows if (r["line"], r["along_m"]) == (line, along_m)]
+        level, *figures = [_mean(own, score, form) for score, form in VIEWPOINT_SCORES]
+        worst = f"{min(r['psnr_db'] for r in own):.1f}"
+        lines.append([line, f"{along_m:+.2f}", f"{own[0]['distance_m']:.2f}", level, worst, *figures])
+    columns = ("line", "along / m", "nearest camera / m", "PSNR / dB", "worst / dB", "movers / dB", "Abs Rel", "empty")
+    return markdown(columns, lines)
+
+
+def _mean(rows: Sequence[dict], score: str, form: str) -> str:
+    found = means(rows, (score,))
+    return format(found[score], form) if found else ""
+
+
+def _cases(document: dict) -> str:
+    """Return each case with its number of backends, its worst errors, and the backends that failed."""
+    rows, lines = document["rows"], []
+    for case in dict.fromkeys(row["case"] for row in rows):
+        own = [row for row in rows if row["case"] == case]
+        worst = [max((r[k] for r in own if r.get(k) is not None), default=None) for k in ("error", "gradient")]
+        errors = ["-" if w is None else f"{w:.1e}" for w in worst]
+        failed = ", ".join(r["backend"] for r in own if r["verdict"] == "fail")
+        lines.append([case, own[0]["expected"], str(len(own)), *errors, f"fail: {failed}" if failed else "pass"])
+    return markdown(("case", "expected", "rows", "worst error", "worst gradient", "verdict"), lines)
+
+
+def _left_out(document: dict) -> str:
+    """Return each case, and each decision of it, at equal steps: what the plan saves and what it costs."""
+    summary, lines = document["summary"], []
+    for key in (key.removesuffix(".saved_s") for key in summary if key.endswith(".saved_s")):
+        case, _, decision = key.partition(".")
+        values = [(summary.get(f"{key}.{name}"), form) for name, form in LEFT_OUT_SCORES]
+        lines.append([case, decision or "everything on", *("" if v is None else format(v, form) for v, form in values)])
+    columns = ("case", "against", "saves / s", "claims / s", "saves / MB", "claims / MB", "costs / dB", "movers / dB")
+    missed = [[key, f"{value:.5g}"] for key, value in summary.items() if key.startswith("missed-mover")]
+    about = "A plan that is wrong: `faint` has a mover that the plan takes for still, and the watch undoes it."
+    return "\n\n".join([markdown(columns, lines), about, markdown(("figure", "value"), missed)])
+
+
+TABLES: Mapping[str, Callable[[dict], str]] = {"viewpoints": _viewpoints, "stability": _cases, "leave-out": _left_out}
