@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from acquisition.recording.reader import Recording
+from reconstruction.report.display import grey
 from rigs.toml import GRID_ID
 
 WINDOW_PLANES = 200  # 10 ms at 20 kHz: enough spikes to see by, and little blur
 _CELL = 400  # pixels a side, at most
 _GAP = 4
-_GAMMA = 2.2
 _WHITE_PERCENTILE = 99.5
 _LEAST_WHITE = 1e-3  # spikes per tick; what is darker than that stays dark
 
@@ -84,7 +84,7 @@ def _white(mean: NDArray[np.float32]) -> float:
 
 
 def _shown(mean: NDArray[np.float32], white: float) -> Image.Image:
-    return Image.fromarray((np.clip(mean / white, 0, 1) ** (1 / _GAMMA) * 255).round().astype(np.uint8))
+    return Image.fromarray(grey(mean, white))
 
 
 def _png(image: Image.Image) -> bytes:

@@ -15,7 +15,8 @@ from reconstruction.bench.conventions import HOLDOUT, KnownRecording
 from reconstruction.bench.streams import TrueImage
 from reconstruction.bench.viewpoints import frames_at, viewpoints
 from reconstruction.images.catalogue import methods
-from reconstruction.report.pictures import depth_colours, depth_span_m, grey, write_png
+from reconstruction.report.display import depth_span_m, grey
+from reconstruction.report.pictures import depth_colours, write_png
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
 from rigs.errors import Spike4dgsError

@@ -15,7 +15,7 @@ from reconstruction.metrics.image import psnr_db, ssim
 from reconstruction.metrics.lpips import Lpips
 from reconstruction.metrics.natural import Niqe, brisque
 from reconstruction.metrics.sharpness import edge_sharpness
-from reconstruction.report.pictures import grey
+from reconstruction.report.display import grey
 
 Image = NDArray[np.float32]
 MODEL, SPANS, PRISTINE = "brisque_model_live.yml", "brisque_range_live.yml", "niqe_pris_params.npz"

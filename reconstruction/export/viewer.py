@@ -17,13 +17,13 @@ import torch
 from torch import Tensor
 
 from acquisition.durable import write_durably, write_json
-from acquisition.progress import Progress
-from reconstruction.export.scene import Choices, Floats, Scene, linear_scales
+from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.splats import Floats, floats, linear_scales
 from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.rendering.reference import ALPHA_MIN, unit_quats
-from reconstruction.report.pictures import depth_span_m
+from reconstruction.report.display import depth_span_m
 from rigs.camera import Camera
 
 VERSION = 1
@@ -31,14 +31,6 @@ KEYFRAMES = 24
 EMPTY_M = 1.5  # where to look when nothing is seen
 
 Arrays = dict[str, Floats]
-
-
-def export_viewer(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """Both files in a folder of their own."""
-    folder.mkdir()
-    write_viewer(folder, scene)
-    progress(1.0, f"{len(scene.cloud)} Gaussians")
-    return {}
 
 
 def write_viewer(folder: Path, scene: Scene) -> None:
@@ -86,11 +78,11 @@ def _still(cloud: DynamicCloud) -> Arrays:
 def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor) -> Arrays:
     """The arrays that still and moving Gaussians share."""
     return {
-        "means": _floats(means),
-        "quats_wxyz": _floats(unit_quats(quats)),
+        "means": floats(means),
+        "quats_wxyz": floats(unit_quats(quats)),
         "scales": linear_scales(log_scales),
-        "opacities": _floats(opacities),
-        "intensities": _floats(intensities[:, 0]),
+        "opacities": floats(opacities),
+        "intensities": floats(intensities[:, 0]),
     }
 
 
@@ -104,10 +96,10 @@ def _polynomial(cloud: DynamicCloud, motion: PolynomialMotion) -> Arrays:
     away = (motion.instants - motion.instants.clamp(0, 1)) / durations  # from the clip, where an instant is beyond it
     kept = opacities * torch.exp(-away.square() / 2) >= ALPHA_MIN
     arrays = _base(moving.means, moving.quats_wxyz, moving.log_scales, opacities, moving.intensities)
-    arrays |= {"velocities": _floats(motion.velocities)}
+    arrays |= {"velocities": floats(motion.velocities)}
     if len(motion.accelerations):
-        arrays |= {"accelerations": _floats(motion.accelerations), "jerks": _floats(motion.jerks)}
-    arrays |= {"instants": _floats(motion.instants), "durations": _floats(durations)}
+        arrays |= {"accelerations": floats(motion.accelerations), "jerks": floats(motion.jerks)}
+    arrays |= {"instants": floats(motion.instants), "durations": floats(durations)}
     return {name: array[kept.numpy()] for name, array in arrays.items()}
 
 
@@ -122,9 +114,9 @@ def _keyframes(cloud: DynamicCloud) -> Arrays:
     middle = keys[KEYFRAMES // 2]
     arrays = _base(middle.means, middle.quats_wxyz, middle.log_scales, most, middle.intensities)
     tracks = {
-        "key_means": _floats(torch.stack([key.means for key in keys])),
-        "key_quats": _one_hemisphere(_floats(torch.stack([unit_quats(key.quats_wxyz) for key in keys]))),
-        "key_opacities": _floats(opacities),
+        "key_means": floats(torch.stack([key.means for key in keys])),
+        "key_quats": _one_hemisphere(floats(torch.stack([unit_quats(key.quats_wxyz) for key in keys]))),
+        "key_opacities": floats(opacities),
     }
     if any(not torch.equal(key.log_scales, middle.log_scales) for key in keys):
         tracks["key_scales"] = np.stack([linear_scales(key.log_scales) for key in keys])
@@ -161,7 +153,7 @@ def _camera_table(camera: Camera, holdout: str | None) -> dict:
 def _seen(scene: Scene) -> dict:
     """The middle of what the default camera sees half-way through the clip, and the span of its depth."""
     camera = scene.camera(Choices())
-    depth = scene.cloud.look(camera, scene.middle_s).depth
+    depth = scene.cloud.look(camera, scene.cloud.clip.middle_s).depth
     rows, columns = np.nonzero(np.isfinite(depth))
     z = depth[rows, columns].astype(np.float64)
     if z.size:
@@ -171,7 +163,3 @@ def _seen(scene: Scene) -> dict:
         middle = np.array([0, 0, EMPTY_M])
     centre = camera.cam_from_rig.inverse().apply(middle)
     return {"centre": centre.tolist(), "depth_m": list(depth_span_m(depth))}
-
-
-def _floats(tensor: Tensor) -> Floats:
-    return tensor.detach().numpy().astype(np.float32)

@@ -20,9 +20,10 @@ from reconstruction.pipeline.export import scene_of
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.report.curve import draw_curve
+from reconstruction.report.display import depth_span_m, grey
 from reconstruction.report.html import embed, report_html
 from reconstruction.report.orbit import write_orbit
-from reconstruction.report.pictures import depth_colours, depth_span_m, difference, encode_png, grey, write_png
+from reconstruction.report.pictures import depth_colours, difference, encode_png, write_png
 from reconstruction.report.table import score_table
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.progress import Progress
-from reconstruction.report.pictures import Pixels, depth_colours, depth_span_m, grey
+from reconstruction.report.display import Pixels, depth_span_m, grey
+from reconstruction.report.pictures import depth_colours
 from reconstruction.report.video import write_video
 from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera

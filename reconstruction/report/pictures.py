@@ -1,4 +1,4 @@
-"""Linear light and metres to pixels a person looks at."""
+"""Light and metres in false colour, and pictures as PNG."""
 
 from pathlib import Path
 
@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 
 from acquisition.durable import write_durably
 from reconstruction.errors import ReconstructionError
-
-Pixels = NDArray[np.uint8]
-GAMMA = 1 / 2.2
-
-
-def grey(image: NDArray[np.float32], white: float) -> Pixels:
-    """Linear intensity [H, W] to 8-bit grey [H, W]: divided by `white`, gamma 2.2, clipped."""
-    return np.round(np.clip(image / max(white, 1e-9), 0, 1) ** GAMMA * 255).astype(np.uint8)
+from reconstruction.report.display import Pixels
 
 
 def difference(image: NDArray[np.float32], truth: NDArray[np.float32], white: float) -> Pixels:
@@ -32,15 +25,6 @@ def depth_colours(depth: NDArray[np.float32], near_m: float, far_m: float) -> Pi
     colours = np.asarray(cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_TURBO), np.uint8)
     colours[~known] = 0
     return colours
-
-
-def depth_span_m(depth: NDArray[np.float32]) -> tuple[float, float]:
-    """The 1st and 99th percentile of the known depths, for colouring; 1 and 2 m where nothing is known."""
-    known = depth[np.isfinite(depth)]
-    if known.size == 0:
-        return 1.0, 2.0
-    near, far = np.percentile(known, [1, 99])
-    return float(near), float(max(far, near * 1.01))
 
 
 def encode_png(pixels: Pixels) -> bytes:

@@ -7,7 +7,7 @@ import av
 import numpy as np
 
 from acquisition.durable import made_aside
-from reconstruction.report.pictures import Pixels
+from reconstruction.report.display import Pixels
 
 RATE_HZ = 24
 VIDEO = {"preset": "veryfast", "crf": "18", "movflags": "+faststart"}  # half of the default preset's time, as good

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from reconstruction.export.formats import FORMATS, check_target, checked_format, export_scene
+from reconstruction.export.catalogue import FORMATS, check_target, checked_format, export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.pipeline.export import trained_scene
 from reconstruction.run.folder import RunFolder

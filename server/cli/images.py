@@ -13,7 +13,8 @@ from acquisition.spikes.stream import SpikeStream
 from acquisition.spikes.suspicion import suspected_bit_order
 from reconstruction.images.catalogue import ImageMethod, method, names
 from reconstruction.images.pixels import PixelCalibration, read_pixels
-from reconstruction.report.pictures import grey, write_png
+from reconstruction.report.display import grey
+from reconstruction.report.pictures import write_png
 from server.cli.options import PATH, PLANES, SIZE
 from server.cli.progress import progress_of
 

@@ -90,7 +90,8 @@ def reconstruct_command(
 @click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
 def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     """Render RUN from any cameras at any time, with depth."""
-    from reconstruction.report.pictures import grey, write_png
+    from reconstruction.report.display import grey
+    from reconstruction.report.pictures import write_png
     from reconstruction.training.checkpoint import load_cloud
 
     run = RunFolder.open(run_folder)

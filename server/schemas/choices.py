@@ -9,20 +9,9 @@ from typing import Annotated
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from reconstruction.export.catalogue import FORMATS
 from reconstruction.run.configuration import CHOICES, STAGES
 
-# File or folder, in the job's own folder, of what an export job writes. `viewer` is part of every report.
-EXPORTS = {
-    "ply": "scene.ply",
-    "ply-sequence": "ply",
-    "splat": "scene.splat",
-    "spz": "scene.spz",
-    "glb": "scene.glb",
-    "video": "scene.mp4",
-    "depth": "depth",
-    "colmap": "colmap",
-    "nerfstudio": "nerfstudio",
-}
 # These read files of the user or are for benchmarks alone.
 _COMMAND_LINE_ONLY = ("dust3r", "interpolated", "clean", "blurred")
 
@@ -49,4 +38,4 @@ Init = Annotated[str, OneOf(_names("init"))]
 Supervision = Annotated[str, OneOf(_names("supervision"))]
 Refine = Annotated[str, OneOf(_names("refine"))]
 Stage = Annotated[str, OneOf(STAGES)]
-ExportFormat = Annotated[str, OneOf(tuple(EXPORTS))]
+ExportFormat = Annotated[str, OneOf([name for name, form in FORMATS.items() if form.served])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from reconstruction.export.catalogue import FORMATS
 from server.settings import RigSource
 
 
@@ -62,22 +63,9 @@ def task_arguments(
             return ["render", str(run), "--cameras", str(cameras), "--out", str(out)]
         case "export":
             options = {"at": request["at_s"], "frames": request["frames"], "camera": request["camera"]}
-            name = EXPORT_NAMES[request["format"]]
+            name = FORMATS[request["format"]].file
             return ["export", str(run), "--format", request["format"], *_flags(options), "--out", str(out / name)]
     raise ValueError(request["type"])
-
-
-EXPORT_NAMES = {
-    "ply": "scene.ply",
-    "ply-sequence": "ply",
-    "splat": "scene.splat",
-    "spz": "scene.spz",
-    "glb": "scene.glb",
-    "video": "scene.mp4",
-    "depth": "depth",
-    "colmap": "colmap",
-    "nerfstudio": "nerfstudio",
-}
 
 
 def import_arguments(request: dict[str, Any], dats: list[Path], cameras: Path, recording: Path) -> list[str]:

@@ -11,7 +11,7 @@ import pytest
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.session.record import simulate
-from reconstruction.export.formats import FORMATS
+from reconstruction.export.catalogue import FORMATS
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.exchange.nerfstudio import load_frames

@@ -13,7 +13,7 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
-from reconstruction.export.formats import export_scene
+from reconstruction.export.catalogue import export_scene
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.export import trained_scene
 from reconstruction.pipeline.run import reconstruct

@@ -19,7 +19,8 @@ from fastapi.responses import FileResponse
 from numpy.typing import NDArray
 
 from reconstruction.rendering.render import render
-from reconstruction.report.pictures import depth_colours, grey
+from reconstruction.report.display import grey
+from reconstruction.report.pictures import depth_colours
 from rigs.camera import Camera
 from rigs.transform import Transform
 from server.errors import NotFoundError

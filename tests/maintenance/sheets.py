@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, SCENES, build_scene
 from acquisition.scenes.scene import Scene
-from reconstruction.report.pictures import depth_colours, grey, write_png
+from reconstruction.report.display import grey
+from reconstruction.report.pictures import depth_colours, write_png
 from rigs.toml import catalog_rig
 
 INSTANTS_S = (0.000025, 0.012525, 0.019975)  # of a clip of 400 planes; the light of `flicker` differs in them

@@ -10,9 +10,11 @@ import numpy as np
 import pycolmap
 import pytest
 
-from reconstruction.export.formats import export_scene
-from reconstruction.export.scene import Choices, splats_at
-from reconstruction.report.pictures import depth_colours, grey
+from reconstruction.export.catalogue import export_scene
+from reconstruction.export.scene import Choices
+from reconstruction.export.splats import splats_at
+from reconstruction.report.display import grey
+from reconstruction.report.pictures import depth_colours
 from rigs.exchange.colmap import load_model
 from rigs.exchange.nerfstudio import load_frames
 
@@ -49,7 +51,7 @@ def test_the_colmap_model_has_the_rigs_cameras_without_a_lens_where_there_is_non
         assert np.allclose(own.K, camera.K)
         assert np.allclose(own.cam_from_rig.matrix, camera.cam_from_rig.matrix, atol=1e-12)
     model = pycolmap.Reconstruction(str(tmp_path / "model" / "sparse" / "0"))
-    assert len(model.points3D) == len(splats_at(scene, scene.middle_s))
+    assert len(model.points3D) == len(splats_at(scene, scene.cloud.clip.middle_s))
 
 
 def with_targets(scene):

@@ -1,6 +1,8 @@
 """Where an export may go, what it refuses, and that nothing half-written ever has a final name."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -10,8 +12,8 @@ import pytest
 from acquisition.durable import made_aside
 from acquisition.errors import DiskError
 from reconstruction.errors import BadRunError
-from reconstruction.export import formats
-from reconstruction.export.formats import FORMATS, export_scene
+from reconstruction.export import catalogue
+from reconstruction.export.catalogue import FORMATS, export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.pipeline.export import trained_scene
 from reconstruction.run.configuration import ReconstructionConfig
@@ -82,7 +84,7 @@ def test_files_and_folders_do_not_take_each_others_place(one_scene, tmp_path):
 @pytest.mark.parametrize(
     ("name", "choices", "message"),
     [
-        ("obj", Choices(), r"'obj', expected one of ply, ply-sequence, splat"),
+        ("obj", Choices(), r"'obj', expected one of colmap, depth, glb, nerfstudio, ply"),
         ("ply", Choices(at_s=0.5), r"0\.5 s, expected one within the clip, 0\.002 to 0\.012 s"),
         ("ply", Choices(at_s=float("nan")), "expected one within the clip"),
         ("ply", Choices(frames=3), "--frames for ply, which takes --at"),
@@ -115,7 +117,7 @@ def test_a_writer_that_fails_leaves_what_was_there(folder, one_scene, tmp_path, 
         (path / "half" if folder else path).write_text("half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(formats, "FORMATS", MappingProxyType({name: replace(FORMATS[name], write=breaks)}))
+    monkeypatch.setattr(catalogue, "FORMATS", MappingProxyType({name: replace(FORMATS[name], write=breaks)}))
     with pytest.raises(DiskError, match="No space left"):
         export_scene(one_scene, name, tmp_path / "out", overwrite=True)
     assert (names(tmp_path / "out") if folder else (tmp_path / "out").read_bytes()) == before
@@ -139,3 +141,18 @@ def test_an_untrained_run_is_refused(tmp_path):
     run = RunFolder.start(tmp_path / "run", ReconstructionConfig(steps=5, budget_s=None), tmp_path / "rec", {})
     with pytest.raises(BadRunError, match="found no finished train stage"):
         trained_scene(run)
+
+
+def test_listing_the_formats_needs_neither_torch_nor_opencv():
+    code = """
+import sys
+from reconstruction.export.catalogue import FORMATS
+print(*FORMATS, *(module for module in ("torch", "cv2", "av") if module in sys.modules))
+"""
+    listed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert listed == [*FORMATS]
+
+
+def test_the_readme_names_every_format():
+    readme = Path(catalogue.__file__).parents[1].joinpath("README.md").read_text()
+    assert [name for name in FORMATS if f"`{name}`" not in readme] == []

@@ -10,8 +10,9 @@ import pytest
 import torch
 import trimesh
 
-from reconstruction.export.formats import export_scene
-from reconstruction.export.scene import Choices, splats_at
+from reconstruction.export.catalogue import export_scene
+from reconstruction.export.scene import Choices
+from reconstruction.export.splats import splats_at
 from reconstruction.rendering.render import render
 from rigs.transform import Transform
 

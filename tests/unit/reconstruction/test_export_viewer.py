@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from reconstruction.export.formats import export_scene
+from reconstruction.export.catalogue import export_scene
 from reconstruction.export.viewer import KEYFRAMES, viewer_of
 from reconstruction.rendering.render import render
 from rigs.camera import Camera

@@ -1,7 +1,7 @@
 """A COLMAP text model with pictures: `images/camRC.png` and `sparse/0/{cameras,images,points3D}.txt`.
 
-Every camera of the rig, the held-out one too, with what the run shows from there at one instant (rendered). The world
-is the rig frame. Points are the Gaussians' means with their display grey; none has a track.
+Every camera of the rig is there, the held-out one too, with the picture that the run renders from it at one instant.
+The world is the rig frame. Points are the Gaussians' means with their display grey; none has a track.
 Source: COLMAP documentation, "Output format".
 """
 
@@ -9,23 +9,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
-from reconstruction.export.scene import Choices, Scene, splats_at
-from reconstruction.report.pictures import grey, write_png
+from reconstruction.export.format import Format
+from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.splats import splats_at, to_bytes
+from reconstruction.report.display import grey
 from rigs.exchange.colmap import dump_model, dump_points
 
 
 def write_colmap(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """The rig's cameras, their pictures at one instant, and the Gaussians there as points."""
+    """Write the rig's cameras, their pictures at one instant, and the Gaussians there as points."""
+    from reconstruction.report.pictures import write_png
+
     instant_s = scene.instant_s(choices)
     model, pictures = folder / "sparse" / "0", folder / "images"
     model.mkdir(parents=True)
     pictures.mkdir()
     splats = splats_at(scene, instant_s)
-    greys = np.round(np.clip(splats.display(), 0, 1) * 255).astype(np.uint8)
+    greys = to_bytes(255 * splats.display())
     files = dump_model(scene.rig.cameras) | {"points3D.txt": dump_points(splats.means, greys)}
     for name, text in files.items():
         write_durably(model / name, text)
@@ -33,3 +35,13 @@ def write_colmap(folder: Path, scene: Scene, choices: Choices, progress: Progres
         write_png(pictures / f"{camera.id}.png", grey(scene.cloud.look(camera, instant_s).intensity, scene.white))
         progress((i + 1) / len(scene.rig.cameras), camera.id)
     return {"instant_s": instant_s}
+
+
+COLMAP = Format(
+    "colmap",
+    "text model, a rendered picture a camera, the Gaussians as points",
+    "colmap",
+    write_colmap,
+    ("at_s",),
+    folder=True,
+)

@@ -1,83 +1,31 @@
-"""Every format by name, and how a file or folder of one comes to be: aside, then renamed, never half-written."""
+"""Every export format by its name, and the writing of one: aside, then renamed, so that nothing is half-written.
+
+A new format is one file of `reconstruction.export.formats` and a line in the README; every list follows. Listing
+imports neither torch nor OpenCV.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from types import MappingProxyType
 
 from acquisition.durable import made_aside, write_json
+from acquisition.members import members
 from acquisition.progress import Progress, silent
 from reconstruction.errors import BadRunError
-from reconstruction.export.colmap import write_colmap
-from reconstruction.export.depth import write_depth
-from reconstruction.export.glb import glb_bytes
-from reconstruction.export.nerfstudio import write_nerfstudio
-from reconstruction.export.ply import ply_bytes, write_ply_sequence
-from reconstruction.export.scene import Choices, Scene, Splats, splats_at
-from reconstruction.export.splat import splat_bytes
-from reconstruction.export.spz import spz_bytes
-from reconstruction.export.video import write_video
-from reconstruction.export.viewer import export_viewer
+from reconstruction.export.format import Format
+from reconstruction.export.scene import Choices, Scene
 
 MANIFEST = "manifest.json"
 VERSION = 1
-Writer = Callable[[Path, Scene, Choices, Progress], dict]
-
-
-@dataclass(frozen=True)
-class Format:
-    """`write` makes what does not exist yet, a file or a folder, and returns what a folder's manifest adds.
-
-    `takes`: the fields of `Choices` that mean something to it.
-    """
-
-    write: Writer
-    folder: bool
-    takes: frozenset[str]
-
-
-def _splats(encode: Callable[[Splats], bytes]) -> Format:
-    """A file of the Gaussians at one instant."""
-
-    def write(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-        splats = splats_at(scene, scene.instant_s(choices))
-        path.write_bytes(encode(splats))
-        progress(1.0, f"{len(splats)} Gaussians")
-        return {}
-
-    return Format(write, folder=False, takes=frozenset({"at_s"}))
-
-
-def _file(write: Writer, *takes: str) -> Format:
-    return Format(write, folder=False, takes=frozenset(takes))
-
-
-def _folder(write: Writer, *takes: str) -> Format:
-    return Format(write, folder=True, takes=frozenset(takes))
-
-
-FORMATS: Mapping[str, Format] = MappingProxyType(
-    {
-        "ply": _splats(ply_bytes),
-        "ply-sequence": _folder(write_ply_sequence, "frames"),
-        "splat": _splats(splat_bytes),
-        "spz": _splats(spz_bytes),
-        "glb": _splats(glb_bytes),
-        "video": _file(write_video, "frames", "camera"),
-        "depth": _folder(write_depth, "frames", "camera"),
-        "colmap": _folder(write_colmap, "at_s"),
-        "nerfstudio": _folder(write_nerfstudio, "at_s", "frames"),
-        "viewer": _folder(export_viewer),
-    }
-)
+FORMATS: Mapping[str, Format] = members("reconstruction.export.formats", Format)
 OPTIONS = {"at_s": "--at", "frames": "--frames", "camera": "--camera"}
 
 
 def checked_format(name: str, choices: Choices) -> Format:
-    """The format called `name`; raises BadRunError for an unknown one, or for choices it has no use for."""
+    """Return the format called `name`; raises BadRunError for an unknown one, or for choices that it does not take."""
     if name not in FORMATS:
         raise BadRunError(f"found the format {name!r}", f"one of {', '.join(FORMATS)}")
     if choices.frames is not None and choices.frames < 1:
@@ -91,9 +39,9 @@ def checked_format(name: str, choices: Choices) -> Format:
 
 
 def check_target(path: Path, *, folder: bool, overwrite: bool) -> None:
-    """Raises BadRunError where `path` holds something that may not be replaced.
+    """Raise BadRunError where `path` holds something that may not be replaced.
 
-    Nothing is replaced unasked; a folder never, unless an export made it, as its manifest says.
+    Nothing is replaced without `overwrite`, and of folders only those that an export made, as their manifest says.
     """
     if path.is_dir() and not folder:
         raise BadRunError("found a folder", "the name of a file", "change --out", where=path)
@@ -134,7 +82,7 @@ def export_scene(
 
 
 def _made_by(folder: Path) -> str:
-    """The format whose export made `folder`; empty where none did."""
+    """Return the format whose export made `folder`, or an empty string where none did."""
     try:
         return str(json.loads((folder / MANIFEST).read_text())["format"])
     except (OSError, ValueError, KeyError, TypeError):

@@ -1,7 +1,7 @@
 """nerfstudio's `transforms.json` with `images/camRC_NNNNNN.png` and `points.ply`: the run's data for another trainer.
 
-A frame for each training camera and each of some even planes: the run's target image there (what it learnt from, not
-what it shows), gamma 2.2 over white. The held-out camera is left out. `time` is in seconds on the rig clock.
+There is a frame for each training camera at each of some even planes: the image the run learnt from, not the one it
+renders, with gamma 2.2 over white. The held-out camera is left out. `time` is in seconds on the rig clock.
 `points.ply` is `ply` at the instant chosen. Source: nerfstudio documentation, "Data conventions".
 """
 
@@ -11,16 +11,20 @@ from pathlib import Path
 
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
-from reconstruction.export.ply import ply_bytes
-from reconstruction.export.scene import Choices, Scene, splats_at
-from reconstruction.report.pictures import grey, write_png
+from reconstruction.export.format import Format
+from reconstruction.export.formats.ply import ply_bytes
+from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.splats import splats_at
+from reconstruction.report.display import grey
 from rigs.exchange.nerfstudio import Frame, dump_frames
 
 POINTS = "points.ply"
 
 
 def write_nerfstudio(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """Target images of the training cameras at even planes, with cameras, times and points."""
+    """Write the target images of the training cameras at even planes, with cameras, times and points."""
+    from reconstruction.report.pictures import write_png
+
     clock = scene.rig.clock
     planes = sorted({clock.plane(instant_s) for instant_s in scene.instants_s(choices)})
     (folder / "images").mkdir(parents=True)
@@ -36,3 +40,13 @@ def write_nerfstudio(folder: Path, scene: Scene, choices: Choices, progress: Pro
     write_durably(folder / POINTS, ply_bytes(splats_at(scene, scene.instant_s(choices))))
     write_durably(folder / "transforms.json", dump_frames(frames, pictures, POINTS))
     return {"planes": planes}
+
+
+NERFSTUDIO = Format(
+    "nerfstudio",
+    "`transforms.json` with times, the target images of the training cameras, `points.ply`",
+    "nerfstudio",
+    write_nerfstudio,
+    ("at_s", "frames"),
+    folder=True,
+)

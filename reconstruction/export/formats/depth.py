@@ -1,0 +1,36 @@
+"""Depth maps: `NNNNNN.npy` (float32 [H, W], m along z, NaN where nothing is), and `NNNNNN.png` in colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from acquisition.durable import write_array
+from acquisition.progress import Progress
+from reconstruction.export.format import Format
+from reconstruction.export.scene import Choices, Scene
+from reconstruction.report.display import depth_span_m
+
+
+def write_depth(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
+    """Write the depths that the camera chosen sees at even instants; pictures share the scale of the clip's middle."""
+    from reconstruction.report.pictures import depth_colours, write_png
+
+    folder.mkdir()
+    camera, frames = scene.camera(choices), []
+    near, far = depth_span_m(scene.cloud.look(camera, scene.cloud.clip.middle_s).depth)
+    for number, instant_s in scene.frames(choices, progress):
+        depth = scene.cloud.look(camera, instant_s).depth
+        write_array(folder / f"{number}.npy", depth)
+        write_png(folder / f"{number}.png", depth_colours(depth, near, far))
+        frames.append({"file": f"{number}.npy", "instant_s": instant_s})
+    return {"camera": camera.id, "colours_m": [near, far], "frames": frames}
+
+
+DEPTH = Format(
+    "depth",
+    "depth maps in m (NaN where nothing is) and in colours",
+    "depth",
+    write_depth,
+    ("frames", "camera"),
+    folder=True,
+)

@@ -1,0 +1,30 @@
+"""The two files that the viewer's page plays; `reconstruction.export.viewer` says what is in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from acquisition.progress import Progress
+from reconstruction.export.format import Format
+from reconstruction.export.scene import Choices, Scene
+
+
+def export_viewer(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
+    """Write `viewer.json` and `viewer.bin` into a folder of their own."""
+    from reconstruction.export.viewer import write_viewer
+
+    folder.mkdir()
+    write_viewer(folder, scene)
+    progress(1.0, f"{len(scene.cloud)} Gaussians")
+    return {}
+
+
+VIEWER = Format(
+    "viewer",
+    "`viewer.json`, `viewer.bin`: what a browser plays in 4D; the report stage writes them too",
+    "viewer",
+    export_viewer,
+    (),
+    folder=True,
+    served=False,
+)
