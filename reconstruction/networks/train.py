@@ -1,12 +1,15 @@
-"""`python -m reconstruction.networks.train`: clips of random scenes, and networks trained on them.
+"""`python -m reconstruction.networks.train`: random scenes to train on, and the networks that learn from them.
 
 Everything is resumed by giving the same command again; a killed training loses what came after its last score.
-`clips` takes 1 s a clip. `network small` takes 1 to 2 hours on two cores, `network published --device cuda --batch 16`
-wants a GPU. `own REC` trains the blind-spot network on a recording of one's own, whose true light nobody knows.
+`clips` takes 1 s a clip, `view-clips` 2 s. `network small` takes 1 to 2 hours on two cores; `network published --device
+cuda --batch 16` wants a GPU. `own REC` trains the blind-spot network on a recording of one's own, whose true light
+nobody knows. `msdi` takes 1 s a step on one core; on several GPUs: `torchrun --nproc-per-node N -m ... msdi`.
 """
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import torch
@@ -15,51 +18,79 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.networks.image_inference import infer
 from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, loss
+from reconstruction.networks.training import msdi_validation, processes
+from reconstruction.networks.training.clips import CameraClips, MultiviewClips, write_clips
 from reconstruction.networks.training.curve import plot_curves
-from reconstruction.networks.training.image_batches import Batches, ClipPictures, StreamPictures
-from reconstruction.networks.training.image_clips import ClipSet, write_clips
+from reconstruction.networks.training.image_training import (
+    Batches,
+    ClipPictures,
+    ImageTraining,
+    ImageTrainingConfig,
+    StreamPictures,
+)
 from reconstruction.networks.training.image_validation import scores, validation_clips, validation_set
-from reconstruction.networks.training.loop import Training, TrainingConfig
+from reconstruction.networks.training.msdi_training import TIERS, MsdiConfig, MsdiTraining
 from rigs.errors import Spike4dgsError
 
 FOLDER = click.Path(path_type=Path)
 OUT = click.option("--out", type=FOLDER, required=True, help="Where what is made goes; a folder's work is resumed.")
+CLIPS = click.option("--clips", "folder", type=FOLDER, required=True, help="Folder of clips.")
+CROP = click.option("--crop", type=int, default=64, show_default=True, help="Pixels a side of a crop.")
+SEED = click.option("--seed", type=int, default=0, show_default=True, help="Of the first weights and the batches.")
+FIRST_SEED = click.option("--first-seed", type=int, default=0, show_default=True, help="Seed of the first clip.")
+THREADS = click.option("--threads", type=int, default=0, help="Processor threads [default: as many as torch takes].")
+DEVICE = click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
 SELF_TAUGHT = "blindspot"
+
+
+def _steps(steps: int, score_every: int) -> Callable[[Any], Any]:
+    """Return the options of a training's length, with these defaults."""
+    length = click.option("--steps", type=int, default=steps, show_default=True, help="Steps altogether.")
+    scored = click.option("--score-every", default=score_every, show_default=True, help="Steps between scores.")
+    return lambda command: length(scored(command))
 
 
 @click.group()
 def main() -> None:
-    """Make training clips, and train the networks that turn spikes into images."""
+    """Make training clips, train the networks, and draw how they learnt."""
 
 
 @main.command("clips")
 @OUT
 @click.option("--count", type=int, default=700, show_default=True, help="Clips; 0.3 MB each.")
-@click.option("--first-seed", type=int, default=0, show_default=True, help="Seed of the first clip.")
+@FIRST_SEED
 @click.option("--size", type=int, default=96, show_default=True, help="Pixels a side.")
 def clips_command(out: Path, count: int, first_seed: int, size: int) -> None:
-    """Render clips of random scenes and expose them."""
-    write_clips(out, ClipSet(first_seed, count, size), _report("clips"))
+    """Render clips of random scenes seen by one camera, and expose them."""
+    write_clips(out, CameraClips(first_seed, count, size), _report("clips"))
+
+
+@main.command("view-clips")
+@OUT
+@click.option("--count", type=int, default=480, show_default=True, help="Clips; 2 MB each.")
+@FIRST_SEED
+@click.option("--views", type=int, default=4, show_default=True, help="Cameras a clip.")
+def view_clips_command(out: Path, count: int, first_seed: int, views: int) -> None:
+    """Render clips of random scenes seen by random rigs, and expose them."""
+    write_clips(out, MultiviewClips(first_seed, count, views), _report("clips"))
 
 
 @main.command("network")
 @click.argument("name", type=click.Choice(list(IMAGE_NETWORKS)))
-@click.option("--clips", "folder", type=FOLDER, required=True, help="Folder of clips.")
+@CLIPS
 @OUT
-@click.option("--steps", type=int, default=12000, show_default=True, help="Steps altogether.")
+@_steps(12000, 500)
 @click.option("--batch", type=int, default=8, show_default=True, help="Crops a step.")
-@click.option("--crop", type=int, default=64, show_default=True, help="Pixels a side of a crop.")
-@click.option("--score-every", type=int, default=500, show_default=True, help="Steps between scores.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the first weights and the batches.")
-@click.option("--threads", type=int, default=0, help="Processor threads [default: as many as torch takes].")
-@click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
+@CROP
+@SEED
+@THREADS
+@DEVICE
 def network_command(folder: Path, out: Path, threads: int, device: str, **settings) -> None:
-    """Train the network NAME on clips."""
+    """Train the image network NAME on clips."""
     torch.set_num_threads(threads or torch.get_num_threads())
-    config = TrainingConfig(**settings)
+    config = ImageTrainingConfig(**settings)
     network = image_network(config.name)
-    notes = {"validation": validation_set()}
-    training = Training(out, config, ClipPictures(folder, network), device, notes)
+    training = ImageTraining(out, config, ClipPictures(folder, network), device, {"validation": validation_set()})
     clips = validation_clips(_report("validation"))
     training.run(lambda module: scores(lambda *at: infer(network, module, *at)[0], clips), _report(config.name))
 
@@ -67,10 +98,9 @@ def network_command(folder: Path, out: Path, threads: int, device: str, **settin
 @main.command("own")
 @click.argument("recording", type=FOLDER)
 @OUT
-@click.option("--steps", type=int, default=3000, show_default=True, help="Steps altogether.")
-@click.option("--crop", type=int, default=64, show_default=True, help="Pixels a side of a crop.")
-@click.option("--score-every", type=int, default=250, show_default=True, help="Steps between scores.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the first weights and the batches.")
+@_steps(3000, 250)
+@CROP
+@SEED
 def own_command(recording: Path, out: Path, **settings) -> None:
     """Train the blind-spot network on RECORDING, all its cameras, without any truth.
 
@@ -79,8 +109,8 @@ def own_command(recording: Path, out: Path, **settings) -> None:
     """
     opened, network = Recording.open(recording), image_network(SELF_TAUGHT)
     streams = [opened.stream(camera) for camera in opened.camera_ids]
-    config = TrainingConfig(SELF_TAUGHT, **settings)
-    training = Training(out, config, StreamPictures(streams, network, config.seed), "cpu")
+    config = ImageTrainingConfig(SELF_TAUGHT, **settings)
+    training = ImageTraining(out, config, StreamPictures(streams, network, config.seed), "cpu")
     others = StreamPictures(streams, network, config.seed + 1)
     unseen = Batches(others, network, 4 * config.batch, config.crop, config.seed).batch(0)
 
@@ -89,6 +119,35 @@ def own_command(recording: Path, out: Path, **settings) -> None:
             return {"unseen_loss": loss(network, module.train(), *unseen).item()}
 
     training.run(score, _report(SELF_TAUGHT))
+
+
+@main.command("msdi")
+@CLIPS
+@OUT
+@click.option("--tier", "name", type=click.Choice(TIERS), default="small", show_default=True)
+@click.option("--backbone", type=FOLDER, help="DUSt3R checkpoint the large tier starts from.")
+@click.option("--development", type=FOLDER, multiple=True, help="Simulated recordings of fan_and_ball to score on.")
+@_steps(6000, 500)
+@click.option("--joint/--separate", default=True, show_default=True, help="Whether geometry teaches the images, too.")
+@click.option("--image-from", type=int, default=1500, show_default=True, help="Step from which the images learn.")
+@click.option("--pose-from", type=int, default=600, show_default=True, help="Step from which poses are judged.")
+@SEED
+@THREADS
+@DEVICE
+def msdi_command(
+    folder: Path, out: Path, development: tuple[Path, ...], backbone: Path | None, threads: int, device: str, **settings
+) -> None:
+    """Train a tier of MSDI on clips of several views."""
+    torch.set_num_threads(threads or torch.get_num_threads())
+    own = processes.start(device)
+    try:
+        config = MsdiConfig(**settings)
+        notes = {"validation": msdi_validation.validation_set(development)}
+        training = MsdiTraining(out, config, folder, own, notes, backbone=backbone)
+        scored = msdi_validation.scored_views(development) if processes.first() else []
+        training.run(lambda module: msdi_validation.scores(module, scored), _report(config.name))
+    finally:
+        processes.stop()
 
 
 @main.command("curve")
@@ -100,7 +159,7 @@ def curve_command(trainings: tuple[Path, ...], out: Path) -> None:
 
 
 def _report(name: str) -> Progress:
-    """Progress as a line on standard error at every new percent."""
+    """Return a progress that writes a line to standard error at every new percent."""
     said = -1
 
     def report(fraction: float, message: str) -> None:

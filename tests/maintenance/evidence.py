@@ -26,8 +26,7 @@ from reconstruction.bench.paper.tables import posed_by_all, write_tables
 from reconstruction.bench.score_run import METRICS
 from reconstruction.bench.training import plot_training
 from reconstruction.errors import BadRunError
-from reconstruction.networks.training.curve import plot_curves as plot_learned
-from reconstruction.networks.training.msdi_curve import plot_curves as plot_msdi
+from reconstruction.networks.training.curve import plot_curves
 from reconstruction.stability.plot import plot_stability
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,8 +116,8 @@ def main(folder: Path, text: Path) -> None:
     if "paper" in documents:
         write_diagrams(folder, documents["paper"])
     write_pages(folder, documents)
-    plot_learned([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
-    plot_msdi([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
+    plot_curves([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
+    plot_curves([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
     write_durably(text, filled(TEMPLATE.read_text(), documents).encode())
     whole = hours({name: found for name, found in documents.items() if name != "paper"}) + PROTOCOL.hours
     click.echo(f"{text} stands on {hours(documents):.1f} hours of measured runs; all of `make bench` is {whole:.0f}")

@@ -10,9 +10,7 @@ from pathlib import Path
 from reconstruction.bench.paper.protocol import NO_DUST3R
 
 OTHERS = ("images", "poses")
-NO_SEPARATE = (
-    "no weights are shipped; `python -m reconstruction.networks.training.msdi_train network --separate` makes some"
-)
+NO_SEPARATE = "no weights are shipped; `python -m reconstruction.networks.train msdi --separate` makes some"
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.metrics.image import psnr_db
-from reconstruction.networks.training.image_clips import Clip, ClipSet, make_clip
+from reconstruction.networks.training.clips import CameraClips, Clip
 from rigs.toml import catalog_rig
 
-RANDOM = ClipSet(first_seed=900_000, count=24, instants=(80,))
+RANDOM = CameraClips(first_seed=900_000, count=24, instants=(80,))
 DEVELOPMENT_SEEDS = (1, 2, 3)
 PLANES, INSTANT = 161, 80
 
@@ -38,7 +38,7 @@ def validation_clips(progress: Progress = silent) -> list[Scored]:
     scored = []
     for seed in RANDOM.seeds:
         progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"validation clip {seed}")
-        scored.append(Scored(make_clip(RANDOM, seed), random_scene(seed).white))
+        scored.append(Scored(RANDOM.make(seed), random_scene(seed).white))
     for seed in DEVELOPMENT_SEEDS:
         progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"fan_and_ball {seed}")
         scored.append(_development_clip(seed))

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import torch
 from torch import nn
@@ -22,17 +23,16 @@ from acquisition.durable import write_json
 from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
-from reconstruction.networks.image_networks import image_network, loss
 from reconstruction.networks.training import processes
-from reconstruction.networks.training.image_batches import Batches, Pictures
 from reconstruction.networks.weights import read_state, write_state, write_weights
 
 WARM_UP = 200  # steps
 LAST_RATE = 0.02  # of the learning rate, at the last step
 LARGEST_GRADIENT = 1.0
 
-Score = Callable[[nn.Module], dict[str, float]]
-LossOf = Callable[[nn.Module, int], torch.Tensor]
+Network = TypeVar("Network", bound=nn.Module)
+Score = Callable[[Network], dict[str, float]]
+LossOf = Callable[[Network, int], torch.Tensor]
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,7 @@ class LoopConfig:
         return self.learning_rate * min(1.0, (step + 1) / WARM_UP) * (LAST_RATE + (1 - LAST_RATE) * left)
 
 
-@dataclass(frozen=True)
-class TrainingConfig(LoopConfig):
-    """A loop over batches of `batch` crops of `crop` px a side."""
-
-    batch: int = 8
-    crop: int = 64
-
-
-class Loop:
+class Loop(Generic[Network]):
     """A module on its way down the losses of numbered batches; `run` goes on from whatever `folder` holds.
 
     `loss_of(module, number)` is the loss of batch `number`. Raises BadRunError where the folder was begun with another
@@ -73,7 +65,7 @@ class Loop:
     """
 
     def __init__(
-        self, folder: Path, config: LoopConfig, module: nn.Module, loss_of: LossOf, device: str, described: dict
+        self, folder: Path, config: LoopConfig, module: Network, loss_of: LossOf[Network], device: str, described: dict
     ) -> None:
         self.config, self.folder, self.described = config, folder, described
         self.device, self.loss_of = torch.device(device), loss_of
@@ -87,12 +79,12 @@ class Loop:
         if (folder / "state.pt").exists():
             self._resume(read_state(folder / "state.pt"))
 
-    def run(self, score: Score, progress: Progress = silent, clock: Callable[[], float] = time.monotonic) -> None:
+    def run(self, score: Score[Network], progress: Progress = silent) -> None:
         """Train up to the last step; take the averaged network's `score` and store all every `score_every` steps."""
         while self.step < self.config.steps:
-            began = clock()
+            began = time.monotonic()
             self._take_step()
-            self.seconds += clock() - began
+            self.seconds += time.monotonic() - began
             if self.step % self.config.score_every == 0 or self.step == self.config.steps:
                 if processes.first():
                     found = score(copy.deepcopy(self.average).cpu().eval())
@@ -156,21 +148,3 @@ class Loop:
             **self.described,
             "curve": self.curve,
         }
-
-
-class Training(Loop):
-    """One image network on batches of `pictures`; see `Loop`. `notes` go into the document."""
-
-    def __init__(
-        self, folder: Path, config: TrainingConfig, pictures: Pictures, device: str = "cpu", notes: dict | None = None
-    ) -> None:
-        self.network = image_network(config.name)
-        self.batches = Batches(pictures, self.network, config.batch, config.crop, config.seed)
-        torch.manual_seed(config.seed)
-        described = {"pictures": pictures.description(), **(notes or {})}
-        super().__init__(folder, config, self.network.build(), self._loss_of, device, described)
-
-    def _loss_of(self, module: nn.Module, number: int) -> torch.Tensor:
-        seen, truth = self.batches.batch(number)
-        seen = seen.to(self.device, memory_format=torch.channels_last)
-        return loss(self.network, module, seen, None if truth is None else truth.to(self.device))

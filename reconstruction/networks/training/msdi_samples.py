@@ -19,7 +19,7 @@ from reconstruction.networks.msdi.features import PATCH
 from reconstruction.networks.msdi.network import Msdi, prepared
 from reconstruction.networks.msdi.views import Views, object_distance
 from reconstruction.networks.rates import rates
-from reconstruction.networks.training.msdi_clips import MultiviewClip, read_clip, read_clip_set
+from reconstruction.networks.training.clips import MultiviewClip, MultiviewClips, read_clip_set
 from rigs.rig import Rig
 
 THREE_VIEWS = 0.7  # share of the samples; the others have four, where the clips do
@@ -57,7 +57,7 @@ class Samples:
     """
 
     def __init__(self, folder: Path, network: Msdi, seed: int, largest_error: float, rising: int) -> None:
-        self._folder, self._clips, self._network = folder, read_clip_set(folder), network
+        self._folder, self._clips, self._network = folder, read_clip_set(folder, MultiviewClips), network
         self._seed, self._largest, self._rising = seed, largest_error, rising
         self._kept: dict[int, tuple[NDArray, MultiviewClip]] = {}
 
@@ -86,7 +86,7 @@ class Samples:
 
     def _seen(self, seed: int) -> tuple[NDArray, MultiviewClip]:
         if seed not in self._kept:
-            clip = read_clip(self._folder, self._clips, seed)
+            clip = self._clips.read(self._folder, seed)
             observed = torch.from_numpy(np.stack([rates(stream, clip.plane) for stream in clip.streams]))
             with torch.no_grad():
                 channels = prepared(self._network, observed, 1)[2]

@@ -9,11 +9,16 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.networks.image_networks import image_network
-from reconstruction.networks.training.image_batches import Batches, ClipPictures, StreamPictures
-from reconstruction.networks.training.image_clips import ClipSet, make_clip, read_clip, read_clip_set, write_clips
-from reconstruction.networks.training.loop import Training, TrainingConfig
+from reconstruction.networks.training.clips import CameraClips, read_clip_set, write_clips
+from reconstruction.networks.training.image_training import (
+    Batches,
+    ClipPictures,
+    ImageTraining,
+    ImageTrainingConfig,
+    StreamPictures,
+)
 
-TINY = ClipSet(first_seed=7, count=3, size=24, planes=40, instants=(15, 25))
+TINY = CameraClips(first_seed=7, count=3, size=24, planes=40, instants=(15, 25))
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +37,12 @@ def _one_thread():
 
 
 def config(**settings):
-    return TrainingConfig(**({"name": "small", "steps": 4, "batch": 2, "crop": 16, "score_every": 2} | settings))
+    return ImageTrainingConfig(**({"name": "small", "steps": 4, "batch": 2, "crop": 16, "score_every": 2} | settings))
 
 
 def training(out, folder, **settings):
     wanted = config(**settings)
-    return Training(out, wanted, ClipPictures(folder, image_network(wanted.name)))
+    return ImageTraining(out, wanted, ClipPictures(folder, image_network(wanted.name)))
 
 
 def no_score(module):
@@ -45,8 +50,8 @@ def no_score(module):
 
 
 def test_clips_come_back_as_they_were_made_and_are_the_same_when_made_again(folder):
-    assert read_clip_set(folder) == TINY
-    made, found = make_clip(TINY, 8), read_clip(folder, TINY, 8)
+    assert read_clip_set(folder, CameraClips) == TINY
+    made, found = TINY.make(8), TINY.read(folder, 8)
     assert np.array_equal(made.stream.packed, found.stream.packed)
     assert np.array_equal(made.truth, found.truth)
     assert found.truth.shape == (2, 24, 24)
@@ -54,7 +59,7 @@ def test_clips_come_back_as_they_were_made_and_are_the_same_when_made_again(fold
 
 def test_the_spikes_of_a_clip_are_those_of_its_truth(folder):
     for seed in TINY.seeds:
-        clip = read_clip(folder, TINY, seed)
+        clip = TINY.read(folder, seed)
         mean = clip.stream.counts(0, 40).mean() / 40
         assert mean == pytest.approx(clip.truth.mean(), rel=0.25, abs=0.01)
 
@@ -65,18 +70,18 @@ def test_a_killed_generator_makes_only_what_is_lacking(tmp_path):
     before, stamp = lost.read_bytes(), kept.stat().st_mtime_ns
     lost.unlink()
     with pytest.raises(BadRunError, match="1 clips missing of 3"):
-        read_clip_set(tmp_path)
+        read_clip_set(tmp_path, CameraClips)
     write_clips(tmp_path, TINY)
     assert kept.stat().st_mtime_ns == stamp
-    assert np.array_equal(np.load(lost)["packed"], read_clip(tmp_path, TINY, 8).stream.packed)
+    assert np.array_equal(np.load(lost)["packed"], TINY.read(tmp_path, 8).stream.packed)
     assert lost.read_bytes() == before
 
 
 def test_a_folder_of_other_clips_or_none_is_refused(folder, tmp_path):
     with pytest.raises(BadRunError, match="give a new folder"):
-        write_clips(folder, ClipSet(0, 3, 24))
+        write_clips(folder, CameraClips(0, 3, 24))
     with pytest.raises(BadRunError, match=r"no readable clips\.json"):
-        read_clip_set(tmp_path)
+        read_clip_set(tmp_path, CameraClips)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +89,7 @@ def test_a_folder_of_other_clips_or_none_is_refused(folder, tmp_path):
 )
 def test_impossible_clip_sets_are_refused(wrong):
     with pytest.raises(BadRunError):
-        ClipSet(**({"first_seed": 0, "count": 1, "planes": 40, "instants": (20,)} | wrong))
+        CameraClips(**({"first_seed": 0, "count": 1, "planes": 40, "instants": (20,)} | wrong))
 
 
 def test_batch_n_is_the_same_whenever_it_is_asked_for(folder):
@@ -165,13 +170,13 @@ def test_the_blind_spot_network_trains_on_spikes_alone(tmp_path):
     layout = PlaneLayout(21, 20)
     streams = [SpikeStream(pack(planes, layout), layout, 20000.0)] * 2
     network = image_network("blindspot")
-    run = Training(tmp_path, config(name="blindspot"), StreamPictures(streams, network, 0))
+    run = ImageTraining(tmp_path, config(name="blindspot"), StreamPictures(streams, network, 0))
     before = [p.clone() for p in run.module.parameters()]
     run.run(no_score)
     assert all(not torch.equal(a, b) for a, b in zip(before, run.module.parameters(), strict=True))
     assert len(json.loads((tmp_path / "training.json").read_text())["pictures"]["instants"]) == 64
     with pytest.raises(BadRunError, match="no true light"):
-        Training(tmp_path / "other", config(), StreamPictures(streams, image_network("small"), 0)).run(no_score)
+        ImageTraining(tmp_path / "other", config(), StreamPictures(streams, image_network("small"), 0)).run(no_score)
 
 
 def test_a_recording_without_planes_is_refused():

@@ -10,15 +10,15 @@ from reconstruction.images.methods.msdi import msdi
 from reconstruction.initialization.msdi import LEAST_CONFIDENCE, initialise
 from reconstruction.metrics.image import psnr_db
 from reconstruction.metrics.poses import pose_errors
-from reconstruction.networks.training.msdi_clips import MultiviewSet, make_clip
+from reconstruction.networks.training.clips import MultiviewClips
 from rigs.similarity import align
 
-CLIP = MultiviewSet(first_seed=910_002, count=1)
+CLIP = MultiviewClips(first_seed=910_002, count=1)
 
 
 @pytest.fixture(scope="module")
 def clip():
-    return make_clip(CLIP, CLIP.first_seed)
+    return CLIP.make(CLIP.first_seed)
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from reconstruction.networks.msdi.depth import STEPS, Swept
 from reconstruction.networks.msdi.features import keypoints, sampled
 from reconstruction.networks.msdi.network import small_msdi
 from reconstruction.networks.msdi.views import Views, inverse_depths
-from reconstruction.networks.training.msdi import MsdiConfig, MsdiTraining, sample_loss
-from reconstruction.networks.training.msdi_clips import MultiviewSet, make_clip, read_clip, read_clip_set, write_clips
-from reconstruction.networks.training.msdi_curve import plot_curves
+from reconstruction.networks.train import main
+from reconstruction.networks.training.clips import MultiviewClips, read_clip_set, write_clips
+from reconstruction.networks.training.curve import plot_curves
 from reconstruction.networks.training.msdi_losses import (
     IGNORED,
     UNSEEN,
@@ -24,9 +24,9 @@ from reconstruction.networks.training.msdi_losses import (
     token_loss,
 )
 from reconstruction.networks.training.msdi_samples import Samples
-from reconstruction.networks.training.msdi_train import main
+from reconstruction.networks.training.msdi_training import MsdiConfig, MsdiTraining, sample_loss
 
-TINY = MultiviewSet(first_seed=5, count=2, views=3, width=56, height=40)
+TINY = MultiviewClips(first_seed=5, count=2, views=3, width=56, height=40)
 
 
 @pytest.fixture(autouse=True)
@@ -54,8 +54,8 @@ def no_score(module):
 
 
 def test_clips_come_back_as_they_were_made(folder):
-    assert read_clip_set(folder) == TINY
-    made, found = make_clip(TINY, 6), read_clip(folder, TINY, 6)
+    assert read_clip_set(folder, MultiviewClips) == TINY
+    made, found = TINY.make(6), TINY.read(folder, 6)
     for a, b in zip(made.streams, found.streams, strict=True):
         assert np.array_equal(a.packed, b.packed)
     assert np.allclose(made.light, found.light, rtol=1e-3)
@@ -66,14 +66,14 @@ def test_clips_come_back_as_they_were_made(folder):
 
 def test_clips_that_are_lacking_other_or_impossible_are_refused(folder, tmp_path):
     with pytest.raises(BadRunError, match="give a new folder"):
-        write_clips(folder, MultiviewSet(5, 3, 3, 56, 40))
+        write_clips(folder, MultiviewClips(5, 3, 3, 56, 40))
     with pytest.raises(BadRunError, match=r"no readable clips\.json"):
-        read_clip_set(tmp_path)
+        read_clip_set(tmp_path, MultiviewClips)
     (tmp_path / "clips.json").write_text(json.dumps({"schema": 1, "first_seed": 0}))
     with pytest.raises(BadRunError, match="expected clips of several views"):
-        read_clip_set(tmp_path)
+        read_clip_set(tmp_path, MultiviewClips)
     with pytest.raises(BadRunError, match="2 to 9 views"):
-        MultiviewSet(0, 1, 10)
+        MultiviewClips(0, 1, 10)
 
 
 def test_a_sample_is_the_same_whenever_it_is_asked_for(folder):
@@ -223,9 +223,9 @@ def test_the_curve_is_drawn_from_a_training_with_scores_only(tmp_path):
 
 
 def test_the_commands_say_what_they_take(tmp_path):
-    shown = CliRunner().invoke(main, ["network", "--help"])
+    shown = CliRunner().invoke(main, ["msdi", "--help"])
     assert "--joint / --separate" in shown.output
-    wrong = CliRunner().invoke(main, ["network", "--clips", str(tmp_path), "--out", str(tmp_path / "run")])
+    wrong = CliRunner().invoke(main, ["msdi", "--clips", str(tmp_path), "--out", str(tmp_path / "run")])
     assert isinstance(wrong.exception, BadRunError)
 
 
@@ -236,7 +236,7 @@ from pathlib import Path
 import torch
 
 from reconstruction.networks.training import processes
-from reconstruction.networks.training.msdi import MsdiConfig, MsdiTraining
+from reconstruction.networks.training.msdi_training import MsdiConfig, MsdiTraining
 
 torch.set_num_threads(1)
 clips, out = map(Path, sys.argv[1:])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from reconstruction.errors import BadRunError
 from reconstruction.networks.image_networks import light_loss
@@ -53,7 +53,7 @@ class MsdiConfig(LoopConfig):
             raise BadRunError(f"found {self}", "an error above 0 and steps from 0")
 
 
-class MsdiTraining(Loop):
+class MsdiTraining(Loop[Msdi]):
     """MSDI on its way; see `Loop`. The clips are in `clips`; `config.name` is the tier, `backbone` the large one's.
 
     Raises BadRunError for an unknown tier, or a backbone for the small one.
@@ -71,10 +71,9 @@ class MsdiTraining(Loop):
         described = {"pictures": self.samples.description(), **notes}
         super().__init__(folder, config, network, self._loss_of, device, described)
 
-    def _loss_of(self, module: nn.Module, number: int) -> Tensor:
+    def _loss_of(self, module: Msdi, number: int) -> Tensor:
         raw = number >= self.wanted.image_from and number % IMAGE_EVERY == 1
         pose = number >= self.wanted.pose_from and number % POSE_EVERY == 3
-        assert isinstance(module, Msdi)
         sample = self.samples.sample(number, raw=raw).to(self.device)
         with self.device:  # where what is made on the way lies
             return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.networks.image_networks import ImageNetwork
-from reconstruction.networks.training.image_clips import read_clip, read_clip_set
+from reconstruction.networks.image_networks import ImageNetwork, image_network, loss
+from reconstruction.networks.training.clips import CameraClips, read_clip_set
+from reconstruction.networks.training.loop import Loop, LoopConfig
 
+Notes = Mapping[str, object]
+NONE: Notes = MappingProxyType({})
 POOL = 64  # (stream, instant) pairs of a recording that are kept in memory
 
 
@@ -38,7 +42,7 @@ class ClipPictures:
     """The instants of the clips in `folder`, kept in memory once seen."""
 
     def __init__(self, folder: Path, network: ImageNetwork) -> None:
-        self._clips = read_clip_set(folder)
+        self._clips = read_clip_set(folder, CameraClips)
         self._folder, self._network = folder, network
         self.smallest = self._clips.size
         self._kept: dict[int, tuple[list[NDArray], NDArray]] = {}
@@ -47,7 +51,7 @@ class ClipPictures:
         """One instant of one clip."""
         seed = int(rng.integers(self._clips.first_seed, self._clips.seeds.stop))
         if seed not in self._kept:
-            clip = read_clip(self._folder, self._clips, seed)
+            clip = self._clips.read(self._folder, seed)
             self._kept[seed] = [_halved(self._network, clip.stream, k) for k in clip.instants], clip.truth
         inputs, truth = self._kept[seed]
         instant = int(rng.integers(len(inputs)))
@@ -112,3 +116,29 @@ class Batches:
 def _halved(network: ImageNetwork, stream: SpikeStream, plane: int) -> NDArray:
     seen = network.observe(stream, plane)
     return seen.astype(np.float16) if seen.dtype == np.float32 else seen  # 3e-4 of a rate at most
+
+
+@dataclass(frozen=True)
+class ImageTrainingConfig(LoopConfig):
+    """A loop over batches of `batch` crops of `crop` px a side."""
+
+    batch: int = 8
+    crop: int = 64
+
+
+class ImageTraining(Loop[nn.Module]):
+    """One image network on batches of `pictures`; see `Loop`. `notes` go into the document."""
+
+    def __init__(
+        self, folder: Path, config: ImageTrainingConfig, pictures: Pictures, device: str = "cpu", notes: Notes = NONE
+    ) -> None:
+        self.network = image_network(config.name)
+        self.batches = Batches(pictures, self.network, config.batch, config.crop, config.seed)
+        torch.manual_seed(config.seed)
+        described = {"pictures": pictures.description(), **notes}
+        super().__init__(folder, config, self.network.build(), self._loss_of, device, described)
+
+    def _loss_of(self, module: nn.Module, number: int) -> torch.Tensor:
+        seen, truth = self.batches.batch(number)
+        seen = seen.to(self.device, memory_format=torch.channels_last)
+        return loss(self.network, module, seen, None if truth is None else truth.to(self.device))
