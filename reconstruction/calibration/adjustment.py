@@ -6,8 +6,6 @@ blocks, which holds where residuals of one block err together. Letters: C camera
 unknowns, O observations. Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,8 +39,20 @@ class Linearised:
     scores: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The state of least cost, and the problem it solves."""
+
+    problem: Problem
+    state: State
+
+    def residuals_px(self) -> Floats:
+        """Return the residuals [O, 2] of the observations in px."""
+        return linearised(self.problem, self.state).residuals
+
+
 def cost(problem: Problem, state: State) -> float:
-    """The robust cost with priors."""
+    """Return the robust cost of a state, with priors."""
     points, _ = state.blocks.place(problem.observations.block)
     seen = project(points, state.cameras, problem.observations.camera)
     squared, _ = _residuals(problem, seen)
@@ -50,7 +60,7 @@ def cost(problem: Problem, state: State) -> float:
 
 
 def linearised(problem: Problem, state: State) -> Linearised:
-    """The normal equations at `state`."""
+    """Return the normal equations at `state`."""
     obs, count, blocks = problem.observations, len(state.cameras), len(state.blocks)
     points, by_block = state.blocks.place(obs.block)
     seen = project(points, state.cameras, obs.camera)
@@ -86,7 +96,7 @@ def linearised(problem: Problem, state: State) -> Linearised:
 
 
 def _residuals(problem: Problem, seen: Projection) -> tuple[Floats, Floats]:
-    """Residuals, squared in standard deviations [O] and in px [O, 2]."""
+    """Return the residuals: squared in standard deviations [O], and in px [O, 2]."""
     obs = problem.observations
     residuals = np.where(seen.seen[:, None], seen.pixels - obs.pixels, UNSEEN_PX)
     return (residuals**2).sum(axis=1) / obs.sd_px**2, residuals
@@ -95,12 +105,13 @@ def _residuals(problem: Problem, seen: Projection) -> tuple[Floats, Floats]:
 def _prior(problem: Problem, state: State) -> tuple[float, Floats, Floats]:
     """Cost, gradient [G] and precision [G] of the priors."""
     precision = 1 / problem.freedom.prior_sd**2
-    apart = state.steps - problem.freedom.prior_mean
-    return float((precision * apart**2).sum()), precision * apart, precision
+    return float((precision * state.steps**2).sum()), precision * state.steps, precision
 
 
 def adjust(problem: Problem, state: State, iterations: int = ITERATIONS, least_gain: float = 1e-6) -> State:
-    """The state of least cost near `state`; a step that gains less than this share of the cost is the last."""
+    """Return the state of least cost near `state`, after at most `iterations` steps. A step that gains less than
+    `least_gain` of the cost is the last.
+    """
     damping, growth = 1e-4, 4.0
     current = linearised(problem, state)
     for _ in range(iterations):
@@ -121,7 +132,7 @@ def adjust(problem: Problem, state: State, iterations: int = ITERATIONS, least_g
 
 
 def _stepped(problem: Problem, state: State, at: Linearised, damping: float) -> State | None:
-    """The state one damped step further; None where the equations have no solution."""
+    """Return the state one damped step further; None where the equations have no solution."""
     try:
         inverse = _inverse(at.block_hessian, damping)
         reduced, gradient = _reduced(at, inverse)
@@ -138,14 +149,16 @@ def _stepped(problem: Problem, state: State, at: Linearised, damping: float) -> 
 
 
 def _inverse(hessians: Floats, damping: float) -> Floats:
-    """Inverses of [L, D, D], each diagonal raised by `damping` of it; what nobody sees gets a large finite one."""
+    """Invert Hessians [L, D, D], each diagonal raised by `damping` of itself; an unseen block gets a large finite
+    inverse.
+    """
     diagonal = np.einsum("ldd->ld", hessians)
     raised = damping * diagonal + 1e-10 * diagonal.max(axis=1, keepdims=True, initial=0.0) + 1e-12
     return np.asarray(np.linalg.inv(hessians + np.eye(diagonal.shape[1]) * raised[:, :, None]), dtype=np.float64)
 
 
 def _reduced(at: Linearised, inverse: Floats) -> tuple[Floats, Floats]:
-    """The cameras' equations once the blocks are eliminated, from the inverses [L, D, D] of the blocks' Hessians."""
+    """Eliminate the blocks from the cameras' equations, given the inverses [L, D, D] of the blocks' Hessians."""
     folded = at.coupling @ inverse
     blocks, g, d = folded.shape
     wide, plain = (a.transpose(1, 0, 2).reshape(g, blocks * d) for a in (folded, at.coupling))
@@ -154,7 +167,7 @@ def _reduced(at: Linearised, inverse: Floats) -> tuple[Floats, Floats]:
 
 
 def covariance(problem: Problem, state: State) -> Floats:
-    """Covariance [G, G] of the free camera values: the sandwich over blocks, priors included.
+    """Return the covariance [G, G] of the free camera values: the sandwich over blocks, with priors.
 
     Raises GeometryError where observations and priors do not determine the values: the sandwich would not show it.
     """
@@ -174,7 +187,7 @@ def covariance(problem: Problem, state: State) -> Floats:
 
 
 def _summed(values: Floats, which: Indices, count: int) -> Floats:
-    """Sums [count, ...] of values [O, ...] that go to the same place."""
+    """Sum the values [O, ...] that go to the same of `count` places, to [count, ...]."""
     order = np.argsort(which, kind="stable")
     places, first = np.unique(which[order], return_index=True)
     found = np.zeros((count, *values.shape[1:]))

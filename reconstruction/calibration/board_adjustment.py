@@ -6,56 +6,53 @@ of n values stays while its Wald statistic is above n log(observed numbers), the
 "Estimating the dimension of a model", 1978. Values that do not show only make the poses worse. p1 and p2 stay as they
 are: at these angles they are hardly to be told from a principal point.
 
+Each pose of the board begins as one picture has it. A picture of a plane allows two poses (Collins and Bartoli,
+"Infinitesimal plane-based pose estimation", IJCV 2014); the other cameras tell which, and whose pose is the best.
+
 The nominal rig is a weak prior that holds what the board does not determine, and says where the rig lies.
 Letters: C cameras, G free values, L poses of the board, O observations.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.calibration.adjustment import adjust, linearised
-from reconstruction.calibration.board_poses import board_poses, starting_poses
+from reconstruction.calibration.adjustment import Solution, adjust, linearised
 from reconstruction.calibration.board_sightings import Sightings
-from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, State
-from reconstruction.calibration.projection import PARAMETERS, Cameras
+from reconstruction.calibration.problem import BoardPoses, Freedom, Loss, Observations, Problem, State
+from reconstruction.calibration.projection import PARAMETERS, Cameras, project
 from reconstruction.errors import GeometryError
+from rigs.camera import Camera
 from rigs.rig import Rig
-from rigs.transform import Floats
+from rigs.transform import Floats, Transform
 
 TURN_SD, CENTER_SD_M, FOCAL_SD = np.radians(3.0), 0.03, 0.03  # of a nominal rig
 OWN_FOCAL_SD = 0.01  # of lenses of one kind
 PRINCIPAL_SD = 0.01  # of the picture's width
 DISTORTION_SD = 0.3
-ROUGH_PX, FINE_PX, LEAST_PX = (
-    1.0,
-    0.05,
-    0.001,
-)  # standard deviations of a point on the way; the last is never gone below
+ROUGH_PX, FINE_PX = 1.0, 0.05  # standard deviations of a point, at first and later
+LEAST_PX = 0.001  # least standard deviation of a point
+LEAST_POINTS = 4  # of a board in a picture that tells its pose
+LEAST_WIDTH = 0.1  # of the points' extent across their length; less is a line
+MOST_PX = 50.0  # largest distance that a point far off counts with
 BEND = 4.0  # Huber's, in standard deviations
 OWN, PRINCIPAL, K1, K2 = LENS_GROUPS = ("own focal lengths", "principal points", "k1", "k2")
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """Cameras, the problem they are the solution of, and the observations' noise.
+class BoardSolution(Solution):
+    """Cameras from a board: the standard deviation of an observation, and which parts of the lenses were found.
 
-    `covariance` [G, G] of the free values, for as many poses as are distinct: those nearly alike err alike. `found` are
-    the groups of LENS_GROUPS that were significant.
+    `covariance` [G, G] of the free values counts only poses that differ: those nearly alike err alike. `found` are the
+    groups of LENS_GROUPS that were significant.
     """
 
-    problem: Problem
-    state: State
     sd_px: float
     covariance: Floats
     found: tuple[str, ...]
-
-    def residuals_px(self) -> Floats:
-        """Residuals [O, 2] of the observations."""
-        return linearised(self.problem, self.state).residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +63,19 @@ class _Values:
     groups: dict[str, NDArray[np.int64]]
 
     def only(self, groups: tuple[str, ...]) -> Freedom:
-        """The freedom with these groups alone."""
+        """Return the freedom with these groups alone."""
         kept = self.places(groups)
         free = self.freedom
-        return Freedom(free.mixing[:, :, kept], free.prior_sd[kept], free.prior_mean[kept])
+        return Freedom(free.mixing[:, :, kept], free.prior_sd[kept])
 
     def places(self, groups: tuple[str, ...]) -> NDArray[np.int64]:
-        """Where the groups' values are among all."""
+        """Return where the groups' values are among all."""
         return np.concatenate([self.groups[name] for name in groups])
 
 
-def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[Solution, Sightings]:
-    """The cameras of `rig` as `sightings` of a board with `points` [N, 3] have them, and the sightings that served.
+def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[BoardSolution, Sightings]:
+    """Return the cameras of `rig` that explain the `sightings` of a board with `points` [N, 3] in m, and the sightings
+    used.
 
     Raises GeometryError where no picture tells how the board stood.
     """
@@ -86,7 +84,9 @@ def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[Solution, Sig
     if not len(sightings):
         raise GeometryError("found no picture with four points of the board that are not in a line", do="show it whole")
     cameras, values = Cameras.of(rig.cameras), _all_values(rig)
-    blocks = board_poses([pose for pose in poses if pose is not None], points[sightings.point])
+    stood = [pose for pose in poses if pose is not None]
+    turns, shifts = np.array([pose.rotation for pose in stood]), np.array([pose.translation for pose in stood])
+    blocks = BoardPoses(turns, shifts, points[sightings.point])
     groups: tuple[str, ...] = ("poses",)
     state = State(cameras, blocks, np.zeros(len(values.places(groups))))
     state = adjust(_problem(sightings, values.only(groups), ROUGH_PX, 10.0), state)
@@ -96,8 +96,8 @@ def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[Solution, Sig
     return _reduced(values, sightings, state, groups), sightings
 
 
-def _reduced(values: _Values, sightings: Sightings, state: State, groups: tuple[str, ...]) -> Solution:
-    """The solution with what is not significant at its nominal value."""
+def _reduced(values: _Values, sightings: Sightings, state: State, groups: tuple[str, ...]) -> BoardSolution:
+    """Return the solution in which every group that is not significant has its nominal values."""
     while True:
         problem = _problem(sightings, values.only(groups), FINE_PX, BEND)
         problem = _problem(sightings, values.only(groups), noise_px(problem, state), BEND)
@@ -108,12 +108,14 @@ def _reduced(values: _Values, sightings: Sightings, state: State, groups: tuple[
         weakest = _weakest(values, groups, state.steps, covariance, 2 * len(sightings))
         if weakest is None:
             covariance = covariance * sightings.poses / sightings.distinct()
-            return Solution(problem, state, sd_px, covariance, tuple(g for g in groups if g in LENS_GROUPS))
+            return BoardSolution(problem, state, sd_px, covariance, tuple(g for g in groups if g in LENS_GROUPS))
         state, groups = _without(weakest, values, groups, state)
 
 
 def _weakest(values: _Values, groups: tuple[str, ...], steps: Floats, covariance: Floats, numbers: int) -> str | None:
-    """The group that is significant least, if it is not at all; k1 is judged once k2 is gone."""
+    """Return the least significant of the groups that are not significant, if there is one; k1 is judged once k2 is
+    gone.
+    """
     judged = [g for g in groups if g in LENS_GROUPS and not (g == K1 and K2 in groups)]
     place = {g: _within(values, groups, g) for g in judged}
     ratios = {}
@@ -125,7 +127,7 @@ def _weakest(values: _Values, groups: tuple[str, ...], steps: Floats, covariance
 
 
 def _without(group: str, values: _Values, groups: tuple[str, ...], state: State) -> tuple[State, tuple[str, ...]]:
-    """The state with a group's values back where they were, and the groups that remain."""
+    """Take a group's steps back; return the state and the groups that remain."""
     own = _within(values, groups, group)
     back = -values.only(groups).mixing[:, :, own] @ state.steps[own]
     steps = np.delete(state.steps, own)
@@ -133,7 +135,7 @@ def _without(group: str, values: _Values, groups: tuple[str, ...], state: State)
 
 
 def _within(values: _Values, groups: tuple[str, ...], group: str) -> NDArray[np.int64]:
-    """Where a group's values are among those of `groups`."""
+    """Return where the values of `group` are among those of `groups`."""
     before = sum(len(values.groups[g]) for g in groups[: groups.index(group)])
     return before + np.arange(len(values.groups[group]))
 
@@ -172,7 +174,7 @@ def _problem(sightings: Sightings, freedom: Freedom, sd_px: float, bend: float) 
 
 
 def noise_px(problem: Problem, state: State) -> float:
-    """The standard deviation of a point's x or y, from the middle residual and the number of free values."""
+    """Return the standard deviation of a point's x or y, from the middle residual and the number of free values."""
     residuals = linearised(problem, state).residuals
     numbers, free = residuals.size, len(state.steps) + 6 * len(state.blocks)
     spread = 1.4826 * float(np.median(np.abs(residuals)))
@@ -180,7 +182,41 @@ def noise_px(problem: Problem, state: State) -> float:
 
 
 def plain_covariance(problem: Problem, state: State) -> Floats:
-    """Covariance [G, G] of the free values, for residuals that err independently by `sd_px`; priors included."""
+    """Return the covariance [G, G] of the free values, with priors, for residuals that err independently by `sd_px`."""
     at = linearised(problem, state)
     folded = at.coupling @ np.linalg.inv(at.block_hessian)
     return np.asarray(np.linalg.inv(at.hessian - np.einsum("lgd,lhd->gh", folded, at.coupling, optimize=True)))
+
+
+def starting_poses(points: Floats, sightings: Sightings, cameras: Sequence[Camera]) -> list[Transform | None]:
+    """Return `rig_from_board` for every pose, by the cameras as drawn; None where no picture tells."""
+    return [_best(points, sightings, cameras, sightings.pose == pose) for pose in range(sightings.poses)]
+
+
+def _best(points: Floats, sightings: Sightings, cameras: Sequence[Camera], these: np.ndarray) -> Transform | None:
+    corners, pixels, which = points[sightings.point[these]], sightings.pixels[these], sightings.camera[these]
+    best, least = None, np.inf
+    for number in np.unique(which):
+        own = which == number
+        for pose in _from_one(corners[own], pixels[own], cameras[number]):
+            seen = project(pose.apply(corners), Cameras.of(cameras), which)
+            off = np.linalg.norm(np.where(seen.seen[:, None], seen.pixels - pixels, MOST_PX), axis=1)
+            cost = float(np.minimum(off, MOST_PX).sum())
+            if cost < least:
+                best, least = pose, cost
+    return best
+
+
+def _from_one(corners: Floats, pixels: Floats, camera: Camera) -> list[Transform]:
+    """Return the poses of the board in the rig that one camera's picture allows."""
+    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    if len(corners) < LEAST_POINTS or spread[1] < LEAST_WIDTH * spread[0]:
+        return []
+    lens = np.array(camera.distortion)
+    found = cv2.solvePnPGeneric(corners, pixels[:, None].copy(), camera.K, lens, flags=cv2.SOLVEPNP_IPPE)
+    rig_from_cam = camera.cam_from_rig.inverse()
+    poses = []
+    for turn, shift in zip(found[1], found[2], strict=True):
+        if np.isfinite(turn).all() and np.isfinite(shift).all() and shift.ravel()[2] > 0:
+            poses.append(rig_from_cam @ Transform.from_rotvec(turn.ravel(), shift.ravel()))
+    return poses

@@ -11,8 +11,6 @@ Corners of tags that move are found 0.01 px too far out, for dark pixels remembe
 Letters: T tags, N points, B tags or points, E edges of each, S samples along an edge, O offsets across it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -47,7 +45,9 @@ class Sighting:
 
 
 def find_board(image: Image, board: BoardSpec) -> Sighting:
-    """The points of `board` in a linear picture [H, W]; without any where fewer than four can be trusted."""
+    """Find the points of `board` in a linear picture [H, W] in spikes per tick; none where fewer than four can be
+    trusted.
+    """
     image = without_defects(image)
     ids, quads = find_tags(image, board.dictionary)
     known = (ids >= 0) & (ids < len(board.tags))
@@ -68,7 +68,9 @@ def find_board(image: Image, board: BoardSpec) -> Sighting:
 
 
 def find_tags(image: Image, dictionary: str) -> tuple[NDArray[np.int64], Floats]:
-    """Ids [T] and corners [T, 4, 2] in pixels, clockwise from the top left, of the tags in a picture; each id once."""
+    """Find the tags in a picture: ids [T] and corners [T, 4, 2] in px, clockwise from the top left. A repeated id is
+    left out.
+    """
     white = max(float(np.percentile(image, WHITE_PERCENTILE)), 1e-6)
     grey = (np.clip(image / white, 0, 1) * 255).astype(np.uint8)
     times = 2 if max(grey.shape) <= LARGEST_TO_ENLARGE else 1
@@ -85,7 +87,7 @@ def find_tags(image: Image, dictionary: str) -> tuple[NDArray[np.int64], Floats]
 
 
 def without_defects(image: Image) -> Image:
-    """The picture [H, W] with hot and dead pixels, single ones out of all their neighbours' range, at their median."""
+    """Replace hot and dead pixels of a picture [H, W], those beyond all their neighbours, by the median around them."""
     ring = np.ones((3, 3), dtype=np.uint8)
     ring[1, 1] = 0
     step = _DEFECT_STEP * float(np.percentile(image, WHITE_PERCENTILE))
@@ -94,7 +96,7 @@ def without_defects(image: Image) -> Image:
 
 
 def _as_laid_out(tags: Floats, quads: Floats) -> NDArray[np.bool_]:
-    """Which tags [T] lie on one homography of the board [T, 4, 3]."""
+    """Return which tags [T] lie on one homography, from their corners on the board [T, 4, 3] and seen [T, 4, 2]."""
     flat, seen = tags[..., :2].reshape(-1, 2), quads.reshape(-1, 2)
     if len(tags) == 1:
         return np.ones(1, dtype=bool)
@@ -109,7 +111,7 @@ def _as_laid_out(tags: Floats, quads: Floats) -> NDArray[np.bool_]:
 def _square_corners(
     image: Image, board: BoardSpec, ids: NDArray[np.int64], quads: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    """The corners of squares both of whose tags were found: where two borders between squares meet."""
+    """Find the corners of squares both of whose tags were found: where two borders between squares meet."""
     square = board.points[1, 0] - board.points[0, 0]
     points = np.flatnonzero(np.isin(board.tags_of, ids).all(axis=1))
     if not len(points):
@@ -137,7 +139,7 @@ def _square_corners(
 def _tag_middles(
     image: Image, board: BoardSpec, ids: NDArray[np.int64], quads: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    """The middles of the tags found: where the diagonals between corners meet, and each corner is where sides meet."""
+    """Find the middles of tags: each corner is where two sides meet, each middle where two diagonals meet."""
     cells = predefined(board.dictionary).markerSize + 2
     reach = _reach(np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).min(axis=1) / cells)
     corners = quads
@@ -150,12 +152,13 @@ def _tag_middles(
 
 
 def _reach(clear_px: Floats) -> Floats:
-    """How far across an edge to look, where the next edge is `clear_px` away."""
+    """Return how far across an edge to look in px, where the next edge is `clear_px` away."""
     return np.clip(0.55 * clear_px, 1.0, 3.0)
 
 
 def _edges(image: Image, starts: Floats, ends: Floats, reach: Floats) -> Floats:
-    """Points [B, E, S, 2] of the edges near starts to ends [B, E, 2] with white to their left and black to their right.
+    """Find points [B, E, S, 2] on the edges near starts to ends [B, E, 2], with white to their left and black to their
+    right.
 
     NaN where there is no such edge. `reach` [B] is how far to look across.
     """
@@ -178,7 +181,7 @@ def _edges(image: Image, starts: Floats, ends: Floats, reach: Floats) -> Floats:
 
 
 def _lines(points: Floats) -> Floats:
-    """The lines (a, b, c) [..., 3] with a x + b y = c that lie best through points [..., S, 2]; NaN for NaN."""
+    """Fit lines (a, b, c) [..., 3] with a x + b y = c to points [..., S, 2] by least squares; NaN for NaN."""
     middle = points.mean(axis=-2)
     spread = points - middle[..., None, :]
     xx, yy, xy = (spread**2).sum(axis=-2)[..., 0], (spread**2).sum(axis=-2)[..., 1], spread.prod(axis=-1).sum(axis=-1)
@@ -188,7 +191,7 @@ def _lines(points: Floats) -> Floats:
 
 
 def _meetings(ones: Floats, others: Floats) -> Floats:
-    """Where pairs of lines [..., 3] meet [..., 2]; infinitely far or NaN where they do not."""
+    """Return where pairs of lines [..., 3] meet [..., 2]; infinitely far or NaN where they do not."""
     (a, b, c), (d, e, f) = np.moveaxis(ones, -1, 0), np.moveaxis(others, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack([c * e - b * f, a * f - c * d], axis=-1) / (a * e - b * d)[..., None]

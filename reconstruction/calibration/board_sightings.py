@@ -50,13 +50,13 @@ class Sightings:
         return len(self.camera)
 
     def only(self, kept: NDArray[np.bool_]) -> Sightings:
-        """Those of the poses where `kept` [poses] is true, numbered anew."""
+        """Return the observations of the poses where `kept` [poses] is true, numbered anew."""
         these, number = kept[self.pose], np.cumsum(kept) - 1
         columns = (self.camera[these], number[self.pose[these]], self.point[these], self.pixels[these])
         return Sightings(self.cameras, int(kept.sum()), self.instants, *columns)
 
     def distinct(self) -> int:
-        """How many poses differ by ALIKE_PX or more from the one before that counts.
+        """Count the poses that differ by ALIKE_PX or more from the last one counted.
 
         What is left of a point's error beside noise comes of how pixels sample it, and is shared by poses nearly alike.
         """
@@ -70,7 +70,7 @@ class Sightings:
         return len(counted)
 
     def _view(self, pose: int) -> dict[tuple[int, int], Floats]:
-        """Pixels by camera and point."""
+        """Return one pose's pixels by camera and point."""
         these = np.flatnonzero(self.pose == pose)
         return {(int(self.camera[i]), int(self.point[i])): self.pixels[i] for i in these}
 
@@ -109,14 +109,16 @@ def sight_board(
 
 
 def chosen_planes(planes: int, most: int) -> list[int]:
-    """Planes in the middle of windows that do not overlap, `most` of them at most, spread over all planes."""
+    """Return the middles of at most `most` windows that do not overlap, spread over all planes."""
     count = max(min(most, planes // (2 * HALF_WINDOW + 1)), 1)
     edges = np.linspace(0, planes, count + 1)
     return [int(plane) for plane in (edges[1:] + edges[:-1]) / 2]
 
 
 def gathered(cameras: tuple[str, ...], found: Pictures, instants: int) -> Sightings:
-    """All pictures as observations; neighbouring instants at which the board stood still are one pose, averaged."""
+    """Turn all pictures into observations; neighbouring instants at which the board stood still are averaged to one
+    pose.
+    """
     groups: list[list[int]] = []
     for number in range(instants):
         if not any(len(found[number, c].points) for c in cameras):
@@ -135,7 +137,7 @@ def gathered(cameras: tuple[str, ...], found: Pictures, instants: int) -> Sighti
 
 
 def _still(found: Pictures, cameras: Iterable[str], one: int, other: int) -> bool:
-    """Whether the board is where it was, in every camera that sees it at both instants."""
+    """Return whether the board stood in the same place, in every camera that sees it at both instants."""
     shifts = []
     for camera_id in cameras:
         a, b = found[one, camera_id], found[other, camera_id]
@@ -146,7 +148,7 @@ def _still(found: Pictures, cameras: Iterable[str], one: int, other: int) -> boo
 
 
 def _averaged(sightings: list[Sighting]) -> tuple[NDArray[np.int64], Floats]:
-    """The points [n] that half of the sightings or more have, and their median pixels [n, 2]."""
+    """Return the points [n] that at least half of the sightings have, and their median pixels [n, 2]."""
     points = np.concatenate([s.points for s in sightings])
     pixels = np.concatenate([s.pixels for s in sightings])
     kept, counts = np.unique(points, return_counts=True)
@@ -202,7 +204,7 @@ def _refuse_unseen(board: BoardSpec, found: Pictures, pictures: Iterable[Image])
 
 
 def _other_dictionary(pictures: list[Image]) -> str:
-    """The dictionary that most tags in the pictures are of, three at least in one of them, or nothing."""
+    """Return the dictionary that most tags in the pictures belong to, if one picture has at least three of them."""
     best, most = "", 2
     for name in sorted(DICTIONARIES, key=lambda name: len(predefined(name).bytesList)):
         tags = max((len(find_tags(picture, name)[0]) for picture in pictures), default=0)

@@ -5,8 +5,6 @@ SPEC is `charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT` (squares, the first one bla
 top left corner, of the first square or of the first tag, x along the rows, y down the columns and z into the board.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
@@ -46,7 +44,7 @@ class BoardSpec:
 
 
 def parse_board(text: str) -> BoardSpec:
-    """The board that SPEC describes; raises BadRunError naming the part that is wrong."""
+    """Return the board that SPEC describes; raises BadRunError naming the part that is wrong."""
     parts = text.strip().split(":")
     if len(parts) != 5 or parts[0] not in ("charuco", "apriltag"):
         raise BadRunError(f"found the board {text!r}", f"{FORMS}")
@@ -57,7 +55,7 @@ def parse_board(text: str) -> BoardSpec:
 
 
 def predefined(name: str) -> cv2.aruco.Dictionary:
-    """OpenCV's dictionary of that name."""
+    """Return OpenCV's dictionary of that name."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
@@ -99,7 +97,7 @@ def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSp
 
 
 def _tags(at: Floats, side: float) -> Floats:
-    """Corners [T, 4, 3] of square tags whose top left corners lie at [T, 2]."""
+    """Return the corners [T, 4, 3] of square tags whose top left corners lie at [T, 2], all in m."""
     corners = at[:, None] + side * np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
     return np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=2)
 

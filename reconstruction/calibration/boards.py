@@ -3,28 +3,24 @@
 The metres are the board's own; the nominal cameras say only where the rig's frame lies.
 """
 
-from __future__ import annotations
-
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
-from acquisition.progress import Progress, silent
+from acquisition.progress import Progress, part, silent
 from acquisition.recording.reader import Recording
-from reconstruction.calibration.board_adjustment import K1, K2, OWN, PRINCIPAL, Solution, solve
+from reconstruction.calibration.board_adjustment import K1, K2, OWN, PRINCIPAL, BoardSolution, solve
 from reconstruction.calibration.board_sightings import Sightings, sight_board
 from reconstruction.calibration.board_spec import BoardSpec
-from reconstruction.calibration.calibrated import Calibrated, CameraSd
+from reconstruction.calibration.calibrated import INLIER_PX, Calibrated, CameraSd, Fit, calibrated, displacement
 from reconstruction.calibration.projection import Cameras
 from reconstruction.calibration.uncertainty import OPTIMISM, camera_sds
 from reconstruction.errors import BadRunError, GeometryError
-from rigs.rig import Calibration, Rig, object_distance_m
+from rigs.rig import Rig, object_distance_m
 from rigs.similarity import Similarity, align
-from rigs.transform import rotvec_of
 
-OUTLIER_PX = 1.0
 MOST_RESIDUAL_PX = 0.3
-LEAST_KEPT = 0.9  # share of observations within OUTLIER_PX
+LEAST_KEPT = 0.9  # share of observations within INLIER_PX
 MOST_RESCALED = 0.1  # of the nominal baselines
 MOST_TURN_DEG, MOST_SHIFT = 15.0, 0.15  # off the nominal rig; of the object distance
 MOST_SD = CameraSd(rotation_deg=0.2, center_m=0.005, focal_percent=0.5)  # the centre's: of the object distance
@@ -32,16 +28,13 @@ _SPREAD_M = 0.01  # of the cameras; nearer to one another they tell no scale
 
 
 def calibrate_board(recording: Recording, board: BoardSpec, date: str, progress: Progress = silent) -> Calibrated:
-    """The cameras of `recording`'s rig, found from `board`; `date` is the calibration's, in ISO form.
+    """Find the cameras of `recording`'s rig from `board`; `date` is the calibration's, in ISO form.
 
     Raises BadRunError where the board or the rig is another one, GeometryError, with the reason and the cameras by
     name, where the board is not seen or its views do not determine the cameras.
     """
 
-    def seeking(fraction: float, message: str) -> None:
-        progress(0.9 * fraction, message)
-
-    sightings = sight_board(recording, board, seeking)
+    sightings = sight_board(recording, board, part(progress, 0, 0.9))
     progress(0.9, f"{len(sightings)} corners at {sightings.poses} poses of the board")
     found = from_sightings(recording.rig, board, sightings, date)
     progress(1.0, str(found.report["summary"]))
@@ -49,14 +42,12 @@ def calibrate_board(recording: Recording, board: BoardSpec, date: str, progress:
 
 
 def from_sightings(rig: Rig, board: BoardSpec, sightings: Sightings, date: str) -> Calibrated:
-    """The cameras of `rig` from what they saw of the board; see `calibrate_board`."""
+    """Find the cameras of `rig` from what they saw of the board; see `calibrate_board`."""
     solution, sightings = solve(rig, board.points, sightings)
-    residuals = solution.residuals_px()
-    good = np.linalg.norm(residuals, axis=1) < OUTLIER_PX
-    rms = float(np.sqrt((residuals[good] ** 2).sum(axis=1).mean())) if good.any() else np.inf
-    if good.mean() < LEAST_KEPT or rms > MOST_RESIDUAL_PX:
+    fit = Fit.of(solution)
+    if fit.good.mean() < LEAST_KEPT or fit.rms_px > MOST_RESIDUAL_PX:
         raise BadRunError(
-            f"found {good.mean():.0%} of the corners within {OUTLIER_PX:g} px, residual {rms:.2f} px",
+            f"found {fit.good.mean():.0%} of the corners within {INLIER_PX:g} px, residual {fit.rms_px:.2f} px",
             f"{LEAST_KEPT:.0%} and {MOST_RESIDUAL_PX:g} px",
             "the board is bent, or its millimetres are others",
             where=f"board {board.text}",
@@ -72,31 +63,26 @@ def from_sightings(rig: Rig, board: BoardSpec, sightings: Sightings, date: str) 
     _refuse_undetermined(rig, sds, sightings)
     sd_deg = float(np.mean([sd.rotation_deg for sd in sds]))
     report = _report(board, rig, sightings, solution, sds) | {
-        "residual_px": rms,
-        "rotation_sd_deg": sd_deg,
-        "kept_share": float(good.mean()),
         "baselines_of_nominal": 1 / similarity.scale,
+        "date": date,
     }
     report["summary"] = (
-        f"{sightings.poses} poses of the board, {len(sightings)} corners, residual {rms:.3f} px, rotations to "
+        f"{sightings.poses} poses of the board, {len(sightings)} corners, residual {fit.rms_px:.3f} px, rotations to "
         f"{sd_deg:.4f} degrees, focal to {max(sd.focal_percent for sd in sds):.3f} %"
     )
-    rows = np.concatenate([sightings.pixels, residuals], axis=1)
-    by_camera = {c: rows[good & (sightings.camera == i)] for i, c in enumerate(rig.ids)}
-    calibrated = replace(aligned, poses="calibrated", calibration=Calibration(date, rms, sd_deg))
-    return Calibrated(calibrated, dict(zip(rig.ids, sds, strict=True)), report, by_camera)
+    return calibrated(rig, aligned, solution, fit, sds, report)
 
 
 def _rigid(similarity: Similarity, free: Rig, rig: Rig) -> Similarity:
-    """The motion that lays the mean of the cameras found on the nominal one's and keeps their metres."""
+    """Return the motion that lays the mean of the cameras found on that of the nominal ones and keeps their metres."""
     centers, drawn = (np.mean([c.center for c in one.cameras], axis=0) for one in (free, rig))
     return Similarity(1.0, similarity.rotation, drawn - similarity.rotation @ centers)
 
 
 def _report(
-    board: BoardSpec, rig: Rig, sightings: Sightings, solution: Solution, sds: list[CameraSd]
+    board: BoardSpec, rig: Rig, sightings: Sightings, solution: BoardSolution, sds: list[CameraSd]
 ) -> dict[str, object]:
-    """What was found, as plain values."""
+    """Return what was found, as plain values."""
     found, pairs = solution.found, set(zip(sightings.camera.tolist(), sightings.pose.tolist(), strict=True))
     k = ", ".join(name for name in (K1, K2) if name in found)
     return {
@@ -105,7 +91,6 @@ def _report(
         "instants": sightings.instants,
         "poses": sightings.poses,
         "distinct_poses": sightings.distinct(),
-        "observations": len(sightings),
         "corners": {c: int((sightings.camera == i).sum()) for i, c in enumerate(rig.ids)},
         "poses_seen": {c: sum(camera == i for camera, _ in pairs) for i, c in enumerate(rig.ids)},
         "corner_sd_px": solution.sd_px,
@@ -114,15 +99,12 @@ def _report(
         "distortion": f"{k} found for each camera" if k else "nominal: the board shows no other",
         "metric_scale": "from the board",
         "scale_sd_percent": 100 * _scale_sd(solution),
-        "sd": {
-            c: {"rotation_deg": sd.rotation_deg, "center_m": sd.center_m, "focal_percent": sd.focal_percent}
-            for c, sd in zip(rig.ids, sds, strict=True)
-        },
+        "sd": {c: asdict(sd) for c, sd in zip(rig.ids, sds, strict=True)},
     }
 
 
-def _scale_sd(solution: Solution) -> float:
-    """Relative standard deviation of the rig's size."""
+def _scale_sd(solution: BoardSolution) -> float:
+    """Return the relative standard deviation of the rig's size."""
     cameras, freedom = solution.state.cameras, solution.problem.freedom
     apart = cameras.centers - cameras.centers.mean(axis=0)
     variance = float((apart**2).sum())
@@ -148,11 +130,10 @@ def _refuse_rescaled(board: BoardSpec, rig: Rig, scale: float) -> None:
 def _refuse_displaced(rig: Rig, found: Rig) -> None:
     distance_m = object_distance_m(rig.cameras)
     for camera, drawn in zip(found.cameras, rig.cameras, strict=True):
-        turn = np.degrees(np.linalg.norm(rotvec_of(camera.cam_from_rig.rotation @ drawn.cam_from_rig.rotation.T)))
-        shift = float(np.linalg.norm(camera.center - drawn.center))
-        if turn > MOST_TURN_DEG or shift > MOST_SHIFT * distance_m:
+        off = displacement(camera, drawn)
+        if off.turn_deg > MOST_TURN_DEG or off.shift_m > MOST_SHIFT * distance_m:
             raise GeometryError(
-                f"found {camera.id} {turn:.1f} degrees and {100 * shift:.1f} cm off the rig file",
+                f"found {camera.id} {off.turn_deg:.1f} degrees and {100 * off.shift_m:.1f} cm off the rig file",
                 f"at most {MOST_TURN_DEG:g} and {100 * MOST_SHIFT * distance_m:.0f}",
                 "cables are swapped, or the rig file is another array's",
             )

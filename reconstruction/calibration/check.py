@@ -1,19 +1,16 @@
 """Whether a stored calibration still fits what the cameras see today, and which camera has moved where it does not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.progress import Progress, silent
-from reconstruction.calibration.calibrated import Calibrated
+from reconstruction.calibration.calibrated import Calibrated, displacement
 from reconstruction.calibration.features import Image
 from reconstruction.calibration.natural import calibrate_natural
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
-from rigs.transform import rotvec_of
 
 SDS = 4.0  # what was found may differ by so many standard deviations
 TURN_DEG, SHIFT_SHARE, FOCAL_PERCENT = 0.05, 1e-3, 0.5  # what always fits: a third of a pixel; shift: of the distance
@@ -33,7 +30,7 @@ class CameraCheck:
 def check_rig(
     rig: Rig, images: Mapping[str, Image], date: str, progress: Progress = silent
 ) -> tuple[Calibrated, list[CameraCheck]]:
-    """What natural-scene calibration finds today, and how each camera of `rig` that has an image compares.
+    """Calibrate from today's images, and compare each camera of `rig` that has one with where it is stored.
 
     Raises GeometryError where today's scene does not tell.
     """
@@ -54,8 +51,7 @@ def _compared(rig: Rig, today: Calibrated, kept: list[str]) -> list[CameraCheck]
     checks = []
     for camera_id, sd in today.sd.items():
         now, then = moved.camera(camera_id), rig.camera(camera_id)
-        turn = float(np.degrees(np.linalg.norm(rotvec_of(now.cam_from_rig.rotation @ then.cam_from_rig.rotation.T))))
-        shift = float(np.linalg.norm(now.center - then.center))
+        turn, shift = displacement(now, then)
         focal = 100 * abs(now.fx / then.fx - 1)
         fits = (
             turn <= max(TURN_DEG, SDS * sd.rotation_deg)

@@ -5,8 +5,6 @@ Source: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 
 Zisserman, CVPR 2012.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -36,14 +34,14 @@ class Features:
 
 
 def long_image(stream: SpikeStream, most_planes: int = MOST_PLANES) -> Image:
-    """The mean [H, W] in spikes per tick over the middle of the stream, single odd pixels replaced by their median."""
+    """Return the mean [H, W] in spikes per tick over the middle of the stream, with single odd pixels repaired."""
     first = max(0, (len(stream) - most_planes) // 2)
     last = min(len(stream), first + most_planes)
     return repaired(stream.counts(first, last).astype(np.float32) / np.float32(last - first))
 
 
 def repaired(image: Image) -> Image:
-    """The image with pixels that stick out of their 3x3 neighbourhood, as dead and hot ones do, set to its median."""
+    """Set pixels that differ much from their 3x3 neighbourhood, as dead and hot ones do, to its median."""
     median = cv2.medianBlur(image, 3)
     gap = np.abs(image - median)
     low = np.minimum(image, median)
@@ -52,13 +50,13 @@ def repaired(image: Image) -> Image:
 
 
 def toned(image: Image) -> Image:
-    """The square root of the light against its bright end, in [0, 1]: shot noise is even in it."""
+    """Return the square root of the light over its bright end, in [0, 1]: shot noise is even in it."""
     white = max(float(np.percentile(image, 99.5)), 1e-6)
     return np.sqrt(np.clip(image / np.float32(white), 0, 1))
 
 
 def find_features(image: Image) -> Features:
-    """At most MOST_FEATURES of an image [H, W]."""
+    """Find at most MOST_FEATURES features of an image [H, W]."""
     sift = cv2.SIFT.create(
         nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, edgeThreshold=10, enable_precise_upscale=True
     )

@@ -37,7 +37,7 @@ class Gate:
 
 
 def matched(one: Features, other: Features) -> Matches:
-    """Indices [M, 2] of features that are each other's nearest, by Lowe's ratio in both directions."""
+    """Return the indices [M, 2] of features that are each other's nearest, by Lowe's ratio in both directions."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     alike = one.descriptors @ other.descriptors.T
@@ -49,7 +49,7 @@ def matched(one: Features, other: Features) -> Matches:
 
 
 def _clear(alike: NDArray[np.float32]) -> NDArray[np.int64]:
-    """For each row of cosines [N, M] the best column, -1 where the second best is as good; `alike` is used up."""
+    """Return each row's best column of cosines [N, M], -1 where the second best is as good. `alike` is changed."""
     rows = np.arange(len(alike))
     best = alike.argmax(axis=1)
     first = alike[rows, best]
@@ -59,7 +59,7 @@ def _clear(alike: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def gated(places: tuple[Floats, Floats], cameras: tuple[Camera, Camera], gate: Gate, distance_m: float) -> NDArray:
-    """Which of M matched places ([M, 2], [M, 2]) the nominal cameras allow [M]."""
+    """Return which of M matched places ([M, 2], [M, 2] in px) the nominal cameras allow."""
     rays = [_rays(p, c) for p, c in zip(places, cameras, strict=True)]
     one, other = cameras
     base = other.cam_from_rig @ one.cam_from_rig.inverse()
@@ -75,7 +75,7 @@ def gated(places: tuple[Floats, Floats], cameras: tuple[Camera, Camera], gate: G
 
 
 def _rays(places: Floats, camera: Camera) -> Floats:
-    """Directions [M, 3] with z = 1 in camera axes."""
+    """Return the directions [M, 3] of places [M, 2] in camera axes, with z = 1."""
     if not len(places):
         return np.zeros((0, 3))
     distortion = np.array(camera.distortion)
@@ -84,7 +84,7 @@ def _rays(places: Floats, camera: Camera) -> Floats:
 
 
 def _depths(rays: Sequence[Floats], rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
-    """Depths [M] along z in both cameras of the points nearest to both rays."""
+    """Return the depths [M] in m, along z of either camera, of the points nearest to both rays."""
     a, b = rays[0] @ rotation.T, rays[1]
     aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)
     at, bt = a @ translation, b @ translation
@@ -94,7 +94,7 @@ def _depths(rays: Sequence[Floats], rotation: Floats, translation: Floats) -> tu
 
 
 def verified(places: tuple[Floats, Floats], seed: int) -> NDArray[np.bool_]:
-    """Which matches [M] one fundamental matrix explains (MAGSAC, Barath et al., CVPR 2019)."""
+    """Return which matches [M] one fundamental matrix explains (MAGSAC, Barath et al., CVPR 2019)."""
     if len(places[0]) < LEAST_MATCHES:
         return np.zeros(len(places[0]), dtype=np.bool_)
     cv2.setRNGSeed(seed)
@@ -114,19 +114,19 @@ class Tracks:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """See the class."""
+        """Return whether each view sees each track [T, V]."""
         return np.isfinite(self.places[:, :, 0])
 
     def __len__(self) -> int:
         return len(self.places)
 
     def only(self, kept: NDArray) -> Tracks:
-        """The tracks at indices or where a mask is true."""
+        """Return the tracks at indices, or where a mask is true."""
         return Tracks(self.places[kept])
 
 
 def joined(features: Sequence[Features], matches: Mapping[Pair, Matches], least_views: int) -> Tracks:
-    """Tracks of the matches of all pairs; one with two places in a view, or in fewer than `least_views`, is dropped."""
+    """Join the matches of all pairs to tracks; one with two places in a view, or in too few views, is dropped."""
     first = np.cumsum([0, *map(len, features)])
     parent = np.arange(first[-1])
 
@@ -151,5 +151,5 @@ def joined(features: Sequence[Features], matches: Mapping[Pair, Matches], least_
 
 
 def all_pairs(views: int) -> list[Pair]:
-    """Every two of `views` views."""
+    """Return every two of `views` views."""
     return list(itertools.combinations(range(views), 2))

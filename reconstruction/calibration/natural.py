@@ -3,8 +3,6 @@
 Metric scale, place and turn of the whole come from the nominal cameras alone. Letters: V views.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.progress import Progress, silent
-from reconstruction.calibration.adjustment import covariance
-from reconstruction.calibration.calibrated import Calibrated
+from reconstruction.calibration.adjustment import Solution, covariance
+from reconstruction.calibration.calibrated import Calibrated, Fit, calibrated
 from reconstruction.calibration.features import Features, Image, find_features
 from reconstruction.calibration.matches import Gate, Matches, Pair, Tracks, all_pairs, gated, joined, matched, verified
 from reconstruction.calibration.patches import refined
@@ -21,16 +19,15 @@ from reconstruction.calibration.problem import Loss
 from reconstruction.calibration.projection import Cameras
 from reconstruction.calibration.tracks_to_poses import (
     PATCH_SD_PX,
-    Solution,
     annealed,
     coarse,
     observed,
     with_focal,
 )
 from reconstruction.calibration.uncertainty import camera_sds
-from reconstruction.calibration.verdict import INLIER_PX, Evidence, judge, refuse_blind, refuse_unsure
+from reconstruction.calibration.verdict import Evidence, judge, refuse_blind, refuse_unsure
 from rigs.camera import Camera
-from rigs.rig import Calibration, Rig, object_distance_m
+from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 
 NOMINAL_GATE = Gate(45.0)
@@ -44,10 +41,9 @@ BEND_PX = 0.3  # Cauchy's, at the end
 
 @dataclass(frozen=True)
 class NaturalOptions:
-    """`gate`: what the nominal rig allows; `patches`: whether places are refined to sub-pixel; `seed` of all draws."""
+    """The `gate` that the nominal rig puts on matches, and the `seed` of all draws."""
 
     gate: Gate = NOMINAL_GATE
-    patches: bool = True
     seed: int = 0
 
 
@@ -61,7 +57,7 @@ def calibrate_natural(
     options: NaturalOptions | None = None,
     progress: Progress = silent,
 ) -> Calibrated:
-    """The cameras of `rig` that have an image, poses and one focal factor found; the others keep what they have.
+    """Find the poses of the cameras of `rig` that have an image, and one focal factor; the others keep what they have.
 
     `images` (camera id to [H, W], spikes per tick) are of the same instant or the same long window; `date` is the
     calibration's, in ISO form. Raises GeometryError, with the reason, where the result could not be trusted: keep the
@@ -70,12 +66,13 @@ def calibrate_natural(
     began = time.monotonic()
     ordered = {c: images[c] for c in rig.ids if c in images}
     refuse_blind(ordered)
-    evidence = gather(ordered, progress)
-    return solve(rig, evidence, date, options or NaturalOptions(), progress, began=began)
+    found = solve(rig, gather(ordered, progress), date, options or NaturalOptions(), progress)
+    found.report["seconds"] = round(time.monotonic() - began, 3)
+    return found
 
 
 def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence:
-    """Features of all images and what matches between every two of them; knows nothing of a rig."""
+    """Find the features of all images, and match every two images; nothing here knows a rig."""
     features = []
     for i, (camera, picture) in enumerate(images.items()):
         features.append(find_features(picture))
@@ -85,36 +82,25 @@ def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence
     return Evidence(images, features, candidates)
 
 
-def solve(
-    rig: Rig,
-    evidence: Evidence,
-    date: str,
-    options: NaturalOptions,
-    progress: Progress = silent,
-    *,
-    began: float | None = None,
-) -> Calibrated:
-    """`calibrate_natural` from what was gathered; `began` is when, on the monotonic clock, for the report."""
-    began = time.monotonic() if began is None else began
+def solve(rig: Rig, evidence: Evidence, date: str, options: NaturalOptions, progress: Progress = silent) -> Calibrated:
+    """Return what `calibrate_natural` does, from features and matches that were gathered before."""
     nominal = rig.only(evidence.images)
     start, tracks = _coarse(nominal, evidence, options)
     progress(0.6, f"{len(tracks)} tracks")
     solution = annealed(start, tracks)
-    if options.patches:
-        tracks = refined(tracks, list(evidence.images.values()))
+    tracks = refined(tracks, list(evidence.images.values()))
     progress(0.8, "patches refined")
     fine = observed(tracks, PATCH_SD_PX)
     solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX))
     progress(0.95, "adjusted")
     judge(nominal, solution)
     found = _calibrated(rig, nominal, solution, len(tracks), date)
-    found.report["seconds"] = round(time.monotonic() - began, 3)
     progress(1.0, str(found.report["summary"]))
     return found
 
 
 def _coarse(nominal: Rig, evidence: Evidence, options: NaturalOptions) -> tuple[Solution, Tracks]:
-    """Turns found from what the nominal rig allows, and the tracks that these turns allow."""
+    """Find the cameras' turns from matches that the nominal rig allows, and the tracks that these turns allow."""
     features = evidence.features
     allowed = _allowed(nominal.cameras, features, evidence.candidates, options.gate)
     for (a, b), pairs in allowed.items():
@@ -131,7 +117,7 @@ def _coarse(nominal: Rig, evidence: Evidence, options: NaturalOptions) -> tuple[
 def _allowed(
     cameras: Sequence[Camera], features: Sequence[Features], candidates: Mapping[Pair, Matches], gate: Gate
 ) -> dict[Pair, Matches]:
-    """The candidates that the cameras allow."""
+    """Return the candidates that the cameras allow."""
     distance_m = object_distance_m(cameras)
     found = {}
     for (a, b), pairs in candidates.items():
@@ -141,7 +127,7 @@ def _allowed(
 
 
 def spread(tracks: Tracks, cameras: Sequence[Camera], most: int, seed: int) -> Tracks:
-    """At most `most` tracks, spread over the picture, those that more views see first."""
+    """Choose at most `most` tracks, spread over the picture, those that more views see first."""
     if len(tracks) <= most:
         return tracks
     sizes = np.array([(c.width, c.height) for c in cameras])
@@ -155,35 +141,20 @@ def spread(tracks: Tracks, cameras: Sequence[Camera], most: int, seed: int) -> T
 
 
 def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, date: str) -> Calibrated:
-    cameras, problem = solution.state.cameras, solution.problem
+    """Return the outcome for `rig`, of which the cameras of `nominal` were adjusted."""
+    cameras, problem, fit = solution.state.cameras, solution.problem, Fit.of(solution)
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
-    refuse_unsure(sds)
+    sd_deg = refuse_unsure(sds)
     found = replace(nominal, cameras=cameras.written_to(nominal.cameras))
-    found = align(found, nominal).carry_rig(found)
-    residuals, obs = solution.residuals_px(), problem.observations
-    good = np.linalg.norm(residuals, axis=1) < INLIER_PX
-    rms = float(np.sqrt((residuals[good] ** 2).sum(axis=1).mean()))
-    sd_deg = float(np.mean([sd.rotation_deg for sd in sds]))
     focal = float(solution.state.steps[-1])
     report: dict[str, object] = {
+        "date": date,
         "method": "natural",
-        "summary": f"{tracks} tracks, residual {rms:.3f} px, rotations to {sd_deg:.4f} degrees, focal {focal:+.2%}",
+        "summary": f"{tracks} tracks, residual {fit.rms_px:.3f} px, rotations to {sd_deg:.4f} degrees, "
+        f"focal {focal:+.2%}",
         "tracks": tracks,
-        "observations": len(obs),
-        "kept_share": float(good.mean()),
-        "residual_px": rms,
-        "rotation_sd_deg": sd_deg,
         "focal_change": focal,
         "focal_sd_percent": sds[0].focal_percent,
         "metric_scale": "from the nominal camera centres alone",
     }
-    new = {camera.id: camera for camera in found.cameras}
-    whole = replace(
-        rig,
-        cameras=tuple(new.get(c.id, c) for c in rig.cameras),
-        poses="calibrated",
-        calibration=Calibration(date, rms, sd_deg),
-    )
-    rows = np.concatenate([obs.pixels, residuals], axis=1)
-    by_camera = {c: rows[good & (obs.camera == i)] for i, c in enumerate(nominal.ids)}
-    return Calibrated(whole, dict(zip(nominal.ids, sds, strict=True)), report, by_camera)
+    return calibrated(rig, align(found, nominal).carry_rig(found), solution, fit, sds, report)

@@ -4,8 +4,6 @@ Blob features sit off by a tenth of a pixel or two between views; the texture it
 S x S pixels. Source: Gruen, "Adaptive least squares correlation", 1985.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
@@ -27,7 +25,7 @@ OFFSETS = np.stack(np.meshgrid(AXIS, AXIS), axis=-1).reshape(-1, 2)  # [S * S, 2
 
 
 def refined(tracks: Tracks, images: Sequence[Image]) -> Tracks:
-    """The tracks with every place but the reference's moved to where its patch fits; places that do not fit are lost.
+    """Move every place of a track but the reference to where its patch fits; places that do not fit are dropped.
 
     The reference of a track is the view that is in the middle of those that see it.
     """
@@ -48,14 +46,14 @@ def refined(tracks: Tracks, images: Sequence[Image]) -> Tracks:
 
 
 def _middle_views(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """For each track the view seen that most others of its views are near to, in the rig's order."""
+    """Return for each track the view that is nearest to the middle of those that see it, in the rig's order."""
     order = np.arange(seen.shape[1])
     middle = (seen * order).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     return np.where(seen, np.abs(order - middle[:, None]), np.inf).argmin(axis=1)
 
 
 def _laid(model: Floats, tone: Image, slopes: Sequence[Image], start: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Places [P, 2] where the patches `model` [P, S * S] are in a view, and which of them are to be trusted [P]."""
+    """Find the places [P, 2] of the patches `model` [P, S * S] in a view, and which of them can be trusted [P]."""
     warp = np.tile(np.eye(2), (len(start), 1, 1))
     place = start.copy()
     mean, sd = model.mean(axis=1, keepdims=True), model.std(axis=1, keepdims=True)
@@ -86,7 +84,7 @@ def _patches(tone: Image, places: Floats) -> Floats:
 
 
 def _sampled(image: Image, at: Floats) -> Floats:
-    """Values [P, n] of an image at places [P, n, 2] in px, by cubic interpolation."""
+    """Sample an image at places [P, n, 2] in px by cubic interpolation, to [P, n]."""
     x, y = (np.ascontiguousarray(at[:, :, axis] - 0.5, dtype=np.float32) for axis in (0, 1))
     found = [
         cv2.remap(image, x[i : i + 30000], y[i : i + 30000], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

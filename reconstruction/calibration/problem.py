@@ -24,11 +24,11 @@ class Blocks(Protocol):
     def __len__(self) -> int: ...
 
     def place(self, which: Indices) -> tuple[Floats, Floats]:
-        """See the class; `which` [O] is the block of each observation."""
+        """Return each observation's point [O, 3] in m and its derivatives [O, 3, D]; `which` [O] is its block."""
         ...
 
     def moved(self, steps: Floats) -> Blocks:
-        """The blocks after steps [L, D]."""
+        """Return the blocks after steps [L, D]."""
         ...
 
 
@@ -91,10 +91,6 @@ class Observations:
     def __len__(self) -> int:
         return len(self.camera)
 
-    def only(self, kept: NDArray[np.bool_]) -> Observations:
-        """Those where `kept` [O] is true."""
-        return Observations(self.camera[kept], self.block[kept], self.pixels[kept], self.sd_px[kept])
-
 
 @dataclass(frozen=True)
 class Loss:
@@ -104,7 +100,7 @@ class Loss:
     scale: float = 1.0
 
     def cost(self, squared: Floats) -> Floats:
-        """The cost of squared residuals [O]."""
+        """Return the cost of squared residuals [O]."""
         s = squared / self.scale**2
         if self.kind == "huber":
             s = np.where(s > 1, 2 * np.sqrt(np.maximum(s, 1)) - 1, s)
@@ -113,7 +109,7 @@ class Loss:
         return self.scale**2 * s
 
     def weight(self, squared: Floats) -> Floats:
-        """The derivative of the cost by the squared residuals [O]."""
+        """Return the derivative of the cost by the squared residuals [O]."""
         s = squared / self.scale**2
         if self.kind == "huber":
             return 1 / np.sqrt(np.maximum(s, 1))
@@ -124,36 +120,30 @@ class Loss:
 class Freedom:
     """Which camera parameters may change: steps [C, 14] of PARAMETERS are `mixing` [C, 14, G] times G free values.
 
-    `prior_sd` [G] is how far each value may be from `prior_mean` [G] (infinity: anywhere).
+    `prior_sd` [G] is how far each value may be from zero (infinity: anywhere).
     """
 
     mixing: Floats
     prior_sd: Floats
-    prior_mean: Floats
 
     @classmethod
     def none(cls, cameras: int) -> Freedom:
-        """Nothing may change."""
-        return cls(np.zeros((cameras, len(PARAMETERS), 0)), np.zeros(0), np.zeros(0))
+        """Return a freedom in which nothing may change."""
+        return cls(np.zeros((cameras, len(PARAMETERS), 0)), np.zeros(0))
 
     def freed(self, columns: Floats, prior_sd: float) -> Freedom:
-        """With more values: `columns` [C, 14, n] that steps are mixed of, all with the same prior around zero."""
-        n = columns.shape[2]
-        return Freedom(
-            np.concatenate([self.mixing, columns], axis=2),
-            np.concatenate([self.prior_sd, np.full(n, prior_sd)]),
-            np.concatenate([self.prior_mean, np.zeros(n)]),
-        )
+        """Add values that mix steps by `columns` [C, 14, n], all with the same prior around zero."""
+        sds = np.full(columns.shape[2], prior_sd)
+        return Freedom(np.concatenate([self.mixing, columns], axis=2), np.append(self.prior_sd, sds))
 
     def each(self, name: str, prior_sd: float) -> Freedom:
-        """With the parameter `name` of every camera free for itself."""
+        """Free the parameter `name` of every camera by itself."""
         columns = np.zeros((len(self.mixing), len(PARAMETERS), len(self.mixing)))
-        for camera in range(len(self.mixing)):
-            columns[camera, PARAMETERS.index(name), camera] = 1.0
+        columns[:, PARAMETERS.index(name)] = np.eye(len(self.mixing))
         return self.freed(columns, prior_sd)
 
     def shared_focal(self, cameras: Cameras, prior_sd: float) -> Freedom:
-        """With one factor of all focal lengths free, as a relative change."""
+        """Free one factor of all focal lengths, as a relative change."""
         columns = np.zeros((len(self.mixing), len(PARAMETERS), 1))
         for number, name in enumerate(("fx", "fy")):
             columns[:, PARAMETERS.index(name), 0] = cameras.lenses[:, number]

@@ -29,7 +29,7 @@ class Cameras:
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Cameras:
-        """The cameras of a rig, in order."""
+        """Return the cameras of a rig, in order."""
         lenses = [(c.fx, c.fy, c.cx, c.cy, *c.distortion) for c in cameras]
         turns = [c.cam_from_rig.rotation for c in cameras]
         return cls(np.array(turns), np.array([c.center for c in cameras]), np.array(lenses, dtype=np.float64))
@@ -38,12 +38,12 @@ class Cameras:
         return len(self.centers)
 
     def moved(self, steps: Floats) -> Cameras:
-        """The cameras after steps [C, 14] of PARAMETERS: turns about the camera's own axes, the rest added."""
+        """Return the cameras after steps [C, 14] of PARAMETERS: turns about their own axes, the rest added."""
         turned = rotations(steps[:, TURN]) @ self.rotations
         return Cameras(turned, self.centers + steps[:, CENTER], self.lenses + steps[:, 6:])
 
     def written_to(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-        """`cameras` with these poses and lenses."""
+        """Return `cameras` with these poses and lenses."""
         found = []
         for camera, rotation, center, lens in zip(cameras, self.rotations, self.centers, self.lenses, strict=True):
             u, _, vt = np.linalg.svd(rotation)  # steps leave it a rotation to rounding; make it one again
@@ -69,7 +69,7 @@ class Projection:
 
 
 def project(points: Floats, cameras: Cameras, which: np.ndarray) -> Projection:
-    """Points [O, 3] in m in the rig frame, each seen by the camera of index `which` [O]."""
+    """Project points [O, 3] in m in the rig frame, each into the camera of index `which` [O]."""
     turn = cameras.rotations[which]
     inside = (turn @ (points - cameras.centers[which])[:, :, None])[:, :, 0]
     seen = inside[:, 2] > NEAREST_M
@@ -84,7 +84,7 @@ def project(points: Floats, cameras: Cameras, which: np.ndarray) -> Projection:
 
 
 def _through(inside: Floats, lenses: Floats) -> tuple[Floats, Floats, Floats]:
-    """Pixels of points [O, 3] in camera axes, and their derivatives by those points and by the lenses [O, 8]."""
+    """Return the pixels of points [O, 3] in camera axes, and their derivatives by points and by lenses [O, 8]."""
     fx, fy, cx, cy, k1, k2, p1, p2 = lenses.T
     z = inside[:, 2]
     x, y = inside[:, 0] / z, inside[:, 1] / z

@@ -1,7 +1,5 @@
 """A picture of what a calibration leaves over: each camera's residual vectors, and how they spread."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path
@@ -51,7 +49,7 @@ def draw_residuals(path: Path, found: Calibrated) -> None:
 
 
 def _grid(ids: list[str]) -> tuple[int, int, list[tuple[int, int]]]:
-    """Rows, columns and the cell of each camera: as camRC names it, or one after another."""
+    """Return the rows, the columns and each camera's cell: as camRC names it, or one after another."""
     named = [GRID_ID.fullmatch(camera_id) for camera_id in ids]
     if all(named):
         cells = [(int(match[1]), int(match[2])) for match in named if match]
@@ -76,7 +74,7 @@ def _draw_vectors(axes: Axes, camera: Camera, rows: Floats, times: float) -> Non
 
 
 def _draw_spread(axes: Axes, ids: list[str], residuals: list[Floats]) -> None:
-    """How long the residual vectors of each camera are: quartiles and the range of most."""
+    """Draw the quartiles and the usual range of each camera's residual lengths."""
     lengths = [np.linalg.norm(rows[:, 2:], axis=1) if len(rows) else np.zeros(1) for rows in residuals]
     axes.boxplot(lengths, tick_labels=ids, whis=(5, 95), showfliers=False)
     axes.plot(range(1, len(ids) + 1), [_rms(rows) for rows in residuals], "o", color=COLOUR, label="root mean square")
@@ -88,7 +86,7 @@ def _draw_spread(axes: Axes, ids: list[str], residuals: list[Floats]) -> None:
 
 
 def _draw_scatter(axes: Axes, apart: Floats, usual: float) -> None:
-    """All residuals about their middle."""
+    """Draw all residuals about their middle."""
     axes.plot(apart[:, 0], apart[:, 1], ".", markersize=2, alpha=0.4, color=COLOUR)
     limit = 2 * max(usual, 1e-9)
     axes.set_xlim(-limit, limit)
@@ -105,6 +103,6 @@ def _rms(rows: Floats) -> float:
 
 
 def _round(number: float) -> float:
-    """The number rounded down to 1, 2 or 5 times a power of ten."""
+    """Round a number down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(number))
     return power * max(digit for digit in (1, 2, 5) if digit <= number / power * (1 + 1e-9))

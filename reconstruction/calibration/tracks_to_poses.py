@@ -4,13 +4,11 @@ A redescending loss at once, from a nominal rig, falls into wrong minima; so doe
 Letters: T tracks, V views.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from reconstruction.calibration.adjustment import adjust, linearised
+from reconstruction.calibration.adjustment import Solution, adjust
 from reconstruction.calibration.matches import Tracks
 from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, ScenePoints, State
 from reconstruction.calibration.projection import PARAMETERS, Cameras
@@ -24,26 +22,8 @@ CENTER_SD_M = 0.02  # of a nominal camera centre
 STEPS = ((10.0, 1e-3), (5.0, 4e-3), (3.0, CENTER_SD_M), (1.0, CENTER_SD_M))  # Cauchy's bend in px, centre prior in m
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Cameras and the problem they are the solution of; `points` [T, 3] in m."""
-
-    problem: Problem
-    state: State
-
-    @property
-    def points(self) -> Floats:
-        """See the class."""
-        assert isinstance(self.state.blocks, ScenePoints)
-        return self.state.blocks.positions
-
-    def residuals_px(self) -> Floats:
-        """Residuals [O, 2] of the observations."""
-        return linearised(self.problem, self.state).residuals
-
-
 def coarse(cameras: Cameras, tracks: Tracks) -> Solution:
-    """Turns alone, with centres and focal length all but held: enough to judge matches by."""
+    """Find the turns, with centres and focal length all but held: enough to judge matches by."""
     state = State(cameras, ScenePoints(triangulated(cameras, tracks)), np.zeros(0))
     freedom = pose_freedom(len(cameras), HELD_M)
     state = replace(state, steps=np.zeros(len(freedom.prior_sd)))
@@ -52,7 +32,7 @@ def coarse(cameras: Cameras, tracks: Tracks) -> Solution:
 
 
 def annealed(start: Solution, tracks: Tracks) -> Solution:
-    """From a coarse solution to free poses, then a free focal length."""
+    """Adjust from a coarse solution to free poses, then to a free focal length."""
     cameras = start.state.cameras
     observations = observed(tracks, FEATURE_SD_PX)
     state = State(cameras, ScenePoints(triangulated(cameras, tracks)), start.state.steps)
@@ -63,7 +43,7 @@ def annealed(start: Solution, tracks: Tracks) -> Solution:
 
 
 def with_focal(state: State, observations: Observations, loss: Loss) -> Solution:
-    """On with the focal length free, and with other observations of the same points."""
+    """Adjust on with the focal length free, and with other observations of the same points."""
     freedom = pose_freedom(len(state.cameras), CENTER_SD_M)
     poses = len(freedom.prior_sd)
     freedom = freedom.shared_focal(state.cameras, FOCAL_SD)
@@ -73,7 +53,7 @@ def with_focal(state: State, observations: Observations, loss: Loss) -> Solution
 
 
 def pose_freedom(cameras: int, center_m: float) -> Freedom:
-    """Turns free, centres within `center_m` of where they are nominally."""
+    """Free the turns, and the centres within `center_m` of where they are nominally."""
     freedom = Freedom.none(cameras)
     for name in PARAMETERS[:3]:
         freedom = freedom.each(name, np.inf)
@@ -83,13 +63,13 @@ def pose_freedom(cameras: int, center_m: float) -> Freedom:
 
 
 def observed(tracks: Tracks, sd_px: float) -> Observations:
-    """Every place of every track."""
+    """Return every place of every track as an observation."""
     track, view = np.nonzero(tracks.seen)
     return Observations(view, track, tracks.places[track, view], np.full(len(track), sd_px))
 
 
 def triangulated(cameras: Cameras, tracks: Tracks) -> Floats:
-    """The points [T, 3] nearest to all rays of their tracks; distortion is left to the adjustment."""
+    """Return the points [T, 3] in m nearest to all rays of their tracks; distortion is left to the adjustment."""
     track, view = np.nonzero(tracks.seen)
     fx, fy, cx, cy = cameras.lenses[view, :4].T
     x, y = tracks.places[track, view].T

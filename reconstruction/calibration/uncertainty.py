@@ -3,8 +3,6 @@
 Letters: C cameras, G free values.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from reconstruction.calibration.calibrated import CameraSd
@@ -17,7 +15,9 @@ OPTIMISM = 2.0  # variances are taken for so much larger than the sandwich says;
 
 
 def camera_sds(covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric: bool) -> list[CameraSd]:
-    """Of every camera, from the covariance [G, G] of the free values; `metric`: whether scale is known."""
+    """Return every camera's deviations, from the covariance [G, G] of the free values; `metric`: whether scale is
+    known.
+    """
     count, parameters = len(cameras), len(PARAMETERS)
     mixing = freedom.mixing.reshape(count * parameters, freedom.mixing.shape[2])
     spread = (mixing @ covariance @ mixing.T).reshape(count, parameters, count, parameters)
@@ -32,7 +32,7 @@ def camera_sds(covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric
 
 
 def aligning(cameras: Cameras, *, metric: bool) -> Floats:
-    """The matrix [6C, 6C] that takes the mean turn, shift and (unless `metric`) scale out of steps [C, 6].
+    """Return the matrix [6C, 6C] that takes the mean turn, shift and (unless `metric`) scale out of steps [C, 6].
 
     It is `rigs.similarity.align` for small steps.
     """

@@ -3,29 +3,25 @@
 A reprojection error tells nothing of a wrong minimum; how far the rig would have to be off its drawing does.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reconstruction.calibration.calibrated import CameraSd
+from reconstruction.calibration.adjustment import Solution
+from reconstruction.calibration.calibrated import INLIER_PX, CameraSd, Fit, displacement
 from reconstruction.calibration.features import Features, Image
 from reconstruction.calibration.matches import Matches, Pair, Tracks
-from reconstruction.calibration.tracks_to_poses import Solution
 from reconstruction.errors import GeometryError
 from rigs.rig import Rig
 from rigs.similarity import align
-from rigs.transform import rotvec_of
 
 DARK = 1e-3  # spikes per tick; twice the dark current of the sensor
 LEAST_VIEWS = 3
 LEAST_TRACKS = 250
 LEAST_OBSERVATIONS = 40  # of one camera
 LEAST_KEPT = 0.9  # share of observations within INLIER_PX
-INLIER_PX = 1.0
 MOST_SD_DEG = 0.1  # mean over the cameras; worse is seen in the pictures
 MOST_TURN_DEG, MOST_SHIFT_M, MOST_FOCAL = 12.5, 0.1, 0.08  # off the drawing: five times what a careful hand does
 
@@ -39,7 +35,7 @@ class Evidence:
     candidates: Mapping[Pair, Matches]
 
     def enough(self, tracks: Tracks) -> Tracks:
-        """The tracks, where they are enough for all views; raises GeometryError naming the views that lack them."""
+        """Return the tracks if they suffice for all views; raises GeometryError naming the views that lack them."""
         seen = tracks.seen.sum(axis=0)
         few = [c for c, n in zip(self.images, seen, strict=True) if n < LEAST_OBSERVATIONS]
         if few and len(few) < len(seen) - 2:
@@ -66,8 +62,8 @@ def refuse_blind(images: Mapping[str, Image]) -> None:
         raise GeometryError(f"found no light in {', '.join(dark)}", "all views lit", "open the lens or leave it out")
 
 
-def refuse_unsure(sds: Sequence[CameraSd]) -> None:
-    """Raise GeometryError where the adjustment itself says that it knows the cameras poorly."""
+def refuse_unsure(sds: Sequence[CameraSd]) -> float:
+    """Return the mean deviation of the turns in degrees; raises GeometryError where the adjustment doubts them."""
     sd_deg = float(np.mean([sd.rotation_deg for sd in sds]))
     if not sd_deg < MOST_SD_DEG:
         raise GeometryError(
@@ -75,12 +71,12 @@ def refuse_unsure(sds: Sequence[CameraSd]) -> None:
             f"{MOST_SD_DEG:g} or better: too little texture, or too short or dim a recording",
             "show the cameras something else, or a board",
         )
+    return sd_deg
 
 
 def judge(nominal: Rig, solution: Solution) -> None:
     """Raise GeometryError where the solution is one that must not be believed."""
-    residuals = np.linalg.norm(solution.residuals_px(), axis=1)
-    kept = residuals < INLIER_PX
+    kept = Fit.of(solution).good
     share = float(kept.mean())
     per_camera = np.bincount(solution.problem.observations.camera[kept], minlength=len(nominal.cameras))
     if share < LEAST_KEPT:
@@ -132,19 +128,17 @@ def _refuse_displaced(nominal: Rig, solution: Solution) -> None:
 
 
 def displaced(found: Rig, nominal: Rig, *, aligned: bool = False) -> dict[str, str]:
-    """Cameras farther off their drawing than a hand is, with the words that say how far."""
+    """Return the cameras farther off their drawing than careful hands leave them, with words that say how far."""
     moved = found if aligned else align(found, nominal).carry_rig(found)
     far = {}
     for camera in moved.cameras:
-        drawn = nominal.camera(camera.id)
-        turn = np.degrees(np.linalg.norm(rotvec_of(camera.cam_from_rig.rotation @ drawn.cam_from_rig.rotation.T)))
-        shift = float(np.linalg.norm(camera.center - drawn.center))
-        if turn > MOST_TURN_DEG or shift > MOST_SHIFT_M:
-            far[camera.id] = f"{100 * shift:.1f} cm and {turn:.1f} degrees off its place in the rig file"
+        off = displacement(camera, nominal.camera(camera.id))
+        if off.turn_deg > MOST_TURN_DEG or off.shift_m > MOST_SHIFT_M:
+            far[camera.id] = f"{100 * off.shift_m:.1f} cm and {off.turn_deg:.1f} degrees off its place in the rig file"
     return far
 
 
 def _exchanged(rig: Rig, one: str, other: str) -> Rig:
-    """The rig with two cameras in each other's place."""
+    """Return the rig with two cameras in each other's place."""
     place = {one: rig.camera(other).cam_from_rig, other: rig.camera(one).cam_from_rig}
     return replace(rig, cameras=tuple(replace(c, cam_from_rig=place.get(c.id, c.cam_from_rig)) for c in rig.cameras))

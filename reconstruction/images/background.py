@@ -1,7 +1,5 @@
 """What stays when the movers are taken away, and the pixels a sensor has lost."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -30,7 +28,7 @@ class Background:
 
 
 def background(stream: SpikeStream, moving: NDArray[np.bool_], light: Light) -> Background:
-    """The background behind the `moving` pixels [H, W] in mean light; stuck pixels take their neighbours' median."""
+    """Find the background behind the `moving` pixels [H, W] in mean light; stuck pixels take the median around them."""
     mean = stream.counts(0, len(stream)).astype(np.float32) / np.float32(len(stream))
     stuck = stuck_pixels(mean)
     length = len(stream) // WINDOWS
@@ -47,13 +45,13 @@ def background(stream: SpikeStream, moving: NDArray[np.bool_], light: Light) -> 
 
 
 def stuck_pixels(mean: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels [H, W] that never or always fired over a clip with this mean while their neighbours did otherwise."""
+    """Find pixels [H, W] that never or always fired over a clip with this mean, unlike their neighbours."""
     neighbours = cv2.medianBlur(mean, 3)
     return ((mean <= 0) | (mean >= 1)) & (np.abs(mean - neighbours) > STUCK_GAP)
 
 
 def mended(image: NDArray[np.float32], stuck: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """The image [H, W] with stuck pixels replaced by the median of their 3x3 surroundings."""
+    """Replace the stuck pixels of an image [H, W] by the median of their 3x3 surroundings."""
     if not stuck.any():
         return image
     return np.where(stuck, cv2.medianBlur(image, 3), image).astype(np.float32)

@@ -6,8 +6,6 @@ the given images. `method(name, weights)` and `method_for(name, layout, pixels)`
 imports no torch.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -32,20 +32,20 @@ class CompositeSource:
     kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
     def at(self, plane: int) -> NDArray[np.float32]:
-        """The image [H, W] at `plane`, spikes per tick."""
+        """Return the image [H, W] at `plane` in spikes per tick."""
         image = self.background.image * self.light.gains[plane]
         if self.moving.any():
             image[self.moving] = self._short(plane)
         return image
 
     def instants(self, stride: int) -> NDArray[np.int64]:
-        """The middles of every `stride` planes (of all, where there are fewer)."""
+        """Return the middles of every `stride` planes, or of all where there are fewer."""
         planes = len(self.stream)
         stride = min(stride, planes)
         return np.arange(stride // 2, planes, stride)
 
     def _short(self, plane: int) -> NDArray[np.float32]:
-        """The moving pixels' values at `plane`."""
+        """Return the moving pixels' values at `plane`."""
         if plane not in self.kept:
             values = mended(self.method(self.stream, plane).intensity, self.background.stuck)[self.moving]
             while self.kept and (len(self.kept) + 1) * values.nbytes > KEPT_BYTES:
@@ -54,11 +54,11 @@ class CompositeSource:
         return self.kept[plane]
 
     def movers(self, plane: int) -> NDArray[np.bool_]:
-        """Pixels [H, W] that see a mover at `plane`: unlike the background, or without one to compare with."""
+        """Return which pixels [H, W] see a mover at `plane`: they differ from the background, or have no sure one."""
         return self.movers_in(self.at(plane), plane)
 
     def movers_in(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
-        """`movers`, where the image [H, W] at `plane` is at hand."""
+        """Do as `movers` for the image [H, W] at `plane`."""
         gap = cv2.blur(image - self.background.image * self.light.gains[plane], (3, 3))
         unlike = cv2.dilate((np.abs(gap) > DIFFERENT).astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
         return self.moving & ((unlike > 0) | ~self.background.trusted)

@@ -22,7 +22,7 @@ class Estimate:
 
 
 def shrunk(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """An image averaged down to the size of `camera`."""
+    """Average an image down to the size of `camera`."""
     import cv2
 
     small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)

@@ -31,21 +31,21 @@ class Light:
 
     @classmethod
     def steady(cls, planes: int) -> Light:
-        """Light that does not change."""
+        """Return light that does not change."""
         return cls(np.ones(planes, dtype=np.float32))
 
     @property
     def flickers(self) -> bool:
-        """Whether there is anything to correct."""
+        """Return whether there is anything to correct."""
         return bool(self.gains.std() > FLICKER)
 
     def over(self, first: int, last: int) -> float:
-        """The mean gain of planes [first, last)."""
+        """Return the mean gain of planes [first, last)."""
         return float(self.gains[first:last].mean())
 
 
 def estimate_light(streams: Sequence[SpikeStream]) -> Light:
-    """The light over the planes that V streams share; steady where no change stands out or too little is seen."""
+    """Estimate the light over the planes that V streams share; steady where no change stands out."""
     planes = min(len(stream) for stream in streams)
     starts = range(0, planes - WINDOW + 1, WINDOW)
     if len(starts) < 3:
@@ -69,7 +69,7 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
 
 
 def _blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
-    """Spikes of each block over each window [windows, blocks]."""
+    """Count the spikes of each block over each window, to [windows, blocks]."""
     size = (max(1, stream.layout.width // BLOCK_PX), max(1, stream.layout.height // BLOCK_PX))
     area = stream.layout.width * stream.layout.height / (size[0] * size[1])
     counts = (stream.counts(start, start + WINDOW).astype(np.float32) for start in starts)

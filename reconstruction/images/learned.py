@@ -1,7 +1,5 @@
 """Images by a trained network, as estimates."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from torch import nn

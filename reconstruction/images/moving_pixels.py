@@ -17,7 +17,7 @@ GROW_PX = 2  # a mover's edge is soft: its neighbours see it too
 
 
 def moving_pixels(stream: SpikeStream, light: Light) -> NDArray[np.bool_]:
-    """Mask [H, W] of pixels that change somewhere in the stream by more than `light` does."""
+    """Find the pixels [H, W] that change somewhere in the stream by more than `light` does."""
     seen = np.zeros((stream.layout.height, stream.layout.width), dtype=np.uint8)
     for windows in WINDOWS:
         length = len(stream) // windows

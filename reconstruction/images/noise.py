@@ -16,20 +16,20 @@ _ENDS = 1 / 6
 
 
 def interval_sigma(ticks: NDArray[np.integer]) -> Image:
-    """Of 1 / T from an interval of T whole ticks: d(1/T) = dT / T^2, and one spike's electrons."""
+    """Return the deviation of 1 / T from an interval of T whole ticks: d(1/T) = dT / T^2, and one spike's electrons."""
     lengths = np.arange(int(ticks.max(initial=1)) + 1)
     squared = np.square(np.maximum(lengths, 1).astype(np.float32))
     return np.sqrt(np.float32(_ENDS) / np.square(squared) + np.float32(1 / ELECTRONS_PER_SPIKE) / squared)[ticks]
 
 
 def window_sigma(rate: Image, planes: NDArray | int) -> Image:
-    """Of a mean over n planes: a spike more or less at the ends."""
+    """Return the deviation of a mean over n planes: a spike more or less at the ends."""
     n = np.maximum(planes, 1).astype(np.float32)
     return np.sqrt(np.float32(_ENDS) / np.square(n) + _shot(rate) / n)
 
 
 def interpolated_sigma(rate: Image, ticks: NDArray[np.integer], planes: int) -> Image:
-    """Of an interpolated count over n planes whose ends lie in intervals of at most T ticks.
+    """Return the deviation of an interpolated count over n planes whose ends lie in intervals of at most T ticks.
 
     Each end lies evenly between two spikes whose places are uniform in their ticks: r^2 / 18. An interval that holds
     both ends is the whole error, as in `interval_sigma`.
@@ -41,7 +41,7 @@ def interpolated_sigma(rate: Image, ticks: NDArray[np.integer], planes: int) -> 
 
 
 def slope_sigma(rate: Image, planes: NDArray | int) -> Image:
-    """Of the slope over n planes, whose weights w(t) = 6 t (n - t) / n^3 sum the spikes.
+    """Return the deviation of the slope over n planes, whose weights w(t) = 6 t (n - t) / n^3 sum the spikes.
 
     The spike train's own line at q = min(r, 1 - r) leaks through the kinks of w at the ends: variance 0.1 / (q n^2)^2
     (Poisson summation). Where q n is small, one spike or gap anywhere in the window is the whole error: 1.2 q / n. A

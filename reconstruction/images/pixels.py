@@ -5,8 +5,6 @@ light above that, with a mean of 1 over the good pixels; so light that is not ev
 planes leave errors of about 0.4 / T in the offset and 0.4 / (T * light) in the gain.
 """
 
-from __future__ import annotations
-
 import io
 import zlib
 from dataclasses import dataclass
@@ -46,11 +44,11 @@ class PixelCalibration:
 
     @property
     def defect(self) -> NDArray[np.bool_]:
-        """Pixels [H, W] that are hot or dead."""
+        """Return which pixels [H, W] are hot or dead."""
         return self.hot | self.dead
 
     def corrected(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """An image [H, W] in spikes per tick with even pixels; defects take the median of their good neighbours."""
+        """Even out an image [H, W] in spikes per tick; defects take the median of their good neighbours."""
         if image.shape != self.gain.shape:
             raise BadRecordingError(f"found an image of {image.shape}", f"{self.gain.shape} as calibrated")
         even = np.maximum((image - self.offset) / self.gain, 0).astype(np.float32)
@@ -63,7 +61,7 @@ class PixelCalibration:
 
 
 def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
-    """The calibration of one camera from planes under even light and planes without light.
+    """Estimate the calibration of one camera from planes under even light and planes without light.
 
     Raises BadRecordingError where they differ in size, or the light is too little or too much to tell pixels apart.
     """
@@ -84,14 +82,14 @@ def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
 
 
 def write_pixels(path: Path, calibration: PixelCalibration) -> None:
-    """Put the calibration under `path` as .npz, durably."""
+    """Write the calibration to `path` as .npz, durably."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **{name: getattr(calibration, name) for name in _ARRAYS})
     write_durably(path, buffer.getvalue())
 
 
 def read_pixels(path: Path) -> PixelCalibration:
-    """What `write_pixels` put under `path`; raises BadRecordingError naming the file for anything else."""
+    """Read what `write_pixels` wrote; raises BadRecordingError naming the file for anything else."""
     try:
         data = path.read_bytes()
     except OSError as error:

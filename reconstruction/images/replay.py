@@ -1,7 +1,5 @@
 """Spikes in the order they came, for methods that keep a state for every pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -32,11 +30,11 @@ class Replay:
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
-        """Pixels [H, W] that have fired in every plane played: how much brighter they are cannot be told."""
+        """Return which pixels [H, W] fired in every plane played: how much brighter they are cannot be told."""
         return self.longest <= 1
 
     def __iter__(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int16]]]:
-        """Tick by tick: which pixels close an interval [H, W] and its length in ticks [H, W], 1 or more."""
+        """Yield for every tick which pixels close an interval [H, W], and its length in ticks [H, W], 1 or more."""
         seen, playing = np.zeros(self.silence.shape, dtype=bool), np.ones(self.silence.shape, dtype=bool)
         for plane, spikes in enumerate(self._planes, self._first):
             fired = spikes & playing

@@ -6,8 +6,6 @@ than its gate (45 px at a focal length of 350). Source: Spike4DGS (NeurIPS 2025)
 described in `network`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +49,7 @@ def initialise(
     progress: Progress = silent,
     weights: Path | None = None,
 ) -> Geometry:
-    """Cameras, points and images of the views in `streams` (camera id to stream) at `instant_s` on the rig clock.
+    """Find cameras, points and images of the views in `streams` (camera id to stream) at `instant_s` on the rig clock.
 
     `rig` is the nominal one; its cameras without a stream keep their nominal pose and get the focal factor found. A
     dark view keeps its nominal pose, too, and has no points. Where the poses found cannot be trusted, the rig is the
@@ -94,12 +92,12 @@ def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:
 
 
 def _spikes(stream: SpikeStream, plane: int) -> float:
-    """Spikes a pixel on average, as far around `plane` as a dim view is looked at."""
+    """Return a pixel's mean number of spikes, as far around `plane` as a dim view is looked at."""
     return float(stream.counts(*stream.around(plane, REACH * MOST_GROUP)).mean())
 
 
 def _numbers(inferred: Inferred, seeing: list[str]) -> dict[str, object]:
-    """What `run.json` is told of the correspondences."""
+    """Return what `run.json` is told of the correspondences."""
     used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
     counts = {name: int(n) for name, n in zip(seeing, fits.sum(axis=(1, 2)), strict=True)}
     return {"matches": int(used.sum()), "fitting": round(float(fits.sum() / max(1, used.sum())), 3), "by_view": counts}
@@ -110,7 +108,7 @@ def _used(inferred: Inferred) -> NDArray[np.bool_]:
 
 
 def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
-    """Why the poses found are not to be trusted, if they are not."""
+    """Return why the poses found are not to be trusted, if they are not."""
     used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
     share = fits.sum() / max(1, used.sum())
     if share < FEWEST_SHARE:
@@ -128,7 +126,8 @@ def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
 
 
 def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """The confident pixels of all views that others confirm, as points in the rig frame [N, 3] m, and their confidence.
+    """Return the confident pixels of all views that others confirm, as points in the rig frame [N, 3] in m, and
+    confidences.
 
     `scale` is that of the similarity which brought the cameras to `moved`.
     """
@@ -151,7 +150,7 @@ def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.fl
 
 
 def _completed(rig: Rig, moved: Rig) -> Rig:
-    """`rig` with the cameras of `moved`, the others with the focal factor those have."""
+    """Return `rig` with the cameras of `moved`, and the others with the focal factor that those have."""
     first = moved.cameras[0]
     factor = first.fx / rig.camera(first.id).fx
     cameras = []

@@ -10,8 +10,6 @@ NeurIPS 2019 (guess and measurement joined); Wu et al., "Unpaired learning of de
 blind spot); Chen et al., "Self-supervised mutual learning for spike cameras", IJCAI 2022. The temporal gap is ours.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -29,7 +27,7 @@ OWN_SHARE = 0.3  # of the spread is the guess's own; on development seeds 0.73 o
 
 
 def blind_rates(stream: SpikeStream, plane: int) -> Floats:
-    """Rates in all bins, then in the pixel's own bins beyond the gap [BINS + OWN, H, W], spikes per tick."""
+    """Return rates in spikes per tick in all bins, then in the pixel's own bins beyond the gap [BINS + OWN, H, W]."""
     planes = planes_around(stream, plane, REACH)
     ticks = np.array([0, REACH - NEAR, REACH - GAP])
     past = np.diff(charge(planes[: REACH - GAP + 1], ticks), axis=0)
@@ -40,7 +38,7 @@ def blind_rates(stream: SpikeStream, plane: int) -> Floats:
 
 
 def reversed_blind_rates(seen: Floats) -> Floats:
-    """Those of the stream run backwards; [..., C, H, W]."""
+    """Return the `blind_rates` [..., C, H, W] of the stream run backwards."""
     return np.concatenate([seen[..., :BINS, :, :][..., ::-1, :, :], seen[..., BINS:, :, :][..., ::-1, :, :]], axis=-3)
 
 
@@ -48,7 +46,7 @@ class HoledConvolution(nn.Conv2d):
     """A 3x3 convolution that does not see its middle."""
 
     def forward(self, input: Tensor) -> Tensor:
-        """[N, C, H, W] to [N, D, H, W]."""
+        """Convolve [N, C, H, W] to [N, D, H, W]."""
         return self._conv_forward(input, self.weight * _hole(self.weight), self.bias)
 
 
@@ -76,12 +74,12 @@ class BlindSpotNet(nn.Module):
         nn.init.zeros_(self.tail.weight)
 
     def forward(self, seen: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-        """See the class."""
+        """Return light and error, or while training the guess and its spread; see the class."""
         guess, spread = self.guess(seen, mean)
         return (guess, spread) if self.training else joined(guess, spread, seen[:, BINS // 2, None])
 
     def guess(self, seen: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-        """The pixel's rate over its interval, not having seen it, and the standard deviation of that guess."""
+        """Guess the pixel's rate over its interval without seeing it; return the guess and its standard deviation."""
         rates, own = seen[:, :BINS], seen[:, BINS:]
         now, steady = rates[:, BINS // 2, None], own.mean(dim=1, keepdim=True)
         near = functional.relu(self.around(torch.cat([rates / mean, now * now / mean], dim=1)))
@@ -102,7 +100,7 @@ class BlindSpotNet(nn.Module):
 
 
 def joined(guess: Tensor, spread: Tensor, interval: Tensor) -> tuple[Tensor, Tensor]:
-    """The guess and the interval's rate, each as far as it is to be trusted; and the error of both together.
+    """Join the guess and the interval's rate, each as far as it can be trusted; return the light and its error.
 
     Light r gives intervals of n and n + 1 ticks, n = floor(1 / r), in a mixture with the mean rate r, so with the
     variance (1/n - r)(r - 1/(n + 1)); what `spread` has beyond that is the guess's own error.

@@ -4,8 +4,6 @@ Slower than a fused kernel, for it keeps nine samples of every value, but it run
 Source: Zhu et al., "Deformable ConvNets v2", CVPR 2019, without its modulation.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -24,12 +22,13 @@ class DeformableConvolution(nn.Module):
         nn.init.zeros_(self.offsets.bias)  # pyright: ignore[reportArgumentType]
 
     def forward(self, x: Tensor, guide: Tensor) -> Tensor:
-        """See the class."""
+        """Return the convolution of `x` [N, C, H, W] with taps moved as the `guide` says."""
         return deformed(x, self.offsets(guide), self.taps.weight, self.taps.bias)
 
 
 def deformed(x: Tensor, offsets: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
-    """[N, D, H, W]: `weight` [D, C, 3, 3] over `x` [N, C, H, W] at its nine taps moved by `offsets`; zero outside.
+    """Convolve `x` [N, C, H, W] by `weight` [D, C, 3, 3] at its nine taps moved by `offsets`, to [N, D, H, W]; zero
+    outside.
 
     `offsets` [N, G * 9 * 2, H, W] are pixels (down, right) of each tap, for G equal groups of the channels.
     """

@@ -1,7 +1,5 @@
 """A trained network over a whole image: tiles where it is large, sizes that its stride does not divide."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 
@@ -25,7 +23,8 @@ Floats = NDArray[np.float32]
 def infer(
     network: ImageNetwork, module: nn.Module, stream: SpikeStream, plane: int, seen: torch.Tensor | None = None
 ) -> tuple[Floats, Floats]:
-    """Light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not negative.
+    """Return light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not
+    negative.
 
     `seen` [1, C, H, W] is what `network` observes there, for those who have it already.
     """
@@ -47,7 +46,8 @@ def infer(
 
 
 def gathered(stream: SpikeStream, plane: int, reach: int) -> tuple[SpikeStream, int, int]:
-    """The stream, the plane in it, and 1; or, where light is dim, planes joined in groups about `plane`, and how many.
+    """Return the stream, the plane in it, and 1; where light is dim, planes joined in groups about `plane`, and their
+    number.
 
     A group has a spike where one of its planes has; intervals so long that the networks see too few of them get shorter
     by the size of the group. Motion gets faster by it, too.
@@ -71,7 +71,7 @@ def gathered(stream: SpikeStream, plane: int, reach: int) -> tuple[SpikeStream, 
 
 @functools.cache
 def trained(name: str, weights: Path | None = None) -> nn.Module:
-    """The network `name` with `weights`, by default those that ship; raises BadRunError where there are none."""
+    """Load the network `name` with `weights`, by default those that ship; raises BadRunError where there are none."""
     module = image_network(name).build().eval()
     read_weights(weights or SHIPPED / f"{name}.npz", module)
     return module

@@ -1,7 +1,5 @@
 """The networks by name: what each sees, how it is built, and what it is trained to do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -43,7 +41,7 @@ class ImageNetwork:
 
 
 def loss(network: ImageNetwork, module: nn.Module, seen: Tensor, truth: Tensor | None) -> Tensor:
-    """Of a batch: the light's error, quadratic then linear, and the Gaussian likelihood of what `sigma` says of it.
+    """Return a batch's loss: the light's error, quadratic then linear, and the likelihood of `sigma` given that error.
 
     The likelihood moves sigma alone, so that the light is not traded against it. Without `truth` only a network that
     has its target in its input can be trained: BadRunError.
@@ -57,7 +55,7 @@ def loss(network: ImageNetwork, module: nn.Module, seen: Tensor, truth: Tensor |
 
 
 def light_loss(light: Tensor, sigma: Tensor, target: Tensor, level: Tensor, bend: float = BEND) -> Tensor:
-    """The loss of light and its standard deviation against the target [N, 1, H, W], at mean light [N, 1, 1, 1]."""
+    """Return the loss of light and its deviation against the target [N, 1, H, W], at mean light [N, 1, 1, 1]."""
     error, spread = (light - target) / level, sigma / level
     found = functional.huber_loss(error, torch.zeros_like(error), delta=bend)
     likelihood = spread.log() + (error.detach() / spread) ** 2 / 2
@@ -65,7 +63,7 @@ def light_loss(light: Tensor, sigma: Tensor, target: Tensor, level: Tensor, bend
 
 
 def image_network(name: str) -> ImageNetwork:
-    """The network called `name`; raises BadRunError listing the known ones."""
+    """Return the network called `name`; raises BadRunError listing the known ones."""
     if name not in IMAGE_NETWORKS:
         raise BadRunError(f"found the network {name!r}", f"one of {', '.join(IMAGE_NETWORKS)}")
     return IMAGE_NETWORKS[name]

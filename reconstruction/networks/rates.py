@@ -5,8 +5,6 @@ is taken to grow evenly, so the charge at any time is known to a fraction of a s
 rate without the whole spikes that a count rounds to. This is what TFI does at an instant, for windows of any length.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +18,7 @@ BINS = len(EDGES) - 1
 
 
 def planes_around(stream: SpikeStream, plane: int, reach: int) -> NDArray[np.uint8]:
-    """Planes [2 reach + 1, H, W] centred on `plane`; beyond its ends the stream is mirrored, as often as needed."""
+    """Return planes [2 reach + 1, H, W] centred on `plane`; beyond its ends the stream is mirrored."""
     first, last = stream.around(plane, reach)
     seen = stream.planes(first, last)
     missing = (reach - (plane - first), reach + 1 - (last - plane))
@@ -28,7 +26,7 @@ def planes_around(stream: SpikeStream, plane: int, reach: int) -> NDArray[np.uin
 
 
 def charge(planes: NDArray[np.uint8], ticks: NDArray[np.int_]) -> Floats:
-    """Spikes, with a fraction, that each pixel of `planes` [T, H, W] has gathered up to the middle of `ticks` [e].
+    """Return the spikes, with a fraction, that pixels of `planes` [T, H, W] gathered up to the middle of `ticks` [e].
 
     Before its first and after its last spike a pixel keeps its mean rate, but no more than its silence allows.
     """
@@ -51,15 +49,15 @@ def charge(planes: NDArray[np.uint8], ticks: NDArray[np.int_]) -> Floats:
 
 
 def rates(stream: SpikeStream, plane: int) -> Floats:
-    """Mean light [BINS, H, W] in spikes per tick between the edges of the bins around the instant at `plane`."""
+    """Return the mean light [BINS, H, W] in spikes per tick between the bins' edges around the instant at `plane`."""
     return bin_rates(charge(planes_around(stream, plane, REACH), EDGES + REACH))
 
 
 def bin_rates(gathered: Floats) -> Floats:
-    """The charge [BINS + 1, H, W] at the edges as rates [BINS, H, W] between them."""
+    """Return the rates [BINS, H, W] between the edges from the charge [BINS + 1, H, W] at them."""
     return np.diff(gathered, axis=0) / np.diff(EDGES).astype(np.float32)[:, None, None]
 
 
 def raw_planes(stream: SpikeStream, plane: int) -> NDArray[np.uint8]:
-    """The 41 planes [41, H, W] of 0 and 1 around the instant at `plane`."""
+    """Return the 41 planes [41, H, W] of 0 and 1 around the instant at `plane`."""
     return planes_around(stream, plane, RAW_REACH)

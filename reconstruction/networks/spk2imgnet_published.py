@@ -8,8 +8,6 @@ are chosen to give its 3.90 M parameters; the standard deviation beside the imag
 Source: Zhao et al., "Spk2ImgNet: learning to reconstruct dynamic scene from continuous spike stream", CVPR 2021.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -38,7 +36,7 @@ class Extractor(nn.Module):
         self.refine = nn.Sequential(*(ResidualBlock(CHANNELS) for _ in range(RESIDUAL_BLOCKS)))
 
     def forward(self, block: Tensor) -> Tensor:
-        """See the class."""
+        """Map a block of planes to features; see the class."""
         cut = [(LENGTH - length) // 2 for length in SUB_WINDOWS]
         seen = [window(block[:, c : LENGTH - c]) for window, c in zip(self.windows, cut, strict=True)]
         weights = self.attention(torch.cat(seen, dim=1))
@@ -59,7 +57,7 @@ class Alignment(nn.Module):
         self.merge = nn.ModuleList(_convolution(2 * CHANNELS) for _ in range(SCALES - 1))
 
     def forward(self, features: Tensor, middle: Tensor) -> Tensor:
-        """See the class."""
+        """Return `features` moved onto `middle`; see the class."""
         pyramid = [(features, middle)]
         for layer in self.down:
             pyramid.append((functional.relu(layer(pyramid[-1][0])), functional.relu(layer(pyramid[-1][1]))))
@@ -92,7 +90,7 @@ class PublishedSpk2ImgNet(nn.Module):
         self.spread = nn.Sequential(_convolution(CHANNELS), nn.ReLU(), nn.Conv2d(CHANNELS, 1, 3, padding=1))
 
     def forward(self, planes: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-        """See the class."""
+        """Return light and its deviation; see the class."""
         blocks = [self.extractor(planes[:, STEP * k : STEP * k + LENGTH]) for k in range(BLOCKS)]
         half = BLOCKS // 2
         past = [self.from_past(block, blocks[half]) for block in blocks[:half]]

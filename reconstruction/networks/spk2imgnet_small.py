@@ -6,8 +6,6 @@ pixel, among the means of eight windows, plus a correction. Half of its work is 
 no deformable alignment: at most a few pixels are crossed in the windows that matter, which its 3x3 filters reach.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -27,7 +25,7 @@ class ResidualBlock(nn.Module):
         self.second = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[N, C, H, W] to the same."""
+        """Map [N, C, H, W] to the same."""
         return x + self.second(functional.relu(self.first(x)))
 
 
@@ -50,7 +48,7 @@ class SmallSpk2ImgNet(nn.Module):
         nn.init.zeros_(self.tail.weight)
 
     def forward(self, rates: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-        """See the class."""
+        """Return light and its deviation; see the class."""
         now = rates[:, BINS // 2, None]
         seen = torch.cat([rates / mean, now, now * now / mean], dim=1)  # a whole tick's share of a rate is its square
         fine = self.fine(functional.relu(self.head(seen)))
@@ -64,7 +62,9 @@ class SmallSpk2ImgNet(nn.Module):
 
 
 def window_means() -> Tensor:
-    """1x1 filters [8, BINS, 1, 1] that make bins the means of the windows from the shortest to the longest."""
+    """Return 1x1 filters [8, BINS, 1, 1] that turn bins into the means of the windows, from the shortest to the
+    longest.
+    """
     width = torch.tensor(EDGES[1:] - EDGES[:-1], dtype=torch.float32)
     offset = (torch.arange(BINS) - BINS // 2).abs()
     inside = (offset[None, :] <= torch.arange(BINS // 2 + 1)[:, None]).float() * width

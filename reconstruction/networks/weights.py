@@ -1,7 +1,5 @@
 """Weights as .npz in half precision, and states of a training: tensors and numbers only, read without running code."""
 
-from __future__ import annotations
-
 import io
 import pickle
 import struct
@@ -21,7 +19,7 @@ SHIPPED = Path(__file__).parent / "weights"
 
 
 def write_weights(path: Path, state: dict[str, Tensor]) -> None:
-    """Put the tensors of a module under `path` in half precision; raises BadRunError for one it cannot hold."""
+    """Write the tensors of a module to `path` in half precision; raises BadRunError for one it cannot hold."""
     arrays = {name: tensor.detach().half().cpu().numpy() for name, tensor in state.items()}
     spoilt = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if spoilt:

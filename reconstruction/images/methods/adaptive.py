@@ -29,7 +29,9 @@ LEVELS = 1024
 
 
 def adaptive(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from 17 to 257 planes a pixel; a pixel that never or always fires in them is not valid."""
+    """Return the image at `plane` from 17 to 257 planes a pixel; a pixel that never or always fires in them is not
+    valid.
+    """
     first, last = stream.around(plane, HALF_WINDOWS[-1])
     bounds = [stream.around(plane, half) for half in HALF_WINDOWS]
     weights = np.zeros((len(bounds), last - first), dtype=np.int64)
@@ -46,7 +48,7 @@ def adaptive(stream: SpikeStream, plane: int) -> Estimate:
 
 
 def longest_unbroken(rates: NDArray[np.float32], planes: list[int]) -> NDArray[np.int64]:
-    """The rung [H, W] to take, of slopes [K, H, W] over `planes` each, shortest first.
+    """Choose the rung [H, W] for each pixel, from slopes [K, H, W] over `planes` each, shortest first.
 
     A few spikes cannot tell their own rate, so a rung's deviation is no less than the longest window's rate makes it.
     Deviations come from a table over `LEVELS` rates: computing each pixel's would take most of the time.

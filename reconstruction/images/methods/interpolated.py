@@ -28,7 +28,7 @@ REACH = 128
 def interpolated(
     stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW, *, wanted: NDArray[np.uint8] | None = None
 ) -> Estimate:
-    """Image at `plane` from the charge of up to 2 * half_window + 1 planes.
+    """Return the image at `plane` from the charge of up to 2 * half_window + 1 planes.
 
     `wanted` is a packed plane of the only pixels to look at; the others are finite and otherwise left open.
     """
@@ -46,7 +46,7 @@ def interpolated(
 
 
 def _clocks(found: Intervals) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Charge since the last spike [2, H, W] in spikes, and where both spikes around the end are known."""
+    """Return the charge since the last spike [2, H, W] in spikes, and where both spikes around the end are known."""
     clocks = ((found.since + np.float32(0.5)) / found.ticks).astype(np.float32)
     known = np.asarray(found.before & found.after)
     np.copyto(clocks, np.float32(0.5), where=~known)

@@ -21,7 +21,7 @@ HALF_WINDOW = 16
 
 
 def slope(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Estimate:
-    """Image at `plane` from up to 2 * half_window + 1 planes."""
+    """Return the image at `plane` from up to 2 * half_window + 1 planes."""
     first, last = stream.around(plane, half_window)
     weights = slope_weights(last - first)
     sums = weighted_counts(stream.window(first, last), stream.layout, weights[None])[0]
@@ -30,7 +30,7 @@ def slope(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Es
 
 
 def slope_weights(planes: int) -> NDArray[np.int64]:
-    """The weights [T] of the spikes of T planes, up to a factor: a sum over spikes divided by theirs is the slope."""
+    """Return the weights [T] of T planes' spikes: a sum over spikes, divided by the weights' sum, is the slope."""
     k = np.arange(planes)
     return (k + 1) * (planes - k)
 

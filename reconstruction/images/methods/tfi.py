@@ -21,12 +21,12 @@ REACH = 128
 
 
 def tfi(stream: SpikeStream, plane: int, reach: int = REACH) -> Estimate:
-    """Image at `plane`: 1 / (first spike after it - last spike at or before it), searched up to `reach` planes away."""
+    """Return the image at `plane`: 1 / (first spike after it - last spike by then), up to `reach` planes away."""
     return tfi_images(stream, [plane], reach)[0]
 
 
 def tfi_images(stream: SpikeStream, planes: Sequence[int], reach: int = REACH, *, threads: int = 1) -> list[Estimate]:
-    """The images at many planes of one stream, in one call to the kernel on `threads` cores."""
+    """Return the images at many planes of one stream, in one call to the kernel on `threads` cores."""
     ticks, _, before, after = intervals(stream.packed, stream.layout, planes, reach, threads=threads)
     valid = before & after
     intensity = np.reciprocal(ticks, dtype=np.float32)
@@ -34,7 +34,7 @@ def tfi_images(stream: SpikeStream, planes: Sequence[int], reach: int = REACH, *
 
 
 def tfi_intensities(stream: SpikeStream, planes: Sequence[int], reach: int = REACH) -> NDArray[np.float32]:
-    """The intensities alone [N, H, W]."""
+    """Return the intensities alone [N, H, W] in spikes per tick."""
     return np.reciprocal(intervals(stream.packed, stream.layout, planes, reach).ticks, dtype=np.float32)
 
 

@@ -22,14 +22,14 @@ HALF_WINDOW = 16
 
 
 def tfp(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Estimate:
-    """Image at `plane` from up to 2 * half_window + 1 planes."""
+    """Return the image at `plane` from up to 2 * half_window + 1 planes."""
     return tfp_images(stream, [plane], half_window)[0]
 
 
 def tfp_images(
     stream: SpikeStream, planes: Sequence[int], half_window: int = HALF_WINDOW, *, threads: int = 1
 ) -> list[Estimate]:
-    """The images at many planes of one stream, in one call to the kernel on `threads` cores."""
+    """Return the images at many planes of one stream, in one call to the kernel on `threads` cores."""
     estimates = []
     means = tfp_intensities(stream, planes, half_window, threads=threads)
     for mean, plane in zip(means, planes, strict=True):
@@ -41,7 +41,7 @@ def tfp_images(
 def tfp_intensities(
     stream: SpikeStream, planes: Sequence[int], half_window: int = HALF_WINDOW, *, threads: int = 1
 ) -> NDArray[np.float32]:
-    """The intensities alone [N, H, W]."""
+    """Return the intensities alone [N, H, W] in spikes per tick."""
     bounds = np.array([stream.around(plane, half_window) for plane in planes]).reshape(-1, 2)
     return window_means(stream.packed, stream.layout, bounds, threads=threads)
 

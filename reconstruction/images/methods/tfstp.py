@@ -27,7 +27,7 @@ AGREE = 1.5  # ticks: an interval's quantisation, and what u still moves
 
 
 def tfstp(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from the synapses' state at its next spike; not valid without an interval or if never silent."""
+    """Return the image at `plane` from the synapses' state at its next spike."""
     replay = Replay(stream, plane)
     spent = np.zeros(replay.silence.shape, dtype=np.float32)  # 1 - R
     primed = np.zeros(replay.silence.shape, dtype=np.float32)  # u - U0
@@ -40,18 +40,18 @@ def tfstp(stream: SpikeStream, plane: int) -> Estimate:
 
 
 def _drained(spent: NDArray[np.float32], primed: NDArray[np.float32]) -> NDArray[np.float32]:
-    """1 - R (1 - u), right after a spike."""
+    """Return 1 - R (1 - u), right after a spike."""
     u = np.add(primed, U0, dtype=np.float32)
     return spent + u - spent * u
 
 
 def _raised(primed: NDArray[np.float32]) -> NDArray[np.float32]:
-    """u + F (1 - u) - U0, right after a spike."""
+    """Return u + F (1 - u) - U0, right after a spike."""
     return np.add(primed * (1 - F), F * (1 - U0), dtype=np.float32)
 
 
 def _read(spent: NDArray[np.float32], primed: NDArray[np.float32], replay: Replay) -> Estimate:
-    """1 / D of the settled equations."""
+    """Return 1 / D of the settled equations."""
     valid = replay.intervals > 0
     one = np.ones_like(spent)
     by_u = TAU_F * np.log(np.divide(_raised(primed), primed, out=one.copy(), where=valid))

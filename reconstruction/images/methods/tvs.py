@@ -27,7 +27,7 @@ MEMORY = 32  # intervals
 
 
 def tvs(stream: SpikeStream, plane: int) -> Estimate:
-    """Image at `plane` from each pixel's weight at its next spike; not valid without an interval or if never silent."""
+    """Return the image at `plane` from each pixel's weight at its next spike."""
     import cv2
 
     replay = Replay(stream, plane)

@@ -8,8 +8,6 @@ Method: L-BFGS, double precision; each group of unknowns is measured in steps of
 Source: Wang et al., "DUSt3R: geometric 3D vision made easy", CVPR 2024, section 3.4 (which uses Adam).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -78,7 +76,7 @@ def aligned(
 
 
 def _skew(vectors: Tensor) -> Tensor:
-    """[..., 3] to [..., 3, 3]."""
+    """Return the cross product matrices [..., 3, 3] of vectors [..., 3]."""
     x, y, z = vectors.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
@@ -113,7 +111,9 @@ class _Problem:
         self._steps = [(v) ** 0.5, v**0.5, (v * n) ** 0.5, e**0.5, e**0.5, e**0.5, float(free_focal)]
 
     def _world(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """world_from_cam [v, 3, 3], centres [v, 3], depths [v, n] and points [v, n, 3], as the unknowns stand."""
+        """Return world_from_cam [v, 3, 3], centres [v, 3], depths [v, n] and points [v, n, 3] by the unknowns as they
+        are now.
+        """
         turn, shift, deeper, *_, longer = (c * step for c, step in zip(self._changes, self._steps, strict=True))
         turns = self._turns @ torch.linalg.matrix_exp(_skew(turn))
         depths = torch.exp(self._log_depths + deeper)
@@ -123,7 +123,7 @@ class _Problem:
         return turns, centers, depths, in_cam @ turns.mT + centers[:, None]
 
     def _apart(self, points: Tensor) -> Tensor:
-        """How far each pair's points lie from the views' [e, 2, n], squared."""
+        """Return the squared distances [e, 2, n] of each pair's points from the views' points."""
         _, _, _, turn, shift, larger, _ = (c * step for c, step in zip(self._changes, self._steps, strict=True))
         turns = self._pair_turns @ torch.linalg.matrix_exp(_skew(turn))
         scales = torch.exp(
@@ -136,11 +136,11 @@ class _Problem:
         return (said - points[self._sides]).square().sum(dim=-1)
 
     def improve(self, rounded: float) -> None:
-        """Some steps down, distances below `rounded` counting as squares, those above as they are."""
+        """Take some steps down; distances below `rounded` count as squares, those above as they are."""
         self._descend(lambda squared: torch.sqrt(squared + rounded**2) - rounded)
 
     def polish(self) -> None:
-        """Some steps down, distances far above the usual one counting next to nothing (Cauchy)."""
+        """Take some steps down; distances far above the usual one count next to nothing (Cauchy)."""
         with torch.no_grad():
             squared = self._apart(self._world()[3])
             usual = max(float(squared[self._weights > 0].median()) ** 0.5, FINEST)
@@ -166,7 +166,7 @@ class _Problem:
 
     @torch.no_grad()
     def result(self) -> Aligned:
-        """The views as they stand."""
+        """Return the views as they are now."""
         turns, centers, depths, points = self._world()
         if not bool(torch.isfinite(points).all()):
             raise GeometryError("found an alignment that ran away", "finite poses", "give clearer images")
@@ -185,6 +185,6 @@ class _Problem:
 
 
 def _proper(rotations: Floats) -> Floats:
-    """Rotations [v, 3, 3] without what rounding has added."""
+    """Return the rotations nearest to matrices [v, 3, 3] that rounding has changed."""
     u, _, vt = np.linalg.svd(rotations)
     return u @ vt

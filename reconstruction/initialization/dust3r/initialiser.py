@@ -5,8 +5,6 @@ ones are under CC BY-NC-SA, so none is shipped) and, on a CPU, minutes. Precisio
 `sfm` where that works. Source: Wang et al., "DUSt3R: geometric 3D vision made easy", CVPR 2024.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -57,7 +55,7 @@ def dust3r(
     options: Dust3rOptions | None = None,
     progress: Progress = silent,
 ) -> Geometry:
-    """Poses and points from `images`: camera id to [H, W], linear, spikes per tick; the network from `checkpoint`.
+    """Find poses and points from `images`: camera id to [H, W], linear, spikes per tick; the network from `checkpoint`.
 
     Raises BadRunError without a usable checkpoint or images, GeometryError, by name, for views that do not fit.
     """
@@ -71,7 +69,7 @@ def dust3r(
 def dust3r_with(
     network: Dust3r, rig: Rig, images: Images, options: Dust3rOptions | None = None, progress: Progress = silent
 ) -> Geometry:
-    """As `dust3r`, with a network in hand."""
+    """Do as `dust3r` with a network at hand."""
     options = options or Dust3rOptions()
     views = usable_views(rig, images)
     seen = rig.only(views)
@@ -107,7 +105,7 @@ def _geometry(rig: Rig, seen: Rig, found: Aligned, report: dict[str, object]) ->
 
 
 def _common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
-    """Height and width of all images."""
+    """Return the height and width that all images have."""
     first = cameras[0]
     for camera in cameras:
         if (camera.width, camera.height) != (first.width, first.height):
@@ -129,7 +127,7 @@ def predicted(
     device: str,
     progress: Progress = silent,
 ) -> list[PairMaps]:
-    """What the network says of each pair in `edges` at the sampled `pixels`; `tones` are the views [H, W] in [0, 1].
+    """Show the network each pair in `edges`, and return what it says at the sampled `pixels`.
 
     Images are padded to whole patches on all sides with their outermost pixels. Each is encoded once.
     """
@@ -167,8 +165,8 @@ def _batches(count: int) -> Iterator[slice]:
 
 
 def padded_images(tones: Sequence[NDArray[np.float32]], patch_px: int) -> tuple[Tensor, tuple[int, int]]:
-    """Grey images [H, W] in [0, 1] as the network takes them [v, 3, H', W'] in [-1, 1], and the rows and columns added
-    above and to the left: as many as below and to the right, or one fewer.
+    """Return grey images [H, W] in [0, 1] as the network takes them, [v, 3, H', W'] in [-1, 1], and the rows and
+    columns added above and to the left: as many as below and to the right, or one fewer.
     """
     height, width = tones[0].shape
     more = [-size % patch_px for size in (height, width)]

@@ -3,8 +3,6 @@
 Letters: v views, n sampled pixels of each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,24 +29,24 @@ class PairMaps:
 
     @property
     def weights(self) -> Floats:
-        """The logarithm of the confidence [2, n]; 0 where a point is not finite."""
+        """Return the logarithm of the confidence [2, n]; 0 where a point is not finite."""
         usable = np.isfinite(self.points).all(axis=-1) & np.isfinite(self.confidence)
         return np.where(usable, np.log(np.maximum(np.where(usable, self.confidence, 1), 1)), 0).astype(np.float64)
 
     @property
     def finite_points(self) -> Floats:
-        """The points [2, n, 3], zero where one is not finite."""
+        """Return the points [2, n, 3], zero where one is not finite."""
         points = self.points.astype(np.float64)
         return np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, 0)
 
 
 def complete(count: int) -> list[tuple[int, int]]:
-    """Every view with every other, both ways round."""
+    """Pair every view with every other, both ways round."""
     return [(a, b) for a in range(count) for b in range(count) if a != b]
 
 
 def neighbours(centers: Floats, nearest: int = 4) -> list[tuple[int, int]]:
-    """Each view with the `nearest` ones by their centres [v, 3], both ways round."""
+    """Pair each view with the `nearest` ones by their centres [v, 3], both ways round."""
     apart = np.linalg.norm(centers[:, None] - centers[None], axis=-1)
     np.fill_diagonal(apart, np.inf)
     chosen = np.argsort(apart, axis=1, kind="stable")[:, : min(nearest, len(centers) - 1)]
@@ -57,7 +55,7 @@ def neighbours(centers: Floats, nearest: int = 4) -> list[tuple[int, int]]:
 
 
 def sampled_pixels(height: int, width: int, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns [n] of an even grid of at most `most` pixels."""
+    """Return the rows and columns [n] of an even grid of at most `most` pixels."""
     stride = max(1, int(np.ceil(np.sqrt(height * width / most))))
     rows, columns = np.meshgrid(
         np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride), indexing="ij"
@@ -66,7 +64,7 @@ def sampled_pixels(height: int, width: int, most: int) -> tuple[NDArray[np.intp]
 
 
 def rays_of(cameras: Sequence[Camera], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-    """Where the pixels' centres look, as x / z and y / z [v, n, 2] in camera axes, without lens distortion."""
+    """Return where the pixels' centres look, as x / z and y / z [v, n, 2] in camera axes, without lens distortion."""
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)[:, None]
     return np.stack([cv2.undistortPoints(pixels, c.K, np.array(c.distortion))[:, 0] for c in cameras]).astype(
         np.float64

@@ -3,8 +3,6 @@
 Letters: v views, n sampled pixels of each, m points. Source: Wang et al., "DUSt3R", CVPR 2024, sections 3.3 and 3.4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,7 +43,7 @@ class Link:
 
 
 def focal_factor(rays: Floats, pairs: Sequence[PairMaps]) -> float:
-    """By how much all focal lengths have to be scaled for the rays [v, n, 2] to meet each first view's own points.
+    """Return the factor on all focal lengths at which the rays [v, n, 2] meet each first view's own points.
 
     The least sum of distances in the image, by Weiszfeld's iteration.
     """
@@ -73,7 +71,7 @@ def focal_factor(rays: Floats, pairs: Sequence[PairMaps]) -> float:
 
 
 def registered(source: Floats, target: Floats, weights: Floats) -> Similarity:
-    """The similarity that lays points [m, 3] on their partners [m, 3] with the least weighted sum of distances.
+    """Return the similarity that lays points [m, 3] on their partners [m, 3] with the least weighted sum of distances.
 
     Umeyama's closed form ("Least-squares estimation of transformation parameters", PAMI 1991), weighed again and again.
     """
@@ -99,7 +97,9 @@ def _least_squares(source: Floats, target: Floats, weights: Floats) -> Similarit
 
 
 def link(pair: PairMaps, rays: Floats) -> Link | None:
-    """The second camera's pose from what it sees [n, 2] and where that is; None where the pair says too little."""
+    """Return the second camera's pose from where its points [n, 3] are seen [n, 2]; None where the pair says too
+    little.
+    """
     points, weights = pair.finite_points, pair.weights
     usable = np.flatnonzero(weights[1] > 0)
     if len(usable) < 6 or weights.mean(axis=1).min() < LEAST_LOG_CONFIDENCE:
@@ -128,7 +128,9 @@ def link(pair: PairMaps, rays: Floats) -> Link | None:
 
 
 def _tree(names: Sequence[str], links: Sequence[Link]) -> list[Link]:
-    """Links that reach every view, the best ones, each touching the ones before; GeometryError names what is left."""
+    """Return the best links that reach every view, each touching an earlier one; GeometryError names views out of
+    reach.
+    """
     left = sorted(links, key=lambda x: (-x.score, x.maps.first, x.maps.second))
     best: list[Link] = []
     while left:

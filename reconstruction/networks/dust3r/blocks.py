@@ -25,7 +25,7 @@ class Turns(NamedTuple):
 
     @classmethod
     def of_grid(cls, grid: tuple[int, int], head_dim: int, base: float, like: Tensor) -> Turns:
-        """Turns for rows x columns patches: a head's first half follows the row, its second half the column.
+        """Return the turns of rows x columns patches: a head's first half follows the row, its second half the column.
 
         Frequencies fall from 1 to 1 / `base` radians a patch. `head_dim` is a multiple of 4.
         """
@@ -43,12 +43,12 @@ class Turns(NamedTuple):
 
 
 def _split(tokens: Tensor, heads: int) -> Tensor:
-    """[b, n, c] to [b, h, n, d]."""
+    """Split tokens [b, n, c] into heads [b, h, n, d]."""
     return tokens.unflatten(-1, (heads, -1)).transpose(1, 2)
 
 
 def _attend(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
-    """[b, h, n, d] to [b, n, c]."""
+    """Attend by heads [b, h, n, d] and join them to [b, n, c]."""
     return scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
 
 
@@ -62,7 +62,7 @@ class Attention(nn.Module):
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, tokens: Tensor, turns: Turns) -> Tensor:
-        """[b, n, c] to [b, n, c]."""
+        """Map [b, n, c] to [b, n, c]."""
         query, key, value = (_split(part, self.heads) for part in self.qkv(tokens).chunk(3, dim=-1))
         return self.proj(_attend(turns.apply(query), turns.apply(key), value))
 
@@ -79,7 +79,7 @@ class CrossAttention(nn.Module):
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, tokens: Tensor, other: Tensor, turns: Turns, other_turns: Turns) -> Tensor:
-        """[b, n, c] and [b, m, c] to [b, n, c]."""
+        """Map [b, n, c] and the other image's [b, m, c] to [b, n, c]."""
         query = turns.apply(_split(self.projq(tokens), self.heads))
         key = other_turns.apply(_split(self.projk(other), self.heads))
         return self.proj(_attend(query, key, _split(self.projv(other), self.heads)))
@@ -94,7 +94,7 @@ class Mlp(nn.Module):
         self.fc2 = nn.Linear(hidden, dim)
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """[b, n, c] to [b, n, c]."""
+        """Map [b, n, c] to [b, n, c]."""
         return self.fc2(gelu(self.fc1(tokens)))
 
 
@@ -109,7 +109,7 @@ class EncoderBlock(nn.Module):
         self.mlp = Mlp(dim, int(dim * ratio))
 
     def forward(self, tokens: Tensor, turns: Turns) -> Tensor:
-        """[b, n, c] to [b, n, c]."""
+        """Map [b, n, c] to [b, n, c]."""
         tokens = tokens + self.attn(self.norm1(tokens), turns)
         return tokens + self.mlp(self.norm2(tokens))
 
@@ -128,7 +128,7 @@ class DecoderBlock(nn.Module):
         self.norm_y = nn.LayerNorm(dim, eps=NORM_EPS)
 
     def forward(self, tokens: Tensor, other: Tensor, turns: Turns, other_turns: Turns) -> Tensor:
-        """[b, n, c] and [b, m, c] to [b, n, c]."""
+        """Map [b, n, c] and the other image's [b, m, c] to [b, n, c]."""
         tokens = tokens + self.attn(self.norm1(tokens), turns)
         tokens = tokens + self.cross_attn(self.norm2(tokens), self.norm_y(other), turns, other_turns)
         return tokens + self.mlp(self.norm3(tokens))
@@ -142,5 +142,5 @@ class PatchEmbedding(nn.Module):
         self.proj = nn.Conv2d(channels, dim, kernel_size=patch_px, stride=patch_px)
 
     def forward(self, images: Tensor) -> Tensor:
-        """[b, channels, H, W] to [b, n, c], row by row."""
+        """Map [b, channels, H, W] to [b, n, c], row by row."""
         return self.proj(images).flatten(2).transpose(1, 2)

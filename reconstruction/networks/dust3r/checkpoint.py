@@ -5,8 +5,6 @@ loader evaluates. Here the pickle may make tensors, plain values and that Namesp
 names, literal values. Sizes come from both and have to agree.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import math
@@ -54,7 +52,7 @@ _NO_MATTER = ("img_size", "freeze", "landscape_only", "mask_ratio")  # of the tr
 
 
 def load_network(path: Path) -> Dust3r:
-    """The network stored under `path`, in float32 on the CPU, ready to use.
+    """Load the network stored under `path`, in float32 on the CPU, ready to use.
 
     Raises BadRunError for a missing, damaged or foreign file, and for sizes that do not agree with its tensors.
     """
@@ -90,7 +88,9 @@ def _dense(tensor: object) -> TypeGuard[Tensor]:
 
 
 def _state(stored: Mapping[object, object]) -> dict[str, Tensor]:
-    """The tensors by our names: names that say the same twice are dropped, a missing second decoder is the first."""
+    """Return the tensors by our names; names that say the same twice are dropped, a missing second decoder is the
+    first.
+    """
     state: dict[str, Tensor] = {}
     for name, tensor in stored.items():
         if not isinstance(name, str) or not _dense(tensor):
@@ -105,7 +105,7 @@ def _state(stored: Mapping[object, object]) -> dict[str, Tensor]:
 
 
 def _call(source: object) -> dict[str, object]:
-    """Keyword arguments of the constructor call `source`, which is parsed and never run."""
+    """Return the keyword arguments of the constructor call `source`, which is parsed and never run."""
     if not isinstance(source, str) or len(source) > LONGEST_CALL:
         raise BadRunError(f"found args.model of type {type(source).__name__}", "a short constructor call")
     try:
@@ -119,7 +119,7 @@ def _call(source: object) -> dict[str, object]:
 
 
 def _literal(node: ast.expr, name: str) -> object:
-    """A number, string, truth value, inf, or a tuple of those."""
+    """Return a number, string, truth value, inf, or a tuple of those."""
     match node:
         case ast.Constant(value=str() | int() | float() | None as value):
             return value

@@ -3,8 +3,6 @@
 Letters: b images, r x k patches of p x p pixels (r rows), c channels. Parameter names are the public checkpoints'.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,7 +23,7 @@ class DptSizes:
 
 
 def spread(tokens: Tensor, grid: tuple[int, int]) -> Tensor:
-    """Tokens [b, n, c] as an image of patches [b, c, r, k]."""
+    """Return tokens [b, n, c] as an image of patches [b, c, r, k]."""
     return tokens.transpose(1, 2).unflatten(2, grid)
 
 
@@ -38,7 +36,7 @@ class LinearHead(nn.Module):
         self.proj = nn.Linear(dim, OUTPUTS * patch_px**2)
 
     def forward(self, layers: Sequence[Tensor], grid: tuple[int, int]) -> Tensor:
-        """Layers of tokens [b, n, c] to [b, 4, H, W]."""
+        """Map layers of tokens [b, n, c] to [b, 4, H, W]."""
         return pixel_shuffle(spread(self.proj(layers[-1]), grid), self.patch_px)
 
 
@@ -136,12 +134,12 @@ class DptHead(nn.Module):
         self.dpt = _Dpt(dims, sizes)
 
     def forward(self, layers: Sequence[Tensor], grid: tuple[int, int]) -> Tensor:
-        """Layers of tokens [b, n, c] to [b, 4, H, W]."""
+        """Map layers of tokens [b, n, c] to [b, 4, H, W]."""
         return self.dpt([spread(layers[hook], grid) for hook in self.hooks])
 
 
 def hooks_of(depth: int) -> tuple[int, int, int, int]:
-    """Which of the layers 0 (the encoder's) to `depth` feed a DPT head."""
+    """Return which of the layers 0 (the encoder's) to `depth` feed a DPT head."""
     hooks = (0, depth * 2 // 4, depth * 3 // 4, depth)
     if any(a >= b for a, b in pairwise(hooks)):
         raise ValueError(f"found {depth} decoder blocks, expected at least 4 for a DPT head")

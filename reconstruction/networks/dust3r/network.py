@@ -4,8 +4,6 @@ Letters: b pairs, n patches of an image, c channels, H x W pixels. Written from 
 checkpoints, so that those can be loaded. Source: Wang et al., "DUSt3R: geometric 3D vision made easy", CVPR 2024.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -80,7 +78,7 @@ class Dust3r(nn.Module):
         self.downstream_head1, self.downstream_head2 = _head(a), _head(a)
 
     def grid(self, images: Tensor) -> tuple[int, int]:
-        """Rows and columns of patches of images [..., H, W]; BadRunError where they do not come out even."""
+        """Return the rows and columns of patches of images [..., H, W]; BadRunError where they do not come out even."""
         height, width = images.shape[-2:]
         patch = self.architecture.patch_px
         if height % patch or width % patch:
@@ -88,7 +86,7 @@ class Dust3r(nn.Module):
         return height // patch, width // patch
 
     def encode(self, images: Tensor) -> Tensor:
-        """Images [b, 3, H, W] in [-1, 1] to tokens [b, n, encoder_dim]."""
+        """Encode images [b, 3, H, W] in [-1, 1] to tokens [b, n, encoder_dim]."""
         a = self.architecture
         turns = Turns.of_grid(self.grid(images), a.encoder_dim // a.encoder_heads, a.rope_base, images)
         tokens = self.patch_embed(images)
@@ -97,7 +95,7 @@ class Dust3r(nn.Module):
         return self.enc_norm(tokens)
 
     def decode(self, first: Tensor, second: Tensor, turns: Turns) -> tuple[list[Tensor], list[Tensor]]:
-        """Encoded pairs to each side's layers: the encoder's tokens, then those after every block [b, n, c]."""
+        """Decode encoded pairs to each side's layers: the encoder's tokens, then those after every block [b, n, c]."""
         one, two = self.decoder_embed(first), self.decoder_embed(second)
         ones, twos = [first], [second]
         for block, block2 in zip(self.dec_blocks, self.dec_blocks2, strict=True):
@@ -108,7 +106,7 @@ class Dust3r(nn.Module):
         return ones, twos
 
     def forward(self, first: Tensor, second: Tensor, grid: tuple[int, int]) -> tuple[PointMap, PointMap]:
-        """Encoded pairs [b, n, encoder_dim] to the points of either image, both in the first camera's frame."""
+        """Map encoded pairs [b, n, encoder_dim] to the points of either image, both in the first camera's frame."""
         a = self.architecture
         turns = Turns.of_grid(grid, a.decoder_dim // a.decoder_heads, a.rope_base, first)
         ones, twos = self.decode(first, second, turns)
@@ -122,7 +120,8 @@ def _head(a: Architecture) -> LinearHead | DptHead:
 
 
 def unfolded(outputs: Tensor) -> PointMap:
-    """A head's four channels [b, 4, H, W] as points = direction * expm1(norm) and confidence = 1 + exp (DUSt3R, eq. 4).
+    """Turn a head's channels [b, 4, H, W] into points = direction * expm1(norm) and confidence = 1 + exp (DUSt3R, eq.
+    4).
 
     Both exponents are clamped, so that an odd image cannot overflow.
     """

@@ -7,8 +7,6 @@ residuals are whitened by the correspondences' own information. Letters: V = W v
 parameters: turn (rad, in camera axes) and shift (m) of each view, then the logarithm of the focal factor.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -71,7 +69,7 @@ def adjust(nominal: Views, matches: Matches, schedule: tuple[Stage, ...] = SCHED
 
 
 def moved(nominal: Views, parameters: Tensor) -> Views:
-    """The views turned, shifted and refocused by `parameters` [P]."""
+    """Return the views turned, shifted and refocused by `parameters` [P]."""
     turns, shifts = parameters[:-1].reshape(-1, 2, 3).unbind(dim=1)
     rotation = torch.linalg.matrix_exp(_cross(turns)) @ nominal.rotation
     return Views(
@@ -80,7 +78,7 @@ def moved(nominal: Views, parameters: Tensor) -> Views:
 
 
 def residuals(views: Views, matches: Matches, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
-    """Found less expected [V, N, W, 2] in px, and the points in the other views' axes [V, N, W, 3]."""
+    """Return found less expected pixels [V, N, W, 2], and the points in the other views' axes [V, N, W, 3]."""
     seen = homogeneous(views, views, views.directions(matches.pixels), inverse_depth)
     xy = seen[..., :2] / seen[..., 2:].clamp_min(LEAST_Z)
     return matches.found - (xy * views.focal + views.principal), seen
@@ -102,7 +100,7 @@ class Slopes(NamedTuple):
 def _step(
     views: Views, matches: Matches, inverse_depth: Tensor, parameters: Tensor, stage: Stage
 ) -> tuple[Tensor, Tensor]:
-    """One Gauss-Newton step of parameters [P] and inverse depths [V, N]."""
+    """Return one Gauss-Newton step of parameters [P] and inverse depths [V, N]."""
     residual, seen = residuals(views, matches, inverse_depth)
     slopes = derivatives(views, matches.pixels, inverse_depth, seen)
     doubt = 1 + _square(residual, matches.information).detach() / stage.robust**2
@@ -123,7 +121,7 @@ def _step(
 
 
 def _normal_equations(slopes: Slopes, weight: Tensor, residual: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """J'WJ [P, P] and J'Wr [P] of the parameters, and J'W times the slope along the ray [V, N, P]."""
+    """Return J'WJ [P, P] and J'Wr [P] of the parameters, and J'W times the slope along the ray [V, N, P]."""
     count = len(weight)
     own, other, lens = slopes.own, slopes.other, slopes.lens[..., None]
     weighted_own, weighted_other, weighted_lens = (weight @ part for part in (own, other, lens))
@@ -148,7 +146,7 @@ def _normal_equations(slopes: Slopes, weight: Tensor, residual: Tensor) -> tuple
 
 
 def derivatives(views: Views, pixels: Tensor, inverse_depth: Tensor, seen: Tensor) -> Slopes:
-    """How the expected pixels of points at `pixels` [V, N, 2], `seen` [V, N, W, 3] in the others' axes, change."""
+    """Return how expected pixels change, of points at `pixels` [V, N, 2], `seen` [V, N, W, 3] in the others' axes."""
     directions = views.directions(pixels)
     z = seen[..., 2].clamp_min(LEAST_Z)
     slope = seen[..., :2] / z[..., None]
@@ -178,7 +176,7 @@ def _square(residual: Tensor, information: Tensor) -> Tensor:
 
 
 def _cross(vectors: Tensor) -> Tensor:
-    """Matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
+    """Return matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
     x, y, z = vectors.unbind(dim=-1)
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))

@@ -6,8 +6,6 @@ the working size by learnt convex combinations (Teed and Deng, "RAFT", ECCV 2020
 CVPR 2024), 1 + exp. Letters: V views, K inverse depths, h = H / 4, w = W / 4, G groups.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -51,7 +49,9 @@ class Sweep(nn.Module):
         self.spread = nn.Conv2d(MIDDLE_WIDTH, 9 * CELL * CELL, 3, padding=1)
 
     def forward(self, middle: Tensor, views: Views, view: int) -> Swept:
-        """`middle` [V, M, h, w] of the encoder; the `views` where the cameras are believed to stand."""
+        """Sweep one view from `middle` [V, M, h, w] of the encoder and the `views` where the cameras are believed to
+        stand.
+        """
         features = functional.normalize(self.compare(middle).unflatten(1, (GROUPS, -1)), dim=2)
         steps = inverse_depths(views, STEPS).to(middle.dtype)
         volume = correlations(features, views.to(middle.dtype), view, steps)  # [2 G, K, h, w]
@@ -68,7 +68,9 @@ class Sweep(nn.Module):
         return Swept(logits, inverse_depth[0, 0], confidence[0, 0])
 
     def _spread(self, coarse: Tensor, weights: Tensor) -> Tensor:
-        """[1, 1, h, w] to [1, 1, H, W]: each pixel a mean of the 3x3 cells around it by `weights` [1, 9, 16, h, w]."""
+        """Enlarge [1, 1, h, w] to [1, 1, H, W]: each pixel is a mean of the 3x3 cells around it by `weights` [1, 9, 16,
+        h, w].
+        """
         rows, columns = coarse.shape[2:]
         around = functional.unfold(functional.pad(coarse, (1, 1, 1, 1), mode="replicate"), 3)
         around = around.reshape(1, 9, 1, rows, columns)
@@ -76,7 +78,7 @@ class Sweep(nn.Module):
 
 
 def likeliest(logits: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
-    """The mean inverse depth [h, w] around the likeliest of `steps` [K], and the probability that lies there."""
+    """Return the mean inverse depth [h, w] around the likeliest of `steps` [K], and the probability that lies there."""
     share = logits.softmax(dim=0)
     best = logits.argmax(dim=0, keepdim=True)
     near = (torch.arange(len(steps))[:, None, None] - best).abs() <= AROUND
@@ -86,7 +88,8 @@ def likeliest(logits: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def correlations(features: Tensor, views: Views, view: int, steps: Tensor) -> Tensor:
-    """Best, then mean correlation of each group over the nearest other views [2 G, K, h, w]; 0 where none sees it.
+    """Return each group's best, then mean correlation over the nearest other views [2 G, K, h, w]; 0 where none sees
+    it.
 
     `features` [V, G, c, h, w] of unit length along c.
     """

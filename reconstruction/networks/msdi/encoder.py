@@ -6,8 +6,6 @@ to those tokens of the other views that the nominal rig allows. The way back up 
 al., "LoFTR", CVPR 2021). Letters: V views, N tokens a view, D the tokens' dimensions.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -40,7 +38,7 @@ class Trunk(nn.Module):
         self.norm = nn.LayerNorm(TOKEN_WIDTH)
 
     def forward(self, tokens: Tensor, seen: Tensor, gate: Tensor) -> Tensor:
-        """Tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W], and the gate [V, N, V, N], to tokens."""
+        """Map tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W], and the gate [V, N, V, N], to tokens."""
         grid = (seen.shape[2] // PATCH, seen.shape[3] // PATCH)
         turns = Turns.of_grid(grid, TOKEN_WIDTH // HEADS, FREQUENCY, tokens)
         for block in self.blocks:
@@ -66,7 +64,7 @@ class Encoder(nn.Module):
         self.merge2 = ResidualBlock(FINE_WIDTH)
 
     def forward(self, seen: Tensor, gate: Tensor) -> Encoded:
-        """See the class."""
+        """Return the features of channels `seen` [V, CHANNELS, H, W]; see the class."""
         at2 = self.stem(seen)
         at4 = self.down4(at2)
         at8 = self.down8(functional.relu(at4))
@@ -88,7 +86,7 @@ class Block(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, 3 * width), nn.GELU(), nn.Linear(3 * width, width))
 
     def forward(self, tokens: Tensor, turns: Turns, gate: Tensor) -> Tensor:
-        """Tokens [V, N, D], RoPE's `turns`, the gate [V, N, V, N]; to tokens."""
+        """Map tokens [V, N, D], with RoPE's `turns` and the gate [V, N, V, N], to tokens."""
         views, number, width = tokens.shape
         parts = self.qkv(self.norm1(tokens)).unflatten(2, (3, HEADS, -1)).permute(2, 0, 3, 1, 4)
         if self.across:

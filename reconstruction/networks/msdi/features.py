@@ -3,8 +3,6 @@
 Letters: V views, H rows and W columns at the working size, N = (H / PATCH) (W / PATCH) patches.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -19,12 +17,12 @@ LEAST_CONTRAST = 0.06  # of the square root of the mean light
 
 
 def working_factor(width: int) -> int:
-    """By how much a view `width` pixels wide is shrunk."""
+    """Return the factor by which a view `width` pixels wide is shrunk."""
     return max(1, round(width / WORKING_WIDTH))
 
 
 def channels(light: Tensor, sigma: Tensor, rates: Tensor, level: Tensor, factor: int) -> Tensor:
-    """Channels [V, CHANNELS, H, W] from light and sigma [V, 1, h, w], rates [V, BINS, h, w], level [V, 1, 1, 1].
+    """Return channels [V, CHANNELS, H, W] from light and sigma [V, 1, h, w], rates [V, BINS, h, w], level [V, 1, 1, 1].
 
     Square roots of the light at the instant and of the long mean, each as it is and with the mean and contrast of its
     surroundings taken out, and the error of the light. H and W are multiples of PATCH: the right and lower border
@@ -40,7 +38,7 @@ def channels(light: Tensor, sigma: Tensor, rates: Tensor, level: Tensor, factor:
 
 
 def evened(image: Tensor) -> Tensor:
-    """The image [V, C, H, W] less the mean of its surroundings, over their contrast, kept within 4."""
+    """Return the image [V, C, H, W] less the mean of its surroundings, over their contrast, kept within 4."""
     reach = NEIGHBOURHOOD // 2
     padded = functional.pad(image, (reach,) * 4, mode="replicate")
     mean = functional.avg_pool2d(padded, NEIGHBOURHOOD, 1)
@@ -50,7 +48,7 @@ def evened(image: Tensor) -> Tensor:
 
 
 def keypoints(seen: Tensor) -> Tensor:
-    """In every patch the fine cell where the light changes most in all directions: its centre [V, N, 2] in px.
+    """Find the fine cell of every patch where the light changes most in all directions: its centre [V, N, 2] in px.
 
     The smaller eigenvalue of the structure tensor (Shi and Tomasi, "Good features to track", CVPR 1994).
     """
@@ -69,14 +67,14 @@ def keypoints(seen: Tensor) -> Tensor:
 
 
 def patch_centers(size: tuple[int, int]) -> Tensor:
-    """Centres [N, 2] in px of the patches of a view of `size` (W, H), row by row."""
+    """Return the centres [N, 2] in px of the patches of a view of `size` (W, H), row by row."""
     x = (torch.arange(size[0] // PATCH) + 0.5) * PATCH
     y = (torch.arange(size[1] // PATCH) + 0.5) * PATCH
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).reshape(-1, 2)
 
 
 def sampled(maps: Tensor, pixels: Tensor, cell: int) -> Tensor:
-    """Bilinear samples [V, N, C] of `maps` [V, C, h, w] with cells of `cell` px at `pixels` [V, N, 2]; 0 outside."""
+    """Sample `maps` [V, C, h, w] of cells of `cell` px at `pixels` [V, N, 2], bilinearly, to [V, N, C]; 0 outside."""
     extent = torch.tensor([maps.shape[3], maps.shape[2]], dtype=maps.dtype) * cell
     grid = (2 * pixels.to(maps.dtype) / extent - 1)[:, :, None]
     return functional.grid_sample(maps, grid, align_corners=False)[..., 0].transpose(1, 2)

@@ -1,7 +1,5 @@
 """A trained MSDI over the views of a rig at one instant. Letters: V views, h, w their size, H, W the working size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -44,7 +42,9 @@ class Inferred:
 def infer_views(
     network: Msdi, streams: Sequence[SpikeStream], nominal: Views, plane: int, progress: Progress = silent
 ) -> Inferred:
-    """Images of all `streams` at `plane`, then the cameras, then depth. `nominal` is over pixels of the full size."""
+    """Find the images of all `streams` at `plane`, then the cameras, then depth. `nominal` is over pixels of the full
+    size.
+    """
     height, width = streams[0].layout.height, streams[0].layout.width
     factor = working_factor(width)
     light, sigma, seen = _observe_all(network, streams, plane, factor, progress)
@@ -68,7 +68,7 @@ def infer_views(
 def _observe_all(
     network: Msdi, streams: Sequence[SpikeStream], plane: int, factor: int, progress: Progress
 ) -> tuple[Floats, Floats, Tensor]:
-    """Light and sigma [V, h, w] and channels [V, CHANNELS, H, W]; the views side by side on the cores there are."""
+    """Return light and sigma [V, h, w] and channels [V, CHANNELS, H, W]; views are shared out over the cores."""
     found = []
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         for one in pool.map(lambda stream: observed(network, stream, plane, factor), streams):
@@ -79,7 +79,7 @@ def _observe_all(
 
 
 def observed(network: Msdi, stream: SpikeStream, plane: int, factor: int) -> tuple[Floats, Floats, Tensor]:
-    """Light and sigma [h, w] of one view, and its channels [1, CHANNELS, H, W]; dim planes are joined in groups."""
+    """Return light and sigma [h, w] of one view, and its channels [1, CHANNELS, H, W]; dim planes are joined."""
     images = image_network("small")
     brighter, middle, group = gathered(stream, plane, images.reach)
     seen = torch.from_numpy(rates(brighter, middle))[None]
@@ -89,12 +89,12 @@ def observed(network: Msdi, stream: SpikeStream, plane: int, factor: int) -> tup
 
 
 def smaller(views: Views, factor: int) -> Views:
-    """The same cameras over pixels `factor` times as large."""
+    """Return the same cameras over pixels `factor` times as large."""
     return Views(views.rotation, views.center, views.focal / factor, views.principal / factor, views.distance)
 
 
 def full_size(small: Floats, factor: int, height: int, width: int) -> Floats:
-    """A map [H, W] of the working size over the pixels of the view [h, w], bilinear."""
+    """Enlarge a map [H, W] of the working size to the pixels of the view [h, w], bilinearly."""
     rows, columns = small.shape
     shape = (rows * factor, columns * factor)
     large = functional.interpolate(

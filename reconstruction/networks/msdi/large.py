@@ -8,8 +8,6 @@ Sources: Wang et al., "DUSt3R", CVPR 2024; Spike4DGS (NeurIPS 2025), whose backb
 Letters: V views, N patches a view, D the small tier's dimensions.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch
@@ -45,7 +43,8 @@ class BackboneTrunk(nn.Module):
         self.norm = nn.LayerNorm(TOKEN_WIDTH)
 
     def forward(self, tokens: Tensor, seen: Tensor, gate: Tensor) -> Tensor:
-        """Tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W] to tokens; the gate is for correlations only.
+        """Map tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W] to tokens; the gate is for correlations
+        only.
 
         The views are enlarged until a patch of ours is one of the backbone's.
         """
@@ -67,7 +66,7 @@ class BackboneTrunk(nn.Module):
 
 
 def large_msdi(architecture: Architecture | None = None, backbone: Path | None = None) -> Msdi:
-    """The large tier with a trunk of `architecture` (default: DUSt3R's), or that of the checkpoint `backbone`.
+    """Build the large tier with a trunk of `architecture` (default: DUSt3R's), or that of the checkpoint `backbone`.
 
     Raises BadRunError for a file that is no DUSt3R checkpoint.
     """

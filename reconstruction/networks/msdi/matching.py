@@ -5,8 +5,6 @@ correspondence carries the inverse covariance of where the fine correlation lies
 says little, across it much. Letters: V = W views, N tokens a view, S = WINDOW^2 fine cells.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -46,7 +44,9 @@ class Matcher(nn.Module):
         self.none = nn.Parameter(torch.zeros(()))
 
     def token_logs(self, tokens: Tensor, gate: Tensor) -> Tensor:
-        """Log-probability [V, N, W, N + 1] of each token of view w, or of none (the last), for each token of view v."""
+        """Return log-probabilities [V, N, W, N + 1] of each token of view w, or of none (the last), for each token of
+        view v.
+        """
         unit = functional.normalize(self.coarse(tokens), dim=-1)
         alike = torch.einsum("vnd,wmd->vnwm", unit, unit) * self.sharpness[0].exp()
         alike = alike.masked_fill(~gate, OUTSIDE)
@@ -54,7 +54,7 @@ class Matcher(nn.Module):
         return torch.cat([alike, none], dim=-1).log_softmax(dim=-1)
 
     def window_logits(self, fine: Tensor, queries: Tensor, chosen: Tensor, view: int) -> tuple[Tensor, Tensor]:
-        """Correlation of view `view` with the windows around the tokens `chosen` [N, W]: logits and cells.
+        """Correlate view `view` with the windows around the tokens `chosen` [N, W]; return logits and cells.
 
         `queries` [N, 2] px lie in that view. Logits [N, W, S]; the cells' centres [N, W, S, 2] in px. Cells outside the
         picture have the logit OUTSIDE.
@@ -72,7 +72,7 @@ class Matcher(nn.Module):
         return logits.masked_fill(~inside, OUTSIDE), centers.to(fine.dtype)
 
     def forward(self, encoded: Encoded, pixels: Tensor, gate: Tensor) -> Matches:
-        """The correspondences of the keypoints `pixels` [V, N, 2] inside the gate [V, N, V, N]."""
+        """Match the keypoints `pixels` [V, N, 2] inside the gate [V, N, V, N]."""
         logs = self.token_logs(encoded.tokens, gate)[..., :-1]
         mutual = logs + logs.permute(2, 3, 0, 1)
         best, chosen = mutual.max(dim=-1)
@@ -90,7 +90,7 @@ class Matcher(nn.Module):
 
 
 def window_cells(chosen: Tensor, columns: int) -> tuple[Tensor, Tensor]:
-    """Column and row [N, W, S] of the fine cells around the tokens `chosen` [N, W]; `columns` fine cells a row."""
+    """Return column and row [N, W, S] of the fine cells around tokens `chosen` [N, W]; `columns` fine cells a row."""
     per_patch = PATCH // FINE
     tokens = columns // per_patch
     step = torch.arange(WINDOW) - WINDOW // 2
@@ -102,7 +102,7 @@ def window_cells(chosen: Tensor, columns: int) -> tuple[Tensor, Tensor]:
 
 
 def around_peak(logits: Tensor, centers: Tensor) -> Tensor:
-    """The logits [..., S] of cells at `centers` [..., S, 2], those more than `PEAK` cells from the highest OUTSIDE.
+    """Set the logits [..., S] of cells at `centers` [..., S, 2] more than PEAK cells from the highest to OUTSIDE.
 
     What little probability lies all over the window would draw the mean towards its middle.
     """
@@ -112,7 +112,9 @@ def around_peak(logits: Tensor, centers: Tensor) -> Tensor:
 
 
 def moments(logits: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean [..., 2] and covariance [..., 2, 2] in px of the softmax of `logits` [..., S] at `centers` [..., S, 2]."""
+    """Return mean [..., 2] and covariance [..., 2, 2] in px of the softmax of `logits` [..., S] at `centers` [..., S,
+    2].
+    """
     share = logits.softmax(dim=-1)[..., None]
     mean = (share * centers).sum(dim=-2)
     away = centers - mean[..., None, :]

@@ -6,8 +6,6 @@ processor can be held to what the nominal rig allows. Letters: V views, N tokens
 H, W the working size.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +49,7 @@ class Msdi(nn.Module):
         self.sweep = Sweep()
 
     def light(self, rates: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Light and sigma [V, 1, h, w] in spikes per tick of rates [V, BINS, h, w], and their mean [V, 1, 1, 1]."""
+        """Return light and sigma [V, 1, h, w] in spikes per tick, and their mean, of rates [V, BINS, h, w]."""
         level = image_network("small").level(rates)
         missing = (0, -rates.shape[3] % SmallSpk2ImgNet.stride, 0, -rates.shape[2] % SmallSpk2ImgNet.stride)
         padded = nn.functional.pad(rates, missing, mode="replicate")
@@ -60,12 +58,12 @@ class Msdi(nn.Module):
         return light[..., :rows, :columns], sigma[..., :rows, :columns], level
 
     def parameter_groups(self) -> list[dict]:
-        """For the optimiser: the image network learns at a share of the rate, for it knows its task."""
+        """Return the optimiser's groups: the image network, which knows its task, learns at a share of the rate."""
         geometry = [p for part in (self.encoder, self.matcher, self.sweep) for p in part.parameters()]
         return [{"params": geometry}, {"params": list(self.image.parameters()), "share": IMAGE_SHARE}]
 
     def solve(self, seen: Tensor, nominal: Views, schedule: tuple[Stage, ...] = SCHEDULE) -> Solved:
-        """Poses from the channels `seen` [V, CHANNELS, H, W]: match inside the nominal gate, adjust."""
+        """Find poses from the channels `seen` [V, CHANNELS, H, W]: match inside the nominal gate, then adjust."""
         centers = patch_centers((seen.shape[3], seen.shape[2])).expand(len(seen), -1, -1)
         allowed = gate(nominal.to(torch.float32), centers, GATE)
         encoded = self.encoder(seen, allowed)
@@ -82,7 +80,7 @@ class Msdi(nn.Module):
 
 
 def small_msdi() -> Msdi:
-    """The small tier: 0.8 M parameters."""
+    """Build the small tier: 0.8 M parameters."""
     return Msdi(Trunk())
 
 
@@ -95,6 +93,6 @@ def trained_msdi(weights: Path | None = None) -> Msdi:
 
 
 def prepared(network: Msdi, rates: Tensor, factor: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Light and sigma [V, 1, h, w], and the channels [V, CHANNELS, H, W] the geometry sees."""
+    """Return light and sigma [V, 1, h, w], and the channels [V, CHANNELS, H, W] that the geometry sees."""
     light, sigma, level = network.light(rates)
     return light, sigma, channels(light, sigma, rates, level, factor)

@@ -42,7 +42,7 @@ class Views:
 
     @classmethod
     def of_rig(cls, rig: Rig, factor: int = 1, distance: float | None = None) -> Views:
-        """The cameras of `rig` over pixels `factor` times as large; raises BadRunError for lens distortion."""
+        """Return the cameras of `rig` over pixels `factor` times as large; raises BadRunError for lens distortion."""
         bent = [camera.id for camera in rig.cameras if any(camera.distortion)]
         if bent:
             raise BadRunError(f"found lens distortion in {', '.join(bent)}", "none", "msdi is for pinhole cameras")
@@ -56,7 +56,7 @@ class Views:
         return cls(**tensors, distance=object_distance(rig) if distance is None else distance)
 
     def to_rig(self, rig: Rig, factor: int = 1) -> Rig:
-        """`rig` with these poses and focal lengths."""
+        """Return `rig` with these poses and focal lengths."""
         cameras = []
         for v, camera in enumerate(rig.cameras):
             u, _, vt = np.linalg.svd(self.rotation[v].double().numpy())
@@ -67,23 +67,23 @@ class Views:
         return replace(rig, cameras=tuple(cameras))
 
     def select(self, which: list[int]) -> Views:
-        """Those views, in that order."""
+        """Return the views `which`, in that order."""
         parts = (self.rotation[which], self.center[which], self.focal[which], self.principal[which])
         return Views(*parts, self.distance)
 
     def to(self, kind: torch.dtype | torch.device) -> Views:
-        """The same in another precision or on another device."""
+        """Return the same in another precision or on another device."""
         return Views(
             self.rotation.to(kind), self.center.to(kind), self.focal.to(kind), self.principal.to(kind), self.distance
         )
 
     def directions(self, pixels: Tensor) -> Tensor:
-        """Of `pixels` [V, N, 2], with z = 1, in each view's own axes [V, N, 3]."""
+        """Return the directions [V, N, 3] of `pixels` [V, N, 2] in each view's own axes, with z = 1."""
         xy = (pixels - self.principal[:, None]) / self.focal[:, None]
         return torch.cat([xy, torch.ones_like(xy[..., :1])], dim=-1)
 
     def seen_from(self, other: Views, pixels: Tensor, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
-        """Where all of `other` see the points of these views: pixels [V, N, W, 2] and inverse depth ratio [V, N, W].
+        """Return where all of `other` see the points: pixels [V, N, W, 2] and inverse depth ratio [V, N, W].
 
         `pixels` [V, N, 2] and `inverse_depth` [V, N] are theirs here. The ratio is the depth there over the depth here;
         where it is not positive the point lies behind, and its pixel is that of a point just in front.
@@ -95,7 +95,9 @@ class Views:
 
 
 def homogeneous(views: Views, other: Views, directions: Tensor, inverse_depth: Tensor) -> Tensor:
-    """The points along `directions` [V, N, 3] in all the axes of `other`, times their inverse depth [V, N, W, 3]."""
+    """Return the points along `directions` [V, N, 3] in the axes of every `other` view, times inverse depth [V, N, W,
+    3].
+    """
     in_rig = torch.einsum("vba,vnb->vna", views.rotation, directions)  # rotation transposed: rig_from_cam
     offset = views.center[:, None] - other.center[None]  # [V, W, 3]
     along = in_rig[:, :, None] + inverse_depth[..., None, None] * offset[:, None]
@@ -103,7 +105,7 @@ def homogeneous(views: Views, other: Views, directions: Tensor, inverse_depth: T
 
 
 def object_distance(rig: Rig) -> float:
-    """The mean distance in m from the cameras to the point their axes come closest to.
+    """Return the mean distance in m from the cameras to the point their axes come closest to.
 
     Axes are believed to `AXIS_SD_RAD`; where cameras stand so close that this says little, the point is drawn to where
     cameras that far apart usually look. Raises BadRunError for cameras at one place or turned away from one another.
@@ -125,13 +127,13 @@ def object_distance(rig: Rig) -> float:
 
 
 def inverse_depths(views: Views, count: int) -> Tensor:
-    """`count` even steps of inverse depth in 1/m from the farthest to the nearest [K]."""
+    """Return `count` even steps of inverse depth in 1/m from the farthest to the nearest [K]."""
     ends = (1 / (FARTHEST * views.distance), 1 / (NEAREST * views.distance))
     return torch.linspace(*ends, count, dtype=views.center.dtype)
 
 
 def gate(views: Views, points: Tensor, radius: float = GATE) -> Tensor:
-    """Whether points m of view w may be points n of view v, for the poses as they are [V, N, V, N].
+    """Return whether points m of view w may be points n of view v, for the poses as they are [V, N, V, N].
 
     `points` [V, N, 2] px. A pair passes where either point lies within `radius` focal lengths of the
     other's epipolar line, between the nearest and the farthest depth. No view goes with itself.
@@ -155,7 +157,7 @@ def gate(views: Views, points: Tensor, radius: float = GATE) -> Tensor:
 
 
 def _segment_distance(points: Tensor, start: Tensor, end: Tensor) -> Tensor:
-    """From `points` [M, 2] to the segments [N, K, 2] in pixels [N, K, M]."""
+    """Return the distances [N, K, M] in px from `points` [M, 2] to segments from `start` to `end` [N, K, 2]."""
     along = (end - start)[:, :, None]
     away = points - start[:, :, None]
     share = ((away * along).sum(-1) / (along * along).sum(-1).clamp_min(1e-9)).clamp(0, 1)

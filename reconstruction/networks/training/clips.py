@@ -5,8 +5,6 @@ cameras, the sensor's pixels and its noise all follow from it, so a folder can b
 Letters: V views, n instants, H rows, W columns.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Mapping

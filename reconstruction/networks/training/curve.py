@@ -1,7 +1,5 @@
 """Draws the curves of trainings: their scores against the wall time they took."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Mapping, Sequence

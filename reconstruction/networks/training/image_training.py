@@ -1,7 +1,5 @@
 """Random crops to train on, turned, mirrored and run backwards; batch number n is the same whenever it is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -30,11 +28,11 @@ class Pictures(Protocol):
     smallest: int
 
     def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray | None]:
-        """One input [C, H, W] and the true light [1, H, W], where it is known."""
+        """Draw one input [C, H, W] and the true light [1, H, W], where it is known."""
         ...
 
     def description(self) -> dict:
-        """What they are, for the document of the training."""
+        """Return what the pictures are, for the document of the training."""
         ...
 
 
@@ -48,7 +46,7 @@ class ClipPictures:
         self._kept: dict[int, tuple[list[NDArray], NDArray]] = {}
 
     def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray | None]:
-        """One instant of one clip."""
+        """Draw one instant of one clip."""
         seed = int(rng.integers(self._clips.first_seed, self._clips.seeds.stop))
         if seed not in self._kept:
             clip = self._clips.read(self._folder, seed)
@@ -58,7 +56,7 @@ class ClipPictures:
         return inputs[instant], truth[instant, None]
 
     def description(self) -> dict:
-        """The seeds and sizes of the clips."""
+        """Return the seeds and sizes of the clips."""
         return {"clips": asdict(self._clips)}
 
 
@@ -75,11 +73,11 @@ class StreamPictures:
         self._inputs = [_halved(network, streams[camera], plane) for camera, plane in self._at]
 
     def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray | None]:
-        """One of the pool."""
+        """Draw one of the pool."""
         return self._inputs[int(rng.integers(POOL))], None
 
     def description(self) -> dict:
-        """The streams, by number, and the planes of the pool."""
+        """Return the streams, by number, and the planes of the pool."""
         return {"instants": [list(at) for at in self._at]}
 
 
@@ -94,7 +92,7 @@ class Batches:
         self._batch, self._crop, self._seed = batch, crop, seed
 
     def batch(self, number: int) -> tuple[Tensor, Tensor | None]:
-        """What the network sees [N, C, h, w] and the true light [N, 1, h, w], where known, of batch `number`."""
+        """Return what the network sees [N, C, h, w] and the true light [N, 1, h, w], where known, of batch `number`."""
         rng = np.random.default_rng([self._seed, number])
         pairs = [self._sample(rng) for _ in range(self._batch)]
         seen = torch.from_numpy(np.stack([seen for seen, _ in pairs]).astype(np.float32))

@@ -1,7 +1,5 @@
 """How good a network is while it learns: random scenes of other seeds, and `fan_and_ball` of the development seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -34,7 +32,7 @@ class Scored:
 
 
 def validation_clips(progress: Progress = silent) -> list[Scored]:
-    """All clips a network is scored on: `RANDOM` ones, then the centre camera's of the development seeds."""
+    """Make all clips a network is scored on: the `RANDOM` ones, then the centre camera's of the development seeds."""
     scored = []
     for seed in RANDOM.seeds:
         progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"validation clip {seed}")
@@ -46,12 +44,12 @@ def validation_clips(progress: Progress = silent) -> list[Scored]:
 
 
 def validation_set() -> dict[str, list[int]]:
-    """The seeds of the validation, for the document of a training."""
+    """Return the seeds of the validation, for the document of a training."""
     return {"random_seeds": list(RANDOM.seeds), "fan_and_ball_seeds": list(DEVELOPMENT_SEEDS)}
 
 
 def scores(image_of: Callable[[SpikeStream, int], NDArray[np.float32]], clips: list[Scored]) -> dict[str, float]:
-    """Mean PSNR in dB over the random clips, the development clips, and the movers of the latter."""
+    """Return the mean PSNR in dB over the random clips, the development clips, and the movers of the latter."""
     found: dict[str, list[float]] = {"random_db": [], "development_db": [], "moving_db": []}
     for scored in clips:
         image, truth = image_of(scored.clip.stream, scored.clip.instants[0]), scored.clip.truth[0]

@@ -5,8 +5,6 @@ weights as `NAME.npz`. Batches follow from the seed and the step alone, so a kil
 been. The weights that are scored and shipped are a running average: they are good before the rate has come down.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import time
@@ -51,7 +49,7 @@ class LoopConfig:
             raise BadRunError(f"found the training {asdict(self)}", "1 step or more and a positive rate")
 
     def rate(self, step: int) -> float:
-        """The learning rate of `step`: a short rise, then half a cosine."""
+        """Return the learning rate of `step`: a short rise, then half a cosine."""
         left = (1 + math.cos(math.pi * min(1.0, step / self.steps))) / 2
         return self.learning_rate * min(1.0, (step + 1) / WARM_UP) * (LAST_RATE + (1 - LAST_RATE) * left)
 

@@ -3,8 +3,6 @@
 Letters: V = W views, N tokens a view, S fine cells, K inverse depths.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -26,7 +24,7 @@ CONFIDENCE_COST = 0.2  # DUSt3R's alpha
 
 
 def depth_at(depth: Tensor, pixels: Tensor) -> Tensor:
-    """The depth [V, ...] of the pixel that each of `pixels` [V, ..., 2] lies in; NaN outside."""
+    """Return the depth [V, ...] of the pixel that each of `pixels` [V, ..., 2] lies in; NaN outside."""
     views, rows, columns = depth.shape
     x, y = pixels[..., 0].floor().long(), pixels[..., 1].floor().long()
     inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
@@ -36,7 +34,7 @@ def depth_at(depth: Tensor, pixels: Tensor) -> Tensor:
 
 
 def correspondences(depth: Tensor, true: Views, pixels: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the other views truly see `pixels` [V, N, 2]: pixels [V, N, W, 2] and tokens [V, N, W].
+    """Return where the other views truly see `pixels` [V, N, 2]: pixels [V, N, W, 2] and tokens [V, N, W].
 
     A token is UNSEEN where the point is hidden or outside, IGNORED where it has no depth or the view is its own.
     """
@@ -54,7 +52,7 @@ def correspondences(depth: Tensor, true: Views, pixels: Tensor) -> tuple[Tensor,
 
 
 def token_loss(logs: Tensor, tokens: Tensor, allowed: Tensor) -> Tensor:
-    """Minus the log-probability of the true token, or of none, both ways; pairs outside the gate are left out."""
+    """Return minus the log-probability of the true token, or of none, both ways, for pairs inside the gate."""
     held = allowed.gather(-1, tokens.clamp_min(0)[..., None])[..., 0]
     visible, unseen = (tokens >= 0) & held, tokens == UNSEEN
     index = torch.where(tokens >= 0, tokens, torch.full_like(tokens, logs.shape[-1] - 1))
@@ -65,7 +63,7 @@ def token_loss(logs: Tensor, tokens: Tensor, allowed: Tensor) -> Tensor:
 
 
 def fine_loss(matcher: Matcher, encoded: Encoded, pixels: Tensor, truth: tuple[Tensor, Tensor], seed: int) -> Tensor:
-    """Cross entropy of the fine cells with the true place spread over its four neighbours, and the mean's error.
+    """Return the cross entropy of the fine cells, the true place spread over four neighbours, and the mean's error.
 
     The windows stand where the coarse match might have put them: at the true token or, as drawn, beside it.
     """
@@ -94,14 +92,16 @@ def fine_loss(matcher: Matcher, encoded: Encoded, pixels: Tensor, truth: tuple[T
 
 
 def _middle(tokens: Tensor, columns: int) -> Tensor:
-    """Where the windows of `tokens` [...] are centred [..., 2] in px."""
+    """Return where the windows of `tokens` [...] are centred [..., 2] in px."""
     held = tokens.clamp_min(0)
     at = torch.stack([held % columns, torch.div(held, columns, rounding_mode="floor")], dim=-1)
     return at * PATCH + PATCH // 2 + FINE / 2
 
 
 def depth_loss(swept: Swept, depth: Tensor, views: Views) -> Tensor:
-    """Of one view with the true `depth` [H, W]: cross entropy of the steps, and DUSt3R's confidence-weighted error."""
+    """Return one view's loss against the true `depth` [H, W]: entropy of the steps, and DUSt3R's confidence-weighted
+    error.
+    """
     steps = inverse_depths(views, STEPS).to(depth.dtype)
     known = torch.isfinite(depth) & (depth > 1 / steps[-1]) & (depth < 1 / steps[0])
     inverse = 1 / torch.where(known, depth, torch.full_like(depth, views.distance))
@@ -119,7 +119,7 @@ def _mean(values: Tensor, where: Tensor) -> Tensor:
 
 
 def pose_loss(nominal: Views, true: Views, matches: Matches) -> Tensor:
-    """Angles of relative turns and of the directions between centres, of every pair, after a short adjustment.
+    """Return the angles between every two views' turns and directions, against the true ones, after a short adjustment.
 
     Both stay as they are under the similarity that no camera can know.
     """

@@ -43,7 +43,7 @@ class Sample:
     nominal: Views
 
     def to(self, device: torch.device) -> Sample:
-        """The same on another device."""
+        """Return the same on another device."""
         seen = None if self.seen is None else self.seen.to(device)
         rates = None if self.rates is None else self.rates.to(device)
         light, depth = self.light.to(device), self.depth.to(device)
@@ -62,11 +62,11 @@ class Samples:
         self._kept: dict[int, tuple[NDArray, MultiviewClip]] = {}
 
     def description(self) -> dict:
-        """The seeds and sizes of the clips."""
+        """Return the seeds and sizes of the clips."""
         return {"clips": asdict(self._clips)}
 
     def sample(self, number: int, *, raw: bool) -> Sample:
-        """Sample `number`; with `raw`, rates for the image network to learn from."""
+        """Return sample `number`; with `raw`, rates for the image network to learn from."""
         rng = np.random.default_rng([self._seed, number])
         seed = int(rng.integers(self._clips.first_seed, self._clips.seeds.stop))
         count = min(self._clips.views, 3 if rng.random() < THREE_VIEWS else 4)
@@ -95,7 +95,7 @@ class Samples:
 
 
 def _distance(rig: Rig, least: float, most: float) -> float:
-    """The object's distance as `rig` has it, kept within bounds; three cameras side by side hardly know it."""
+    """Return the object's distance by `rig`, kept within bounds; three cameras side by side hardly know it."""
     try:
         return min(max(object_distance(rig), least), most)
     except BadRunError:

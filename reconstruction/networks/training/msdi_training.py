@@ -5,8 +5,6 @@ every `IMAGE_EVERY`th step, from `image_from` on, as the network itself makes th
 the image network; apart, it does not (the paper's ablation).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +84,7 @@ def _tier(name: str, backbone: Path | None) -> Msdi:
 
 
 def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose: bool) -> Tensor:
-    """All losses of one sample; `number` draws what is drawn."""
+    """Return all losses of one sample; `number` seeds what is drawn."""
     image, seen = _seen(network, sample, joint)
     pixels = keypoints(seen.detach())
     centers = patch_centers((seen.shape[3], seen.shape[2])).expand(len(seen), -1, -1)
@@ -105,7 +103,7 @@ def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose
 
 
 def _seen(network: Msdi, sample: Sample, joint: bool) -> tuple[Tensor, Tensor]:
-    """The loss of the images, where they learn, and the channels the geometry sees."""
+    """Return the loss of the images, where they learn, and the channels that the geometry sees."""
     if sample.rates is None:
         assert sample.seen is not None
         return sample.seen.new_zeros(()), sample.seen

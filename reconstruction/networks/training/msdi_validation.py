@@ -1,7 +1,5 @@
 """Scores MSDI while it learns: on random rigs and scenes of other seeds, and on simulated recordings."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 here does anything. Gradients are averaged, so N processes are a batch of N.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 
@@ -32,17 +30,17 @@ def stop() -> None:
 
 
 def first() -> bool:
-    """Whether this process scores and stores."""
+    """Return whether this process scores and stores."""
     return not distributed.is_initialized() or distributed.get_rank() == 0
 
 
 def own(step: int) -> int:
-    """The number of this process's batch at `step`."""
+    """Return the number of this process's batch at `step`."""
     return step * distributed.get_world_size() + distributed.get_rank() if distributed.is_initialized() else step
 
 
 def wait() -> None:
-    """Until all are here."""
+    """Wait until all processes are here."""
     if distributed.is_initialized():
         distributed.barrier()
 
