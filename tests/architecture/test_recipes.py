@@ -168,3 +168,30 @@ def test_a_supervision_term_is_two_files(copy):
     )
     assert "fourth" in command(copy, "reconstruct", "--help")
     suite(copy, "tests/unit/reconstruction/test_supervision.py", "-k", "every_supervision and fourth")
+
+
+def test_an_export_format_is_one_file_and_a_line(copy):
+    add(
+        copy,
+        "reconstruction/export/formats/xyz.py",
+        '''
+        """`.xyz`: a line of text for each Gaussian at one instant, an example of an export format."""
+
+        from reconstruction.export.format import Format, splat_writer
+        from reconstruction.export.splats import Splats
+
+
+        def xyz_bytes(splats: Splats) -> bytes:
+            """Return the bytes of a file: x, y, z in metres, rig frame."""
+            return "".join(f"{x:.6f} {y:.6f} {z:.6f}\\n" for x, y, z in splats.means).encode()
+
+
+        XYZ = Format("xyz", "the places of the Gaussians at one instant", "scene.xyz", splat_writer(xyz_bytes), ("at_s",))
+        ''',
+    )
+    readme = copy / "reconstruction/README.md"
+    readme.write_text(readme.read_text().replace("| `ply` |", "| `xyz` | places as text | `--at` |\n| `ply` |", 1))
+    assert "xyz" in command(copy, "export", "--help")
+    code = "from server.schemas.job_types import ExportRequest; print(ExportRequest.model_json_schema())"
+    assert "xyz" in python(copy, code)
+    suite(copy, "tests/unit/reconstruction/test_export_paths.py", "-k", "xyz or readme")
