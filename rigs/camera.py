@@ -18,9 +18,9 @@ from rigs.transform import Floats, Transform
 class Camera:
     """A pinhole camera with OpenCV distortion (k1, k2, p1, p2); lengths in pixels, `cam_from_rig` in metres.
 
-    `pixels` is the file with the gain, offset and defects of its pixels, where they were measured.
-    The id names files: letters, digits, `_` and `-`. Raises RigError, naming the camera, for another id, a size or
-    focal length that is not positive, or a number that is not finite.
+    `pixels` is the file with the gain, offset and defects of its pixels, where they were measured. The id names files,
+    so it consists of letters, digits, `_` and `-`. Raises RigError, naming the camera, for another id, a size or focal
+    length that is not positive, or a number that is not finite.
     """
 
     id: str
@@ -57,9 +57,10 @@ class Camera:
         return self.cam_from_rig.center
 
     def project(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Where points [N, 3] of the rig frame, in m, are in the picture [N, 2] px, and which lie in it [N].
+        """Project points [N, 3] of the rig frame, in metres, as a pinhole does, without distortion.
 
-        As a pinhole: distortion is left out. NaN for what is not in front of the camera.
+        Returns their places in the picture [N, 2] in pixels, NaN for points that are not in front of the camera, and
+        which of them lie inside the picture [N].
         """
         x, y, z = self.cam_from_rig.apply(points).T
         depth = np.where(z > 0, z, np.nan)
@@ -68,7 +69,7 @@ class Camera:
         return pixels, inside[:, 0] & inside[:, 1]
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same lens over a sensor sampled at another size, whose pixels are others."""
+        """Return the same lens over a sensor of another size in pixels; their calibration holds for one size only."""
         sx, sy = width / self.width, height / self.height
         pixels = self.pixels if (sx, sy) == (1, 1) else None
         lens = {"fx": self.fx * sx, "fy": self.fy * sy, "cx": self.cx * sx, "cy": self.cy * sy}

@@ -8,7 +8,7 @@ from rigs.errors import RigError
 
 @dataclass(frozen=True)
 class RigClock:
-    """Ticks to seconds and back; zero is the first recorded plane of the trigger."""
+    """Converts ticks to seconds and back; zero is the first recorded plane of the trigger."""
 
     tick_rate_hz: float
 
@@ -17,10 +17,10 @@ class RigClock:
             raise RigError(f"found the tick rate {self.tick_rate_hz} Hz", "a positive number")
 
     def instant_s(self, plane: float) -> float:
-        """The middle of plane `plane`, in seconds."""
+        """Return the middle of plane `plane`, in seconds."""
         return (plane + 0.5) / self.tick_rate_hz
 
     def plane(self, instant_s: float) -> int:
-        """The plane whose exposure holds `instant_s`."""
+        """Return the plane whose exposure holds `instant_s`."""
         ticks = instant_s * self.tick_rate_hz
         return math.floor(ticks + max(1e-9, 2 * math.ulp(ticks)))  # an edge belongs to the plane that begins there

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Self
 
 
@@ -20,7 +23,7 @@ class Spike4dgsError(Exception):
         self.found, self.expected, self.do, self.where = found, expected, do, str(where)
 
     def __str__(self) -> str:
-        """Say all of it in one line."""
+        """Return all fields in one line."""
         place = f"{self.where}: " if self.where else ""
         return f"{place}{self.found}{self.expected and ', expected '}{self.expected}{self.do and '; '}{self.do}"
 
@@ -30,6 +33,24 @@ class Spike4dgsError(Exception):
         if not isinstance(error, Spike4dgsError):
             return cls(str(error), where=where)
         return cls(error.found, error.expected, error.do, where=f"{where}: {error.where}" if error.where else where)
+
+    @classmethod
+    @contextmanager
+    def located(cls, where: object) -> Iterator[None]:
+        """Put `where` in front of the place of every error of this class raised inside."""
+        try:
+            yield
+        except cls as error:
+            raise error.at(where, error) from error
+
+    @classmethod
+    @contextmanager
+    def reading(cls, path: Path, do: str = "") -> Iterator[None]:
+        """Raise an error of this class that names `path` where the disk does not give what is read inside."""
+        try:
+            yield
+        except OSError as error:
+            raise cls(f"cannot be read ({error.strerror})", do=do, where=path) from error
 
 
 class RigError(Spike4dgsError):

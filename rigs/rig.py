@@ -17,7 +17,7 @@ Poses = Literal["calibrated", "nominal"]
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where calibrated poses came from: an ISO date, the RMS residual in pixels, the rotation's standard deviation."""
+    """Origin of calibrated poses: an ISO date, the RMS residual in pixels, the standard deviation of the rotations."""
 
     date: str
     residual_px: float
@@ -43,11 +43,8 @@ class Rig:
             raise RigError("found no cameras", "at least one", where=f"rig {self.name}")
         repeated = {c for c in self.ids if self.ids.count(c) > 1}
         if repeated:
-            raise RigError(
-                f"found {', '.join(sorted(repeated))} twice or more",
-                do="name each camera once",
-                where=f"rig {self.name}",
-            )
+            found = f"found {', '.join(sorted(repeated))} twice or more"
+            raise RigError(found, do="name each camera once", where=f"rig {self.name}")
         if self.poses not in ("calibrated", "nominal"):
             raise RigError(f"found poses {self.poses!r}", "calibrated or nominal", where=f"rig {self.name}")
 
@@ -62,25 +59,25 @@ class Rig:
         return RigClock(self.tick_rate_hz)
 
     def camera(self, camera_id: str) -> Camera:
-        """The camera named `camera_id`; raises RigError listing the known ones."""
+        """Return the camera named `camera_id`; raises RigError listing the known ones."""
         for camera in self.cameras:
             if camera.id == camera_id:
                 return camera
         raise RigError(f"found no camera {camera_id} in rig {self.name}", f"one of {', '.join(self.ids)}")
 
     def only(self, camera_ids: Iterable[str]) -> Rig:
-        """The rig with just these cameras, in the order given."""
+        """Return the rig with just these cameras, in the order given."""
         return replace(self, cameras=tuple(self.camera(c) for c in camera_ids))
 
     def scaled(self, width: int, height: int) -> Rig:
-        """The rig with every sensor sampled at another size."""
+        """Return the rig with every sensor at another size in pixels."""
         return replace(self, cameras=tuple(c.scaled(width, height) for c in self.cameras))
 
 
 def object_distance_m(cameras: Sequence[Camera]) -> float:
-    """Mean distance in m, along the optical axes, from the cameras to the point nearest to all those axes.
+    """Return how far the cameras are from the point nearest to all their optical axes: the mean along these, in metres.
 
-    Parallel axes never meet: then ten baselines stand for the object's distance.
+    Parallel axes never meet; ten baselines then stand for the object's distance.
     """
     centers = np.stack([c.center for c in cameras])
     axes = np.stack([c.cam_from_rig.rotation[2] for c in cameras])

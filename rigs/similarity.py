@@ -1,4 +1,4 @@
-"""Similarities: the freedom that cameras alone leave in where a scene lies and how large it is."""
+"""Similarities: cameras alone leave open where a scene lies, how it is turned and how large it is."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ class Similarity:
     translation: Floats
 
     def apply(self, points: ArrayLike) -> Floats:
-        """Points [..., 3] in the source frame to the target frame."""
+        """Carry points [..., 3] of the source frame into the target frame."""
         return self.scale * np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
 
     def carry(self, cam_from_source: Transform) -> Transform:
-        """The camera's pose in the target frame; its own axes keep their metres."""
+        """Return the camera's pose in the target frame; distances along its own axes stay in metres."""
         rotation = cam_from_source.rotation @ self.rotation.T
         return Transform(rotation, -rotation @ self.apply(cam_from_source.center))
 
     def carry_rig(self, rig: Rig) -> Rig:
-        """Every camera of `rig` in the target frame."""
+        """Return `rig` with every camera in the target frame."""
         cameras = tuple(replace(c, cam_from_rig=self.carry(c.cam_from_rig)) for c in rig.cameras)
         return replace(rig, cameras=cameras)
 
 
 def align(source: Rig, target: Rig) -> Similarity:
-    """The similarity that best lays the cameras of `source` on those of the same ids of `target`.
+    """Find the similarity that best lays the cameras of `source` on those of the same ids of `target`.
 
-    The rotation is the mean of the cameras' own (chordal, Hartley et al., "Rotation averaging", IJCV 2013), so that
-    cameras in a line are no trouble; scale and translation then fit the centres by least squares. A single camera, or
-    cameras at one place, keep their scale. Raises RigError where no id is shared.
+    The rotation is the chordal mean of the turns between the cameras' axes (Hartley et al., "Rotation averaging", IJCV
+    2013), which also holds for cameras in a line. Scale and translation then fit the centres by least squares. A single
+    camera, or cameras at one place, keep their scale. Raises RigError where no id is shared.
     """
     shared = [c for c in source.ids if c in target.ids]
     if not shared:

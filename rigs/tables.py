@@ -1,24 +1,14 @@
-"""Numbers and words out of a parsed file, or an error that names the file, the camera and the field."""
+"""Takes numbers and words out of a parsed file, or raises an error that names the file, the camera and the field."""
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigs.errors import RigError
-
-
-@contextlib.contextmanager
-def located(where: str) -> Iterator[None]:
-    """Put the place in front of every RigError raised inside."""
-    try:
-        yield
-    except RigError as error:
-        raise RigError.at(where, error) from error
 
 
 class Fields:
@@ -37,10 +27,10 @@ class Fields:
         """Raise RigError for a field that is not among `known`: a misspelt name must not be passed over."""
         for key in self.table:
             if key not in known:
-                raise RigError(f"found the unknown field {key!r}", f"{', '.join(known)}", where=self.where)
+                raise RigError(f"found the unknown field {key!r}", ", ".join(known), where=self.where)
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number."""
+        """Return the finite number under `key`."""
         found = self._get(key, default)
         try:
             value = float(found) if isinstance(found, (int, float)) and not isinstance(found, bool) else math.nan
@@ -51,21 +41,21 @@ class Fields:
         return value
 
     def whole(self, key: str, default: int | None = None) -> int:
-        """A whole number of at least 1."""
+        """Return the whole number under `key`, at least 1."""
         value = self.number(key, default)
         if value != int(value) or value < 1:
             raise self._wrong(key, "a whole number of at least 1")
         return int(value)
 
     def word(self, key: str, default: str | None = None) -> str:
-        """A string."""
+        """Return the string under `key`."""
         found = self._get(key, default)
         if not isinstance(found, str):
             raise self._wrong(key, "a string")
         return found
 
     def numbers(self, key: str, shape: tuple[int, ...], default: object = None) -> NDArray[np.float64]:
-        """Finite numbers in nested lists of the given shape."""
+        """Return the finite numbers under `key`, which are nested lists of this shape."""
         try:
             array = np.asarray(self._get(key, default))
         except ValueError:  # rows of different lengths
@@ -77,11 +67,11 @@ class Fields:
         return array.astype(np.float64)
 
     def table_at(self, key: str) -> Fields:
-        """The table under `key`."""
+        """Return the table under `key`."""
         return Fields(self._get(key, None), f"{self.where}: {key}")
 
     def list_at(self, key: str) -> list[object]:
-        """The list under `key`, with at least one entry."""
+        """Return the list under `key`, which has at least one entry."""
         found = self._get(key, None)
         if not isinstance(found, list) or not found:
             raise self._wrong(key, "a list with at least one entry")
@@ -90,11 +80,11 @@ class Fields:
     def _get(self, key: str, default: object) -> object:
         found = self.table.get(key, default)
         if found is None:
-            raise RigError(f"found no field {key}", "it", f"add {key}", where=self.where)
+            raise RigError(f"found no field {key}", do="add it", where=self.where)
         return found
 
     def _wrong(self, key: str, expected: str) -> RigError:
-        return RigError(f"found {key} = {_short(self.table.get(key))}", f"{expected}", where=self.where)
+        return RigError(f"found {key} = {_short(self.table.get(key))}", expected, where=self.where)
 
 
 def _short(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Rigs as TOML files, and the catalog of rigs that comes with the package."""
+"""Reads and writes rigs as TOML files, and lists the rigs that come with the package."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import tomli_w
 from rigs.camera import Camera
 from rigs.errors import RigError
 from rigs.rig import Calibration, Poses, Rig
-from rigs.tables import Fields, located
+from rigs.tables import Fields
 from rigs.transform import Transform
 
 RIG_FIELDS = ("name", "tick_rate_hz", "poses", "calibration", "camera")
@@ -29,18 +29,17 @@ GRID_ID = re.compile(r"cam(\d)(\d)")
 def load_rig(path: Path) -> Rig:
     """Read a rig; raises RigError naming the file, the camera and the field that is missing, unknown or wrong."""
     try:
-        text = path.read_bytes().decode()
-    except OSError as error:
-        raise RigError(f"cannot be read ({error.strerror})", do="give an existing rig file", where=path) from error
+        with RigError.reading(path, "give an existing rig file"):
+            text = path.read_bytes().decode()
     except UnicodeDecodeError as error:
         raise RigError("found bytes that are not UTF-8", "a rig in TOML", where=path) from error
     return parse_rig(text, str(path), path.parent)
 
 
 def parse_rig(text: str, where: str, folder: Path | None) -> Rig:
-    """A rig from TOML; `where` names it in errors, `folder` holds its pixel calibrations: None refuses to name any.
+    """Read a rig from TOML text; raises RigError as `load_rig` does, with `where` for the file.
 
-    Raises RigError as `load_rig` does.
+    `folder` holds the rig's pixel calibrations; with None, a rig that names any is refused.
     """
     try:
         fields = Fields(tomllib.loads(text), where)
@@ -50,16 +49,16 @@ def parse_rig(text: str, where: str, folder: Path | None) -> Rig:
     cameras = tuple(_camera(entry, where, number, folder) for number, entry in enumerate(fields.list_at("camera")))
     calibration = _calibration(fields.table_at("calibration")) if "calibration" in fields.table else None
     name, rate_hz, poses = fields.word("name"), fields.number("tick_rate_hz"), fields.word("poses")
-    with located(where):
+    with RigError.located(where):
         rig = Rig(name, rate_hz, cameras, cast(Poses, poses), calibration)
     refuse_holes(rig.ids, where)
     return rig
 
 
 def dump_rig(rig: Rig) -> str:
-    """The rig as TOML text; `load_rig` of it gives the same numbers back.
+    """Return the rig as TOML text; `load_rig` of it gives the same numbers back.
 
-    Pixel calibrations are named as files that lie beside the text; whoever writes it puts them there.
+    Pixel calibrations are named as files that lie beside the text; whoever writes the text puts them there.
     """
     document: dict[str, object] = {"name": rig.name, "tick_rate_hz": float(rig.tick_rate_hz), "poses": rig.poses}
     if rig.calibration:
@@ -73,12 +72,12 @@ def dump_rig(rig: Rig) -> str:
 
 
 def catalog_names() -> tuple[str, ...]:
-    """The names of the rigs that come with the package."""
+    """List the names of the rigs that come with the package."""
     return tuple(sorted(f.name.removesuffix(".toml") for f in _catalog().iterdir() if f.name.endswith(".toml")))
 
 
 def catalog_rig(name: str) -> Rig:
-    """A rig that comes with the package; raises RigError listing the known names."""
+    """Return a rig that comes with the package; raises RigError listing the known names."""
     if name not in catalog_names():
         raise RigError(f"found no rig {name!r} in the catalog", f"one of {', '.join(catalog_names())}")
     return parse_rig((_catalog() / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml", Path())
@@ -123,12 +122,11 @@ def _camera(entry: object, where: str, number: int, folder: Path | None) -> Came
     k1, k2, p1, p2 = fields.numbers("distortion", (4,), (0.0, 0.0, 0.0, 0.0)).tolist()
     quat_wxyz, translation_m = pose.numbers("quat_wxyz", (4,)), pose.numbers("translation_m", (3,))
     extras = {"serial": fields.word("serial", ""), "pixels": _pixels(fields, folder)}
-    with located(pose.where):
+    with RigError.located(pose.where):
         cam_from_rig = Transform.from_quat_wxyz(quat_wxyz, translation_m)
-    with located(where):
-        return Camera(
-            fields.word("id"), width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2), **extras
-        )
+    with RigError.located(where):
+        lens = (width, height, fx, fy, cx, cy)
+        return Camera(fields.word("id"), *lens, cam_from_rig, distortion=(k1, k2, p1, p2), **extras)
 
 
 def _pixels(fields: Fields, folder: Path | None) -> Path | None:
@@ -143,12 +141,7 @@ def _pixels(fields: Fields, folder: Path | None) -> Path | None:
 
 
 def _camera_table(camera: Camera) -> dict[str, object]:
-    table: dict[str, object] = {
-        "id": camera.id,
-        "serial": camera.serial,
-        "width": camera.width,
-        "height": camera.height,
-    }
+    table: dict[str, object] = {name: getattr(camera, name) for name in ("id", "serial", "width", "height")}
     if camera.pixels:
         table["pixels"] = camera.pixels.name
     table |= {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}

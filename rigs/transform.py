@@ -36,12 +36,12 @@ class Transform:
 
     @classmethod
     def identity(cls) -> Transform:
-        """The transform that changes nothing."""
+        """Return the transform that changes nothing."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_quat_wxyz(cls, quat_wxyz: ArrayLike, translation: ArrayLike) -> Transform:
-        """From a quaternion (w, x, y, z) of any non-zero length and a translation [3] in metres."""
+        """Build from a quaternion (w, x, y, z) of any non-zero length and a translation [3] in metres."""
         q = np.asarray(quat_wxyz, dtype=np.float64)
         with np.errstate(over="ignore"):
             length = np.linalg.norm(q)
@@ -59,20 +59,12 @@ class Transform:
 
     @classmethod
     def from_rotvec(cls, rotvec: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Transform:
-        """A turn about the axis `rotvec` [3] by its length in radians (Rodrigues), then a translation [3] in metres."""
+        """Build a turn about `rotvec` [3] by its length in radians (Rodrigues), then a translation [3] in metres."""
         return cls(rotations(rotvec), np.asarray(translation, dtype=np.float64))
 
     @classmethod
-    def from_matrix(cls, matrix: ArrayLike) -> Transform:
-        """From a homogeneous matrix [4, 4] or its upper [3, 4]."""
-        m = np.asarray(matrix, dtype=np.float64)
-        if m.shape not in ((4, 4), (3, 4)):
-            raise RigError(f"found a matrix of shape {m.shape}", "(4, 4) or (3, 4)")
-        return cls(m[:3, :3], m[:3, 3])
-
-    @classmethod
     def looking_at(cls, center: ArrayLike, target: ArrayLike, down: ArrayLike = (0.0, 1.0, 0.0)) -> Transform:
-        """`cam_from_world` of a camera at `center` whose +z meets `target` and whose +y leans towards `down`."""
+        """Return `cam_from_world` of a camera at `center` whose +z meets `target` and +y leans to `down`, each [3]."""
         origin = np.asarray(center, dtype=np.float64)
         forward = np.asarray(target, dtype=np.float64) - origin
         right = np.cross(np.asarray(down, dtype=np.float64), forward)
@@ -87,11 +79,11 @@ class Transform:
         return Transform(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Transform:
-        """`source_from_target`."""
+        """Return `source_from_target`."""
         return Transform(self.rotation.T, -self.rotation.T @ self.translation)
 
     def apply(self, points: ArrayLike) -> Floats:
-        """Points [..., 3] in the source frame to the target frame."""
+        """Carry points [..., 3] of the source frame into the target frame."""
         return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
 
     @property
@@ -128,7 +120,7 @@ class Transform:
 
 
 def rotations(rotvecs: ArrayLike) -> Floats:
-    """Rotation vectors [..., 3] in radians as matrices [..., 3, 3]; exact through zero (Rodrigues' formula)."""
+    """Turn rotation vectors [..., 3] in radians into matrices [..., 3, 3] by Rodrigues' formula, exact through zero."""
     r = np.asarray(rotvecs, dtype=np.float64)
     angle = np.linalg.norm(r, axis=-1)[..., None, None]
     cross = cross_matrices(r)
@@ -137,14 +129,14 @@ def rotations(rotvecs: ArrayLike) -> Floats:
 
 
 def cross_matrices(vectors: ArrayLike) -> Floats:
-    """Matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
+    """Return matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
 
 
 def rotvec_of(rotation: ArrayLike) -> Floats:
-    """The rotation vector [3] in radians, at most pi long, of a rotation matrix [3, 3]."""
+    """Return the rotation vector [3] in radians, at most pi long, of a rotation matrix [3, 3]."""
     w, *axis = Transform(np.asarray(rotation, dtype=np.float64), np.zeros(3)).quat_wxyz
     sine = float(np.linalg.norm(axis))
     angle = 2 * np.arctan2(sine, w)

@@ -1,4 +1,4 @@
-"""One door for cameras in any of the formats we read."""
+"""Reads cameras in any of the formats the project knows."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from rigs.camera import Camera
 from rigs.errors import RigError
 from rigs.exchange.colmap import load_model
 from rigs.exchange.nerfstudio import Size, load_transforms
-from rigs.rig import Poses, Rig
-from rigs.tables import located
+from rigs.rig import Calibration, Poses, Rig
 from rigs.toml import GRID_ID, load_rig, refuse_holes
 
 
@@ -23,36 +22,29 @@ def load_cameras(
     poses: Poses = "calibrated",
     name: str | None = None,
 ) -> Rig:
-    """A rig from a `transforms.json`, a COLMAP model folder or a `RIG.toml` (which keeps its own name and poses flag).
+    """Read a rig from a `transforms.json`, a COLMAP model folder or a `RIG.toml`.
 
-    Cameras come in row-major order where all are named camRC. `size` (width, height) is the pictures' size, `ids` the
-    cameras there must be, no more and no less. Raises RigError naming the file and the camera that does not fit.
+    A `RIG.toml` keeps its own name and poses flag. Cameras come in row-major order where all are named camRC. `size`
+    (width, height) is the pictures' size, `ids` the cameras there must be, no more and no less. Raises RigError naming
+    the file and the camera that does not fit.
     """
+    calibration: Calibration | None = None
     if path.suffix == ".toml":
         rig = load_rig(path)
-        cameras, poses, name = rig.cameras, rig.poses, name or rig.name
-        calibration = rig.calibration
+        cameras, poses, name, calibration = rig.cameras, rig.poses, name or rig.name, rig.calibration
+    elif path.is_dir():
+        cameras = load_model(path)
+    elif path.suffix == ".json":
+        cameras = load_transforms(path, size=size, ids=ids)
     else:
-        cameras, calibration = _foreign_cameras(path, size, ids), None
+        raise RigError("found no cameras", "a transforms.json, a COLMAP model folder or a RIG.toml", where=path)
     for camera in cameras:
         if size and (camera.width, camera.height) != tuple(size):
-            raise RigError(
-                f"{camera.id}: found the size {camera.width}x{camera.height}",
-                f"{size[0]}x{size[1]}",
-                "give the size the cameras were stated for",
-                where=path,
-            )
+            found, do = f"found the size {camera.width}x{camera.height}", "give the size the cameras were stated for"
+            raise RigError(found, f"{size[0]}x{size[1]}", do, where=f"{path}: {camera.id}")
     cameras = _in_order(cameras, path, ids)
-    with located(str(path)):
+    with RigError.located(path):
         return Rig(name or path.stem, tick_rate_hz, cameras, poses, calibration)
-
-
-def _foreign_cameras(path: Path, size: Size | None, ids: Sequence[str] | None) -> tuple[Camera, ...]:
-    if path.is_dir():
-        return load_model(path)
-    if path.suffix == ".json":
-        return load_transforms(path, size=size, ids=ids)
-    raise RigError("found no cameras", "a transforms.json, a COLMAP model folder or a RIG.toml", where=path)
 
 
 def _in_order(cameras: tuple[Camera, ...], path: Path, ids: Sequence[str] | None) -> tuple[Camera, ...]:
@@ -61,11 +53,10 @@ def _in_order(cameras: tuple[Camera, ...], path: Path, ids: Sequence[str] | None
         refuse_holes(found, str(path))
     elif set(ids) != set(found):
         missing, surplus = sorted(set(ids) - set(found)), sorted(set(found) - set(ids))
-        raise RigError(
-            f"{path}: found the cameras {', '.join(found)}, expected {', '.join(ids)}"
-            + (f"; missing: {', '.join(missing)}" if missing else "")
-            + (f"; not expected: {', '.join(surplus)}" if surplus else "")
-        )
+        amiss = [
+            f"{kind}: {', '.join(some)}" for kind, some in (("missing", missing), ("not expected", surplus)) if some
+        ]
+        raise RigError(f"found the cameras {', '.join(found)}", ", ".join(ids), "; ".join(amiss), where=path)
     if all(GRID_ID.fullmatch(camera_id) for camera_id in found):
         return tuple(sorted(cameras, key=lambda camera: camera.id))
     return cameras

@@ -1,4 +1,4 @@
-"""COLMAP model folders: `cameras` and `images`, as text or binary; image names are camera ids (camRC or camRC.png)."""
+"""Reads and writes COLMAP model folders, as text or binary; image names are camera ids (camRC or camRC.png)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from rigs.camera import Camera
 from rigs.errors import RigError
-from rigs.tables import located
 from rigs.transform import Transform
 
 # model -> its number in binary files and where fx fy cx cy k1 k2 p1 p2 stand in its parameters (None: zero)
@@ -33,7 +32,7 @@ Parsed = TypeVar("Parsed")
 
 
 def load_model(folder: Path) -> tuple[Camera, ...]:
-    """The cameras of a COLMAP model, one an image, by image number; the model's world becomes the rig frame.
+    """Read the cameras of a COLMAP model, one an image, by image number; the model's world becomes the rig frame.
 
     Reads `.bin` where it is there, else `.txt`. Raises RigError naming the file or the camera.
     """
@@ -48,7 +47,7 @@ def load_model(folder: Path) -> tuple[Camera, ...]:
 
 
 def dump_model(cameras: Sequence[Camera]) -> dict[str, str]:
-    """The text files of a COLMAP model by file name: cameras.txt, images.txt and an empty points3D.txt."""
+    """Return the text files of a COLMAP model by file name: cameras.txt, images.txt and an empty points3D.txt."""
     lenses, images = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS"], ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"]
     for number, camera in enumerate(cameras, start=1):
         lens, bent = (camera.fx, camera.fy, camera.cx, camera.cy), any(camera.distortion)
@@ -60,7 +59,7 @@ def dump_model(cameras: Sequence[Camera]) -> dict[str, str]:
 
 
 def dump_points(points: NDArray[np.floating], greys: NDArray[np.uint8]) -> str:
-    """The text of a points3D.txt: points [N, 3] with greys [N], no error known (-1), no tracks."""
+    """Return the text of a points3D.txt: points [N, 3] in metres with greys [N], no error known (-1), no tracks."""
     lines = ["# POINT3D_ID X Y Z R G B ERROR TRACK[]"]
     for number, (point, grey) in enumerate(zip(points.tolist(), greys.tolist(), strict=True), start=1):
         lines.append(f"{number} {_digits(point)} {grey} {grey} {grey} -1")
@@ -68,14 +67,11 @@ def dump_points(points: NDArray[np.floating], greys: NDArray[np.uint8]) -> str:
 
 
 def _read(path: Path, parse: Callable[[bytes], dict[int, Parsed]]) -> dict[int, Parsed]:
+    with RigError.reading(path, "give the folder of a COLMAP model"):
+        data = path.read_bytes()
     try:
-        return parse(path.read_bytes())
-    except OSError as error:
-        raise RigError(
-            f"cannot be read ({error.strerror})", do="give the folder of a COLMAP model", where=path
-        ) from error
-    except RigError as error:
-        raise RigError(f"{path}: {error}") from error
+        with RigError.located(path):
+            return parse(data)
     except (ValueError, IndexError, struct.error) as error:
         raise RigError(f"found contents that do not parse ({error})", f"COLMAP's {path.name}", where=path) from error
 
@@ -91,9 +87,9 @@ def _camera(pose: Pose, lenses: dict[int, Lens], folder: Path) -> Camera:
     fx, fy, cx, cy, k1, k2, p1, p2 = (0.0 if at is None else parameters[at] for at in MODELS[model][1])
     if not all(map(math.isfinite, numbers)):
         raise RigError("found a pose with NaN or infinity", "finite numbers", "mend the pose", where=where)
-    with located(where):
+    with RigError.located(where):
         cam_from_rig = Transform.from_quat_wxyz(numbers[:4], numbers[4:])
-    with located(str(folder)):
+    with RigError.located(folder):
         return Camera(camera_id, width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2))
 
 
@@ -101,7 +97,7 @@ def _lens(model: str | int, width: int, height: int, parameters: Sequence[float]
     if model not in MODELS:
         raise RigError(f"found the camera model {model}", f"one of {', '.join(MODELS)}", "undistort the pictures")
     if len(parameters) != PARAMETERS[model]:
-        raise RigError(f"found {len(parameters)} parameters of {model}", f"{PARAMETERS[model]}")
+        raise RigError(f"found {len(parameters)} parameters of {model}", str(PARAMETERS[model]))
     return model, width, height, tuple(parameters)
 
 
@@ -154,7 +150,7 @@ def _binary_poses(data: bytes) -> dict[int, Pose]:
 
 def _refuse_other_length(data: bytes, expected: int) -> None:
     if len(data) != expected:
-        raise RigError(f"found {len(data)} bytes", f"{expected}", "the file is cut short or no COLMAP model")
+        raise RigError(f"found {len(data)} bytes", str(expected), "the file is cut short or no COLMAP model")
 
 
 def _digits(numbers: Sequence[float]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rigs.camera import Camera
 from rigs.errors import RigError
-from rigs.tables import Fields, located
+from rigs.tables import Fields
 from rigs.transform import Floats, Transform
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -29,7 +29,7 @@ class Frame:
 
 
 def load_transforms(path: Path, *, size: Size | None = None, ids: Sequence[str] | None = None) -> tuple[Camera, ...]:
-    """The cameras of a `transforms.json`, in its order; the world becomes the rig frame.
+    """Read the cameras of a `transforms.json`, in its order; the world becomes the rig frame.
 
     Frames without `camera_id` take `ids` in order, or camRC row by row where they fill a square grid. `size` stands in
     for a missing `w` and `h`. Raises RigError naming the file, the camera and the field.
@@ -39,16 +39,15 @@ def load_transforms(path: Path, *, size: Size | None = None, ids: Sequence[str] 
     cameras = []
     for number, frame in enumerate(frames):
         if "camera_id" not in frame.table and number >= len(names):
-            raise RigError(
-                f"found no camera_id for one of {len(frames)} frames", do="name every camera", where=frame.where
-            )
+            found = f"found no camera_id for one of {len(frames)} frames"
+            raise RigError(found, do="name every camera", where=frame.where)
         default = names[number] if number < len(names) else None
         cameras.append(_camera(frame, frame.word("camera_id", default), path, size))
     return tuple(cameras)
 
 
 def load_frames(path: Path) -> list[Frame]:
-    """The cameras of a `transforms.json` with the `time` of each, in its order; any number, ids may repeat.
+    """Read the cameras of a `transforms.json` with the `time` of each, in its order; any number, ids may repeat.
 
     Raises RigError naming the file, the frame and the field, `time` included.
     """
@@ -59,14 +58,16 @@ def load_frames(path: Path) -> list[Frame]:
 
 
 def dump_transforms(cameras: Sequence[Camera]) -> str:
-    """The cameras as the text of a `transforms.json`; reading it back gives the same numbers."""
-    return (
-        json.dumps({"camera_model": "OPENCV", "frames": [_frame_table(camera) for camera in cameras]}, indent=1) + "\n"
-    )
+    """Return the cameras as the text of a `transforms.json`; reading it back gives the same numbers."""
+    document = {"camera_model": "OPENCV", "frames": [_frame_table(camera) for camera in cameras]}
+    return json.dumps(document, indent=1) + "\n"
 
 
 def dump_frames(frames: Sequence[Frame], pictures: Sequence[str], points: str | None = None) -> str:
-    """Frames with the picture of each and a cloud of points, files relative to the `transforms.json` of this text."""
+    """Return frames, the picture of each and a cloud of points as the text of a `transforms.json`.
+
+    `pictures` and `points` are files relative to it.
+    """
     tables = [
         {"file_path": picture, "time": frame.instant_s, **_frame_table(frame.camera)}
         for frame, picture in zip(frames, pictures, strict=True)
@@ -76,13 +77,10 @@ def dump_frames(frames: Sequence[Frame], pictures: Sequence[str], points: str | 
 
 
 def _frames(path: Path) -> list[Fields]:
-    """Each frame over the file's own defaults: intrinsics in a frame win over those at the top."""
+    """Read each frame over the file's own defaults: intrinsics in a frame win over those at the top."""
     try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise RigError(
-            f"cannot be read ({error.strerror})", do="give an existing transforms.json", where=path
-        ) from error
+        with RigError.reading(path, "give an existing transforms.json"):
+            document = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise RigError(f"found text that is not JSON ({error})", "nerfstudio's transforms.json", where=path) from error
     top = Fields(document, str(path))
@@ -108,25 +106,16 @@ def _camera(frame: Fields, camera_id: str, path: Path, size: Size | None) -> Cam
     width, height = (fields.whole(key, size[axis] if size else None) for axis, key in enumerate("wh"))
     fx = fields.number("fl_x")
     matrix = fields.numbers("transform_matrix", (4, 4))
-    with located(f"{fields.where}: transform_matrix"):
+    with RigError.located(f"{fields.where}: transform_matrix"):
         world_from_cam = Transform(_nearest_rotation(matrix[:3, :3]) @ OPENCV_FROM_OPENGL, matrix[:3, 3])
     k1, k2, p1, p2 = (fields.number(key, 0.0) for key in ("k1", "k2", "p1", "p2"))
-    with located(str(path)):
-        return Camera(
-            id=camera_id,
-            width=width,
-            height=height,
-            fx=fx,
-            fy=fields.number("fl_y", fx),
-            cx=fields.number("cx", width / 2),
-            cy=fields.number("cy", height / 2),
-            cam_from_rig=world_from_cam.inverse(),
-            distortion=(k1, k2, p1, p2),
-        )
+    with RigError.located(path):
+        lens = (fx, fields.number("fl_y", fx), fields.number("cx", width / 2), fields.number("cy", height / 2))
+        return Camera(camera_id, width, height, *lens, world_from_cam.inverse(), distortion=(k1, k2, p1, p2))
 
 
 def _nearest_rotation(matrix: Floats) -> Floats:
-    """Undo the rounding of files written with few digits; what is no rotation to 1e-3 is returned as it is."""
+    """Undo the rounding of files written with few digits; a matrix that is no rotation to 1e-3 is returned as it is."""
     if not 1e-9 < np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-3:
         return matrix
     left, _, right = np.linalg.svd(matrix)

@@ -245,7 +245,8 @@ def through(view: Any, index: int) -> Camera:
     scale = min(width / WIDE, height / TALL)
     left, top = (width - scale * WIDE) / 2, (height - scale * TALL) / 2
     lens = (scale * entry["fx"], scale * entry["fy"], left + scale * entry["cx"], top + scale * entry["cy"])
-    return Camera(entry["id"], width, height, *lens, Transform.from_matrix(np.reshape(entry["cam_from_rig"], (4, 4))))
+    pose = np.reshape(entry["cam_from_rig"], (4, 4))
+    return Camera(entry["id"], width, height, *lens, Transform(pose[:3, :3], pose[:3, 3]))
 
 
 def drawn(arrays: Arrays, u: float, camera: Camera):

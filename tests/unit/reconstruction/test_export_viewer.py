@@ -59,7 +59,8 @@ def played(document, arrays, u):
 
 def camera_of(table):
     lens = (table[name] for name in ("width", "height", "fx", "fy", "cx", "cy"))
-    return Camera(table["id"], *lens, Transform.from_matrix(np.reshape(table["cam_from_rig"], (4, 4))))
+    pose = np.reshape(table["cam_from_rig"], (4, 4))
+    return Camera(table["id"], *lens, Transform(pose[:3, :3], pose[:3, 3]))
 
 
 @pytest.mark.parametrize("kind", SHAPES)
