@@ -20,9 +20,10 @@ import numpy as np
 from acquisition.bench_document import BenchDocument
 from acquisition.errors import DiskError
 from acquisition.progress import Progress, silent
+from acquisition.recording.chunk_writer import StreamSpace
 from acquisition.recording.direct import DirectFile
 from acquisition.recording.manifest import Gap
-from acquisition.recording.stream_writer import StreamSpace, StreamWriter
+from acquisition.recording.stream_writer import StreamWriter
 from acquisition.spikes.layout import PlaneLayout
 
 STREAMS = 9

@@ -14,7 +14,9 @@ import xxhash
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
-from acquisition.recording.journal import SUFFIX, clip_gaps, read_journal
+from acquisition.recording.digests import digests_of
+from acquisition.recording.journal import SUFFIX, read_journal
+from acquisition.recording.losses import clip_gaps
 from acquisition.recording.manifest import (
     MANIFEST_FILE,
     TRUTH_FOLDER,
@@ -24,7 +26,6 @@ from acquisition.recording.manifest import (
     dump_manifest,
 )
 from acquisition.recording.reader import read_any_manifest
-from acquisition.recording.stream_writer import digests_of
 from acquisition.recording.writer import disk_errors, lock_folder, partial_of, publish, refuse_taken
 
 _REASON = "the recorder was killed; its journal proves what is kept"

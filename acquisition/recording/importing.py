@@ -199,11 +199,10 @@ def _copy(stream: Stream, writer: StreamWriter) -> None:
             writer.append(stream.window(first, min(first + step, len(stream))))
     finally:
         writer.close()
-    writer.partial_bytes = stream.partial_bytes
 
 
 def _entry(stream: Stream, writer: StreamWriter) -> CameraFile:
-    entry = writer.entry()
+    entry = dataclasses.replace(writer.entry(), partial_bytes=stream.partial_bytes)
     if isinstance(stream, SpikeStream):
         return entry
     missing = tuple(stream.missing.items())

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.errors import BadRecordingError
+from acquisition.recording.losses import clip_gaps
 from acquisition.recording.manifest import Gap
 
 SUFFIX = ".journal"
@@ -83,11 +84,3 @@ def read_journal(path: Path, block_planes: int) -> Journalled:
         except (ValueError, TypeError, KeyError, BadRecordingError, RecursionError):
             break
     return Journalled(tuple(digests), planes, clip_gaps(gaps, planes), skew_s)
-
-
-def clip_gaps(gaps: list[Gap], planes: int) -> tuple[Gap, ...]:
-    """The gaps inside the first `planes` planes."""
-    inside = [
-        Gap(g.first_plane, min(g.planes, planes - g.first_plane), g.layer) for g in gaps if g.first_plane < planes
-    ]
-    return tuple(inside)

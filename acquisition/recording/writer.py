@@ -17,9 +17,10 @@ from pathlib import Path
 
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError, DiskError
+from acquisition.recording.chunk_writer import RING_BYTES, StreamSpace
 from acquisition.recording.journal import SUFFIX
 from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, CameraFile, Manifest, Trigger, dump_manifest
-from acquisition.recording.stream_writer import RING_BYTES, StreamSpace, StreamWriter
+from acquisition.recording.stream_writer import StreamWriter
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from rigs.toml import dump_rig
@@ -127,7 +128,7 @@ class RecordingWriter:
             "writer": f"spike4dgs {importlib.metadata.version('spike4dgs')}",
             "rig_sha256": hashlib.sha256(dump_rig(self.rig).encode()).hexdigest(),
             "pixels_sha256": {pixels.name: sha256 for pixels, sha256 in self._pixels.items()},
-            "direct_io": all(stream.direct for stream in self._streams),
+            "direct_io": all(stream.disk.file.direct for stream in self._streams),
         }
 
     @functools.cached_property

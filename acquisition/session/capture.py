@@ -169,7 +169,7 @@ class Capture:
             do = "its counter began anew or cannot be right, reconnect it"
             raise DeviceError(f"found plane {block.first_plane}", str(self.position), do, where=where)
         if self.position == 0 and self._rules.trigger == "line":
-            self.writer.skew_s = block.device_time_ns * 1e-9 - block.first_plane / self._rules.tick_rate_hz
+            self.writer.note_skew(block.device_time_ns * 1e-9 - block.first_plane / self._rules.tick_rate_hz)
         if not self.returned:
             self._stamped_until_s = block.device_time_ns * 1e-9
             if block.pulse_time_s is not None:

@@ -47,7 +47,7 @@ def health_of(capture: Capture) -> CameraHealth:
         lost[gap.layer] = lost.get(gap.layer, 0) + gap.planes
     failure = str(capture.failure) if capture.failure else None
     errors, away = (capture.contact.link.errors, capture.contact.away) if capture.contact else (0, False)
-    return CameraHealth(capture.camera.id, capture.position, lost, capture.writer.fullness, failure, errors, away)
+    return CameraHealth(capture.camera.id, capture.position, lost, capture.writer.ring.fullness, failure, errors, away)
 
 
 def describe(captures: Sequence[Capture]) -> str:

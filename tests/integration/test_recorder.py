@@ -12,10 +12,10 @@ import pytest
 from acquisition.devices.protocol import Block
 from acquisition.errors import DeviceError
 from acquisition.recording import writer as writer_module
+from acquisition.recording.chunk_writer import StreamSpace
 from acquisition.recording.direct import DirectFile
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import Recording, read_any_manifest
-from acquisition.recording.stream_writer import StreamSpace
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import DiskUse, RecordingWriter
 from acquisition.session.session import Control, Extent, record_session

@@ -9,10 +9,10 @@ import xxhash
 
 from acquisition.errors import BadRecordingError, DiskError
 from acquisition.recording import writer as writer_module
+from acquisition.recording.chunk_writer import StreamSpace
 from acquisition.recording.direct import DirectFile
 from acquisition.recording.manifest import Gap
 from acquisition.recording.reader import Recording
-from acquisition.recording.stream_writer import StreamSpace
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes.layout import PlaneLayout
