@@ -1,4 +1,4 @@
-// Buttons that ask the service for something and say what came of it.
+// Buttons that ask the service for something and show the outcome.
 import { looksOn } from './api.js';
 import { element } from './dom.js';
 
@@ -21,19 +21,7 @@ export function complain(text) {
   place.hidden = !text;
 }
 
-// Do it, tell of it, and show what changed.
-export async function perform(act, done) {
-  try {
-    await act();
-    complain('');
-    if (done) say(done);
-  } catch (error) {
-    complain(error.message);
-  }
-  await refresh();
-}
-
-// As `perform`, but a fault is the caller's to show: in the dialog that is still open.
+// Act, say `done` and show what changed; the caller shows an error, in the dialog that is still open.
 export async function performed(act, done) {
   await act();
   complain('');
@@ -41,7 +29,7 @@ export async function performed(act, done) {
   await refresh();
 }
 
-// What is refused while a process is still stopping is asked for again, for some seconds.
+// Repeat a request for some seconds while it is refused because a process is still stopping.
 export async function patiently(act) {
   for (let tries = 1; ; tries += 1) {
     try {
@@ -53,18 +41,21 @@ export async function patiently(act) {
   }
 }
 
-// A button that changes something, so one that is off for a viewer's token.
-export function button(label, id, act, { plain = true, disabled = false, done = '', danger = false } = {}) {
+// A button that opens a dialog. Like all that change something it is off for a viewer's token.
+export function opener(label, id, onclick, { plain = true, disabled = false, danger = false } = {}) {
   const className = danger ? 'plain danger' : plain ? 'plain' : '';
-  const made = element('button', { type: 'button', id, disabled: disabled || looksOn(), title: looksOn() ? VIEWER : '', className }, label);
-  made.onclick = async (event) => {
-    const pressed = event.currentTarget;
-    if (pressed.ariaBusy) return; // a second click of the same wish
+  return element('button', { type: 'button', id, disabled: disabled || looksOn(), title: looksOn() ? VIEWER : '', className, onclick }, label);
+}
+
+// A button that acts at once.
+export function button(label, id, act, { done = '', ...options } = {}) {
+  const press = async ({ currentTarget: pressed }) => {
+    if (pressed.ariaBusy) return; // the second click of a double click
     pressed.ariaBusy = 'true';
-    await perform(act, done);
+    await performed(act, done).catch((error) => { complain(error.message); return refresh(); });
     pressed.ariaBusy = null;
   };
-  return made;
+  return opener(label, id, press, options);
 }
 
 export const link = (label, id, href) => element('a', { id, href }, label);

@@ -1,6 +1,6 @@
 // The calibration of a rig: which is in use, how good it is, and the versions to go back to.
 import { get, offers, post, request } from './api.js';
-import { actions, button, performed } from './act.js';
+import { actions, button, opener, performed } from './act.js';
 import { jobDialog } from './dialogs.js';
 import { ago, element, fold, quiet } from './dom.js';
 import { picture } from './media.js';
@@ -14,7 +14,7 @@ function inWords(found) {
     figure(found.residual_px, 2, 'px residual'), figure(found.rotation_sd_deg, 3, '° sd')].filter(Boolean).join(', ');
 }
 
-// Choose a version, unless another person has changed it since this page looked.
+// Choose a version, unless somebody else has chosen one since this page asked.
 async function choose(rig, version) {
   const current = await request(`/v1/rigs/${rig}/calibration`);
   await request(`/v1/rigs/${rig}/calibration`, { method: 'PUT', body: { version }, headers: { 'If-Match': current.headers.get('ETag') ?? '*' } });
@@ -28,25 +28,28 @@ function versions(item, context, current) {
       : actions(button('Use', `use-${item.id}-${one.version}`, () => choose(item.id, one.version), { done: `Version ${one.version} is in use` })))));
 }
 
-// A form for a calibration of a rig from one of `captures`: of its cameras or, with a dark capture too, of its pixels.
-export function calibrateDialog(heading, rig, captures, context) {
-  const { board, apply, name, priority } = context.options.calibrate.properties;
-  const named = (ids) => ({ type: 'string', enum: ids, names: ids.map(context.nameOf) });
-  const dark = context.captures.filter((one) => one.rig === rig && one.status === 'done').map((one) => one.id);
-  const asked = { ...context.options.calibrate, required: ['from'],
-    properties: { ...(captures.length > 1 && { from: named(captures) }), board, name, apply: { ...apply, default: true }, dark: named(dark), priority } };
-  const submit = ({ from = captures[0], dark: without, ...values }) => performed(
-    () => post(`/rigs/${rig}/calibrations`, { ...(without ? { flat: from, dark: without } : { capture: from }), ...values }), 'The calibration is queued');
-  jobDialog(heading, asked, [], submit, 'Queue');
+// A button for a calibration of a rig from one of `captures`: of its cameras or, with a dark capture too, of its pixels.
+export function calibrating(heading, item, rig, captures, context) {
+  if (!rig || !context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
+  return opener('Calibrate…', `calibrate-${item.id}`, () => calibrateDialog(heading, rig, captures, context));
 }
 
+function calibrateDialog(heading, rig, captures, context) {
+  const { board, apply, name, priority } = context.options.calibrate.properties;
+  const named = (ids) => ({ type: 'string', enum: ids, names: ids.map(context.nameOf) });
+  const asked = { ...context.options.calibrate, required: ['from'],
+    properties: { ...(captures.length > 1 && { from: named(captures) }), board, name, apply: { ...apply, default: true }, dark: named(finished(rig, context)), priority } };
+  const submit = ({ from = captures[0], dark: without, ...values }) => performed(
+    () => post(`/rigs/${rig}/calibrations`, { ...(without ? { flat: from, dark: without } : { capture: from }), ...values }), 'The calibration is queued');
+  jobDialog(heading, asked, [], submit);
+}
+
+const finished = (rig, context) => context.captures.filter((one) => one.rig === rig && one.status === 'done').map((one) => one.id);
+
 function calibrate(item, context) {
-  const captures = context.captures.filter((one) => one.rig === item.id && one.status === 'done').map((one) => one.id);
-  if (!context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
-  if (!captures.length) return quiet('Record a capture to calibrate from.');
-  const made = button('Calibrate…', `calibrate-${item.id}`, async () => {});
-  made.onclick = () => calibrateDialog(`Calibrate ${item.name}`, item.id, captures, context);
-  return actions(made);
+  const captures = finished(item.id, context);
+  const made = calibrating(`Calibrate ${item.name}`, item, item.id, captures, context);
+  return made && (captures.length ? actions(made) : quiet('Record a capture to calibrate from.'));
 }
 
 export async function learnCalibration(rig) {

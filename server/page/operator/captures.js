@@ -1,8 +1,8 @@
 // Captures: what was recorded, what it lacks, and what to do with it.
-import { offers, post, send } from './api.js';
-import { actions, button, performed } from './act.js';
-import { calibrateDialog } from './calibrations.js';
-import { confirmed, jobDialog } from './dialogs.js';
+import { offers, post } from './api.js';
+import { actions, button, opener, performed } from './act.js';
+import { calibrating } from './calibrations.js';
+import { jobDialog, removal } from './dialogs.js';
 import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
 import { picture } from './media.js';
 
@@ -49,32 +49,15 @@ function running(item) {
       button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
 }
 
-const WORDS = { reconstruct: 'Reconstruct', 'check-rig': 'Check the rig against', images: 'Images of' };
-
-function asking(label, type, item, context, plain = true) {
+// A button for a job on this capture; `verb` begins the heading of its form.
+function asking(label, verb, type, item, context, plain = true) {
   const schema = context.options[type];
   if (!schema) return null;
-  const made = button(label, `${type}-${item.id}`, async () => {}, { plain });
-  const heading = `${WORDS[type]} ${item.name ?? item.id}`;
+  const heading = `${verb} ${item.name ?? item.id}`;
   const { rig, ...properties } = schema.properties;
   const asked = { ...schema, properties: rig ? { ...properties, rig: { type: 'string', enum: [...context.rigs.keys()] } } : properties };
   const submit = (values) => performed(() => post('/jobs', { type, capture: item.id, ...values }), `${heading}: queued`);
-  made.onclick = () => jobDialog(heading, asked, context.camerasOf(item), submit, 'Queue');
-  return made;
-}
-
-function calibrating(item, context) {
-  if (!item.rig || !context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
-  const made = button('Calibrate…', `calibrate-${item.id}`, async () => {});
-  made.onclick = () => calibrateDialog(`Calibrate ${item.rig} from ${item.name ?? item.id}`, item.rig, [item.id], context);
-  return made;
-}
-
-function remove(item) {
-  const made = button('Delete', `delete-${item.id}`, async () => {}, { danger: true });
-  const act = () => performed(() => send('DELETE', `/captures/${item.id}`), `${item.id} is deleted`);
-  made.onclick = () => confirmed(`Delete ${item.name ?? item.id}?`, 'The recording is deleted for good; what was made of it stays, but cannot be done again.', 'Delete', act);
-  return made;
+  return opener(label, `${type}-${item.id}`, () => jobDialog(heading, asked, context.camerasOf(item), submit), { plain });
 }
 
 function offered(item, context) {
@@ -82,14 +65,14 @@ function offered(item, context) {
   const verify = () => post('/jobs', { type: 'verify', capture: item.id });
   const more = element('div', {}, actions(
     item.status === 'done' && [
-      calibrating(item, context),
-      asking('Check rig…', 'check-rig', item, context),
-      asking('Images…', 'images', item, context),
+      calibrating(`Calibrate ${item.rig} from ${item.name ?? item.id}`, item, item.rig, [item.id], context),
+      asking('Check rig…', 'Check the rig against', 'check-rig', item, context),
+      asking('Images…', 'Images of', 'images', item, context),
       button('Verify', `verify-${item.id}`, verify, { done: 'The check of every byte is queued' }),
     ],
-    remove(item)));
+    removal(item, `/captures/${item.id}`, 'The recording is deleted for good; what was made of it stays, but cannot be done again.')));
   return [
-    item.status === 'done' && actions(asking('Reconstruct…', 'reconstruct', item, context, false)),
+    item.status === 'done' && actions(asking('Reconstruct…', 'Reconstruct', 'reconstruct', item, context, false)),
     fold(`more-${item.id}`, 'More', more),
   ];
 }

@@ -1,4 +1,6 @@
 // Dialogs: a question with two answers, and a form for a job.
+import { performed, opener } from './act.js';
+import { send } from './api.js';
 import { element } from './dom.js';
 import { fieldsOf } from './options.js';
 
@@ -30,18 +32,20 @@ function dialog(heading, content, act, label, danger = false) {
   };
   document.body.append(made);
   made.showModal();
-  return { made, back };
+  return back;
 }
 
-// Ask before something that cannot be undone; the safe answer has the focus.
-export function confirmed(question, detail, label, act) {
-  dialog(question, element('p', {}, detail), act, label, true).back.focus();
+// A button that deletes an entry once the person confirms it; the safe answer has the focus.
+export function removal(item, path, detail) {
+  const act = () => performed(() => send('DELETE', path), `${item.id} is deleted`);
+  const ask = () => dialog(`Delete ${item.name ?? item.id}?`, element('p', {}, detail), act, 'Delete', true).focus();
+  return opener('Delete', `delete-${item.id}`, ask, { danger: true });
 }
 
-// A form for a job of a type; `submit` takes what was filled in.
-export function jobDialog(heading, schema, cameras, submit, label = 'Start') {
+// A form for a job of a type; `submit` takes the values that were filled in.
+export function jobDialog(heading, schema, cameras, submit) {
   const { first, more, values } = fieldsOf(schema, cameras, 'option');
   const content = element('div', { className: 'fields' }, first,
     more.length > 0 && element('details', {}, element('summary', {}, 'More options'), element('div', { className: 'fields' }, more)));
-  dialog(heading, content, () => submit(values()), label);
+  dialog(heading, content, () => submit(values()), 'Queue');
 }

@@ -1,8 +1,8 @@
-// The queue: what each job is at, what it made, and what can be done with it.
+// The queue: the state of each job, its results, and what can be done with it.
 import { offers, post, send } from './api.js';
-import { actions, button, link, patiently, performed } from './act.js';
+import { actions, button, link, opener, patiently, performed } from './act.js';
 import { curve } from './curve.js';
-import { confirmed, jobDialog } from './dialogs.js';
+import { jobDialog, removal } from './dialogs.js';
 import { bar, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
 import { artefact, download, picture, video } from './media.js';
 import { ended, of } from './results.js';
@@ -36,10 +36,9 @@ function progress(item) {
 }
 
 function scores(item) {
-  const found = of(item.id).scores;
+  const { steps, scores: found } = of(item.id);
   if (item.status !== 'done' || !found) return null;
   const parts = SCORES.filter(([key]) => Number.isFinite(found[key])).map(([key, name, unit, digits]) => `${name} ${found[key].toFixed(digits)} ${unit}`.trim());
-  const { steps } = of(item.id);
   const after = steps ? `, after ${steps} step${steps > 1 ? 's' : ''} of training` : '';
   return parts.length ? element('p', {}, `On ${found.held_out ?? 'the held-out camera'}: ${parts.join(', ')}${after}`) : null;
 }
@@ -49,7 +48,7 @@ const VERDICTS = {
   fits: ['The calibration still fits', 'The calibration no longer fits'],
 };
 
-// What a job that answers a question found, in a line.
+// The answer of a job such as a check, in a line.
 function verdict(item) {
   const found = of(item.id).answer;
   if (!found || item.status !== 'done') return null;
@@ -65,12 +64,13 @@ function curveOf(item) {
   return item.status === 'queued' ? null : curve(found.points, 'Training images');
 }
 
+const has = (item, name) => of(item.id).artefacts.some((one) => one.name === name);
+
 function results(item) {
   const found = of(item.id);
-  const has = (name) => found.artefacts.some((one) => one.name === name);
   if (!ended(item) || !found.artefacts.length) return null;
   const content = element('div', {},
-    has('orbit.mp4') && video(artefact(item.id, 'orbit.mp4'), `Orbit of ${item.id}`),
+    has(item, 'orbit.mp4') && video(artefact(item.id, 'orbit.mp4'), `Orbit of ${item.id}`),
     element('ul', { className: 'files' }, found.artefacts.slice(0, 60).map((one) => element('li', {},
       download(`file-${item.id}-${one.name}`, artefact(item.id, one.name), one.name.split('/').at(-1), one.name),
       element('span', { className: 'quiet' }, size(one.bytes))))),
@@ -105,32 +105,22 @@ function priority(item) {
   return [element('label', { htmlFor: id }, 'Priority ', input), button('Set', `prioritise-${item.id}`, set, { done: `${item.id} has a new priority` })];
 }
 
-function remove(item) {
-  const act = () => performed(() => send('DELETE', path(item)), `${item.id} is deleted`);
-  const made = button('Delete', `delete-${item.id}`, async () => {}, { danger: true });
-  made.onclick = () => confirmed(`Delete ${item.name ?? item.id}?`, 'The job, its log and everything it made are deleted for good. Its capture stays.', 'Delete', act);
-  return made;
-}
-
-function asking(label, id, type, item, context) {
+// A button for a job on a finished reconstruction.
+function asking(label, type, item, context) {
   const schema = context.options[type];
-  if (!schema) return null;
-  const made = button(label, id, async () => {});
+  if (!schema || item.status !== 'done' || item.type !== 'reconstruct') return null;
   const submit = (values) => performed(() => post('/jobs', { type, job: item.id, ...values }), `${WORDS[type]} is queued`);
-  made.onclick = () => jobDialog(`${WORDS[type]} of ${item.name ?? item.id}`, schema, context.camerasOf(item), submit, 'Queue');
-  return made;
+  return opener(label, `${type}-${item.id}`, () => jobDialog(`${WORDS[type]} of ${item.name ?? item.id}`, schema, context.camerasOf(item), submit));
 }
 
 function manage(item, context) {
-  const active = !ended(item);
-  const done = item.status === 'done' && item.type === 'reconstruct';
-  const content = element('div', {},
-    actions(restart(item, context)),
-    actions(done && asking('Evaluate…', `evaluate-${item.id}`, 'evaluate', item, context), !active && remove(item)));
-  return active ? null : fold(`manage-${item.id}`, 'Manage', content);
+  if (!ended(item)) return null;
+  const remove = removal(item, path(item), 'The job, its log and everything it made are deleted for good. Its capture stays.');
+  const content = element('div', {}, actions(restart(item, context)), actions(asking('Evaluate…', 'evaluate', item, context), remove));
+  return fold(`manage-${item.id}`, 'Manage', content);
 }
 
-// What a person came for, without opening anything: the files of an export.
+// Links to the files of an export, to be had without opening anything.
 function files(item) {
   if (item.type !== 'export' || item.status !== 'done') return [];
   const made = of(item.id).artefacts.filter((one) => one.name !== 'result.json');
@@ -139,13 +129,12 @@ function files(item) {
 }
 
 function main(item, context) {
-  const has = (name) => of(item.id).artefacts.some((one) => one.name === name);
   const resumable = item.status === 'failed' || item.status === 'cancelled';
   return actions(
     files(item),
-    has('report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
-    has('viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
-    item.status === 'done' && item.type === 'reconstruct' && asking('Export…', `export-${item.id}`, 'export', item, context),
+    has(item, 'report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
+    has(item, 'viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
+    asking('Export…', 'export', item, context),
     resumable && button('Resume', `resume-${item.id}`, () => patiently(() => post(path(item, '/resume'))), { plain: false, done: `${item.id} goes on` }),
     !ended(item) && button('Cancel', `cancel-${item.id}`, () => post(path(item, '/cancel')), { done: `${item.id} is cancelled` }),
     priority(item));
