@@ -9,10 +9,11 @@ from reconstruction.bench.conventions import HOLDOUT, truth_of
 from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
+from reconstruction.run import configuration
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, model_from_state
 
-STAGES = ("plan", "poses", "images", "points", "train")
+STAGES = configuration.STAGES[:-1]  # all but the report
 METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25")
 CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from server.calls.transport import Transport
-from server.schemas.progress import Event
+from server.schemas.progress import ENDED, Event
 from server.schemas.webhooks import Deliveries, Delivery, NewWebhook, Trial, Webhook, Webhooks
 
 
@@ -33,7 +33,7 @@ class EventCalls(Transport):
                 if line.startswith("data: "):
                     yield Event.model_validate_json(line.removeprefix("data: "))
 
-    def add_webhook(self, url: str, statuses: Sequence[str] = ("done", "failed", "cancelled")) -> NewWebhook:
+    def add_webhook(self, url: str, statuses: Sequence[str] = ENDED) -> NewWebhook:
         """Have an address told; only the answer holds the secret."""
         body = {"url": url, "statuses": list(statuses)}
         return NewWebhook.model_validate_json(self._send("POST", "/webhooks", json=body).content)

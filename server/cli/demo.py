@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -50,7 +50,7 @@ class FolderError(ServiceError):
 def _choices(command: Callable[..., None]) -> Callable[..., None]:
     """Add the choices of a reconstruction, as the service offers them."""
     for name in reversed(_CHOICES):
-        names = click.Choice(get_args(ReconstructRequest.model_fields[name].annotation))
+        names = click.Choice(ReconstructRequest.model_json_schema()["properties"][name]["enum"])
         command = click.option(f"--{name}", type=names, default="auto", show_default=True)(command)
     return command
 

@@ -21,7 +21,7 @@ from server.cli.progress import progress_of
 
 _MORE = {  # of the help of a choice
     "init": "auto is natural for a nominal rig",
-    "supervision": "both is image-variation and counts",
+    "supervision": "both compares images and counts",
     "refine": "learn poses, gains and lags beside the Gaussians",
 }
 

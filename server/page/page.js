@@ -1,6 +1,6 @@
 // The operator's page: what the service holds, kept up to date by events, or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { get, learnRole, learnRoutes, looksOn, offers, post } from './operator/api.js';
+import { get, learnRole, learnRoutes, looksOn, offers, post, statuses } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { capture } from './operator/captures.js';
 import { element, keepingFocus, patchChildren } from './operator/dom.js';
@@ -184,6 +184,7 @@ function heard(live) {
 
 async function learnService() {
   await learnRoutes();
+  place('jobs-status').append(...statuses().map((status) => new Option(status)));
   [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
   place('role').hidden = !looksOn();
 }

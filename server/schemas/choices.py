@@ -10,10 +10,11 @@ from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from reconstruction.export.catalogue import FORMATS
+from reconstruction.images.catalogue import GIVEN
 from reconstruction.run.configuration import CHOICES, STAGES
 
 # These read files of the user or are for benchmarks alone.
-_COMMAND_LINE_ONLY = ("dust3r", "interpolated", "clean", "blurred")
+_COMMAND_LINE_ONLY = (*GIVEN, "interpolated", "dust3r")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from server.schemas.progress import Items, Request, Status
+from server.schemas.progress import ENDED, Items, Request, Status
 
 Statuses = Annotated[list[Status], Field(min_length=1, max_length=5)]
 
@@ -15,7 +15,7 @@ class WebhookRequest(Request):
     """An address to be told when a capture or job gets one of `statuses`."""
 
     url: Annotated[str, Field(min_length=8, max_length=2000, pattern=r"^https?://[\x21-\x7e]+$")]
-    statuses: Statuses = Field(default=["done", "failed", "cancelled"])
+    statuses: Statuses = Field(default=list(ENDED))
 
 
 class Webhook(BaseModel):

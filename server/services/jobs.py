@@ -8,7 +8,7 @@ from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
 from server.errors import StateError, UnknownReferenceError
 from server.schemas.job_types import JOB_TYPES, RIG_JOB_TYPES, JobBase
 from server.schemas.jobs import Job, Steps
-from server.schemas.progress import ACTIVE, Status
+from server.schemas.progress import ACTIVE, ENDED, Status
 from server.services.admission import Admission
 from server.services.listing import job_document, page_of
 from server.services.queue import Key, Queue
@@ -16,8 +16,6 @@ from server.store.entries import Filter
 from server.store.files import is_locked
 from server.store.store import Store
 from server.store.tables import Entry
-
-_ENDED: tuple[Status, ...] = ("done", "failed", "cancelled")
 
 
 class JobService:
@@ -89,7 +87,7 @@ class JobService:
 
         Raises NotFoundError, StateError, UnknownReferenceError where the job has no such stage or never reached it.
         """
-        entry = self._expected(job_id, *_ENDED)
+        entry = self._expected(job_id, *ENDED)
         stages = stages_of(entry.type)
         reached = entry.progress.get("stage")
         begun = stages[: stages.index(reached) + 1] if reached in stages else ()
@@ -112,7 +110,7 @@ class JobService:
 
     def delete(self, job_id: str) -> None:
         """Delete a job and what it made; raises NotFoundError, and StateError while it is at work."""
-        entry = self._expected(job_id, *_ENDED)
+        entry = self._expected(job_id, *ENDED)
         self._queue.expect_unused(job_id)
         self._queue.remove(entry, self._store.folder.job(job_id))
 
@@ -138,7 +136,7 @@ class JobService:
         status = self._engine.status(entry)
         if status not in states:
             raise StateError(f"found {job_id} {status}", f"it {' or '.join(states)}")
-        if status in _ENDED and is_locked(self._store.folder.entry(job_id)):
+        if status in ENDED and is_locked(self._store.folder.entry(job_id)):
             raise StateError(f"found {job_id} still stopping", "it stopped", "try again in a few seconds")
         return entry
 

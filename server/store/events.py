@@ -7,11 +7,10 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from server.schemas.progress import ENDED
 from server.store.records import Records
 from server.store.tables import Event, entries, events
 from server.store.webhooks import owe
-
-_ENDS = ("done", "failed", "cancelled")
 
 
 class Events(Records[Event]):
@@ -51,19 +50,19 @@ class Events(Records[Event]):
 
     def ended(self, seq: int, limit: int) -> list[Event]:
         """Return the next endings, oldest first."""
-        ending = events.c.data["status"].as_string().in_(_ENDS)
+        ending = events.c.data["status"].as_string().in_(ENDED)
         return self.select(events.c.seq > seq, events.c.kind == "status", ending, order=events.c.seq, limit=limit)
 
     def ended_before(self, at: float) -> list[str]:
         """Return the jobs that have ended and to which nothing has happened since the time `at`."""
-        mine = sa.and_(entries.c.kind == "job", entries.c.told.in_(_ENDS))
+        mine = sa.and_(entries.c.kind == "job", entries.c.told.in_(ENDED))
         query = sa.select(entries.c.id).join(events, events.c.entry == entries.c.id).where(mine)
         with self._engine.connect() as connection:
             return list(connection.scalars(query.group_by(entries.c.id).having(sa.func.max(events.c.at) < at)))
 
     def prune_progress(self, before: float) -> None:
         """Forget progress reports, older than the time `before`, of entries that have ended."""
-        over = sa.select(entries.c.id).where(entries.c.told.in_(_ENDS))
+        over = sa.select(entries.c.id).where(entries.c.told.in_(ENDED))
         self.delete(events.c.kind == "progress", events.c.at < before, events.c.entry.in_(over))
 
 

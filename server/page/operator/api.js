@@ -4,6 +4,7 @@ import { token, withToken } from '../token.js';
 const MOST_KEPT = 200; // pictures fetched with a token
 const fetched = new Map(); // path to promise of a blob's address
 let offered = null; // "GET /v1/jobs/{}" of every route
+let parameters = []; // of the list of jobs
 
 export class Refused extends Error {
   constructor(status, detail) {
@@ -53,6 +54,7 @@ function newKey() {
 // Which routes this service has: one that is older, or built without a part, is not asked for what it lacks.
 export async function learnRoutes() {
   const { paths } = await (await request('/openapi.json')).json();
+  parameters = paths['/v1/jobs'].get.parameters;
   offered = new Set(Object.entries(paths).flatMap(([path, methods]) => Object.keys(methods).map((method) => route(method, path))));
 }
 
@@ -64,6 +66,12 @@ export async function learnRole() {
   return found;
 }
 export const looksOn = () => role === 'viewer';
+
+// The names a job's status may have.
+export function statuses() {
+  const { schema } = parameters.find(({ name }) => name === 'status') ?? {};
+  return schema?.anyOf?.find((one) => one.enum)?.enum ?? [];
+}
 
 const route = (method, path) => `${method.toUpperCase()} ${path.replace(/\{[^}]*\}/g, '{}')}`;
 export const offers = (method, path) => offered?.has(route(method, `/v1${path}`)) ?? false;

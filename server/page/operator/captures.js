@@ -5,8 +5,7 @@ import { calibrating } from './calibrations.js';
 import { jobDialog, removal } from './dialogs.js';
 import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
 import { picture } from './media.js';
-
-const active = (item) => item.status === 'queued' || item.status === 'running';
+import { ended } from './results.js';
 
 function length(item, context) {
   if (item.ticks === null) return item.type === 'import' ? 'imported' : 'until stopped';
@@ -39,7 +38,7 @@ function state(item, context) {
 }
 
 function running(item) {
-  if (!active(item)) return null;
+  if (ended(item)) return null;
   const path = `/rigs/${item.rig}/captures/${item.id}`;
   return element('div', {},
     item.status === 'running' && bar(`${item.id}: ${item.stage ?? 'starting'}`, item.fraction),
@@ -61,7 +60,7 @@ function asking(label, verb, type, item, context, plain = true) {
 }
 
 function offered(item, context) {
-  if (active(item)) return null;
+  if (!ended(item)) return null;
   const verify = () => post('/jobs', { type: 'verify', capture: item.id });
   const more = element('div', {}, actions(
     item.status === 'done' && [

@@ -9,8 +9,7 @@ const HISTORY_MS = 3000, QUIET_MS = 300;
 const known = new Map();
 let work = Promise.resolve(); // one request after another: a long list shall not flood the service
 
-const ENDED = ['done', 'failed', 'cancelled'];
-export const ended = (item) => ENDED.includes(item.status);
+export const ended = (item) => item.status !== 'queued' && item.status !== 'running';
 
 export function of(id) {
   if (!known.has(id)) known.set(id, { artefacts: [], points: [], scores: null, answer: null, log: '', lines: 0, state: '' });
