@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from acquisition.devices.profile import profiles
+from reconstruction.run.configuration import CHOICES
+
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted(p for p in ROOT.rglob("*.md") if not {".venv", "node_modules", "runs"} & set(p.parts))
 RECORDS = [p for p in DOCUMENTS if p.name == "DECISIONS.md"]
@@ -70,3 +73,14 @@ def test_the_readme_says_what_nobody_tried():
     assert "No real camera was ever connected" in text
     assert "Nothing ever ran on a GPU" in text
     assert ".venv/bin/activate" in text
+
+
+def test_the_readme_of_reconstruction_names_every_choice():
+    text = (ROOT / "reconstruction/README.md").read_text()
+    names = {name for names in CHOICES.values() for name in names} - {"auto", "on", "off"}
+    assert sorted(name for name in names if f"`{name}`" not in text) == []
+
+
+def test_the_protocol_names_every_profile():
+    text = (ROOT / "acquisition/devices/PROTOCOL.md").read_text()
+    assert [name for name in profiles() if f"`{name}`" not in text] == []

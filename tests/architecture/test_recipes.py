@@ -186,11 +186,11 @@ def test_an_export_format_is_one_file_and_a_line(copy):
             return "".join(f"{x:.6f} {y:.6f} {z:.6f}\\n" for x, y, z in splats.means).encode()
 
 
-        XYZ = Format("xyz", "the places of the Gaussians at one instant", "scene.xyz", splat_writer(xyz_bytes), ("at_s",))
+        XYZ = Format("xyz", "where the Gaussians are", "scene.xyz", splat_writer(xyz_bytes), ("at_s",))
         ''',
     )
     readme = copy / "reconstruction/README.md"
-    readme.write_text(readme.read_text().replace("| `ply` |", "| `xyz` | places as text | `--at` |\n| `ply` |", 1))
+    readme.write_text(readme.read_text().replace("| `ply` |", "| `xyz` | where the Gaussians are | `--at` |\n| `ply` |", 1))
     assert "xyz" in command(copy, "export", "--help")
     code = "from server.schemas.job_types import ExportRequest; print(ExportRequest.model_json_schema())"
     assert "xyz" in python(copy, code)
