@@ -5,6 +5,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import NoReturn
 
 import click
 
@@ -88,8 +89,15 @@ def main() -> None:
             Path(mark).touch()
         raise
     except Spike4dgsError as error:
-        click.echo(f"spike4dgs: {error}", err=True)
-        sys.exit(error.exit_code)
+        _fail(error, error.exit_code)
     except OSError as error:
-        click.echo(f"spike4dgs: {error.filename or 'system'}: {error.strerror or error}", err=True)
-        sys.exit(2)
+        _fail(Spike4dgsError(error.strerror or str(error), where=error.filename or "system"), 2)
+
+
+def _fail(error: Spike4dgsError, exit_code: int) -> NoReturn:
+    """Report an error in parts to the service, if it started this process, and in the last line to people."""
+    from server.cli.progress import report_error
+
+    report_error(error, exit_code)
+    click.echo(f"spike4dgs: {error}", err=True)
+    sys.exit(exit_code)

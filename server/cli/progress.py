@@ -9,6 +9,7 @@ from collections.abc import Callable
 from tqdm import tqdm
 
 from acquisition.progress import Progress
+from rigs.errors import Spike4dgsError
 
 JSON_PROGRESS = "SPIKE4DGS_PROGRESS"  # set to "json" by the service around a stage's process
 
@@ -18,6 +19,13 @@ def progress_of(name: str) -> Progress:
     if os.environ.get(JSON_PROGRESS) == "json":
         return _json_lines(name)
     return _bar(name) if sys.stderr.isatty() else _lines(name)
+
+
+def report_error(error: Spike4dgsError, exit_code: int) -> None:
+    """Report the parts of an error to the service around a stage's process, and to nobody else."""
+    if os.environ.get(JSON_PROGRESS) == "json":
+        parts = {name: getattr(error, name) for name in ("found", "expected", "do", "where")}
+        _say(json.dumps({"event": "error", **parts, "exit_code": exit_code}))
 
 
 def _json_lines(name: str) -> Progress:

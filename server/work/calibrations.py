@@ -1,4 +1,4 @@
-"""What becomes of a calibration that a job has found: a version of its rig's, and the current one if it was asked."""
+"""Keeps the calibration that a job has found as a version of its rig's, and as the current one if that was asked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from server.work.supervisor import StageError
 
 
 def keep_calibration(store: Store, settings: ServiceSettings, entry: Entry, out: Path) -> StoredCalibration | None:
-    """Keep what a job has left in `out`, once however often it is done again; None where it names no rig.
+    """Keep and return what a job has left in `out`, once however often it is done again; None where it names no rig.
 
     Poses come with the current pixel maps, pixel maps with the current poses. Raises StageError, RigError,
     RigMismatchError and DiskError.
@@ -45,7 +45,7 @@ def keep_calibration(store: Store, settings: ServiceSettings, entry: Entry, out:
 
 
 def write_current(store: Store, settings: ServiceSettings, rig_id: str, out: Path) -> Path:
-    """Write the current rig file of a rig into `out`, named by its version and without pixel maps; its path."""
+    """Write a rig's current rig file into `out`, named by its version and without pixel maps; return its path."""
     current, stored = store.calibrations.current(rig_id)
     folder = store.folder.rig(rig_id)
     rig = parse_rig(stored.document, "the current calibration", folder) if stored else nominal_rig(settings, rig_id)
@@ -55,7 +55,7 @@ def write_current(store: Store, settings: ServiceSettings, rig_id: str, out: Pat
 
 
 def nominal_rig(settings: ServiceSettings, rig_id: str) -> Rig:
-    """The rig as it was drawn; raises StageError where this worker does not know it."""
+    """Return the rig as it was drawn; raises StageError where this worker does not know it."""
     source = settings.rigs.get(rig_id)
     if source is None:
         raise StageError(f"found no rig {rig_id} in this worker's settings", "the service's own rigs")

@@ -6,15 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.export.catalogue import FORMATS
-from server.settings import RigSource
 
 
 def record_arguments(request: dict[str, Any], rig: str, devices: str, recording: Path) -> list[str]:
-    """Arguments of `spike4dgs` that make a recording; `rig` is a name in the catalogue or a RIG.toml."""
-    given = {
-        name: value for name, value in request.items() if name not in ("until_stopped", "pre_trigger_ms", "rejoin_s")
-    }
-    given |= {"pre_trigger": request.get("pre_trigger_ms"), "rejoin": request.get("rejoin_s")}
+    """Return the arguments of `spike4dgs` that make a recording; `rig` is a name in the catalogue or a RIG.toml."""
+    options = {"pre_trigger_ms": "pre_trigger", "rejoin_s": "rejoin"}
+    given = {options.get(name, name): value for name, value in request.items() if name != "until_stopped"}
     flags = ["--until-stopped"] if request.get("until_stopped") else []
     return ["record", "--rig", rig, "--devices", devices, *_flags(given), *flags, "--out", str(recording)]
 
@@ -22,7 +19,7 @@ def record_arguments(request: dict[str, Any], rig: str, devices: str, recording:
 def reconstruct_arguments(
     request: dict[str, Any], stage: str, recording: Path, run: Path, restart: dict[str, Any] | None
 ) -> list[str]:
-    """Arguments of `spike4dgs` that run one stage of a reconstruction."""
+    """Return the arguments of `spike4dgs` that run one stage of a reconstruction."""
     options = {name: value for name, value in request.items() if name not in ("type", "capture", "views")}
     if request.get("views"):
         options["views"] = ",".join(request["views"])
@@ -40,7 +37,7 @@ def task_arguments(
     rig: Path | None = None,
     cameras: Path | None = None,
 ) -> list[str]:
-    """Arguments of `spike4dgs` that do any other job; what it prints is its result.
+    """Return the arguments of `spike4dgs` that do any other job; its result is what it prints.
 
     `dark` is the recording without light of a pixel calibration, `rig` the file that `check-rig` compares with,
     `cameras` the upload that `render` looks from.
@@ -63,13 +60,13 @@ def task_arguments(
             return ["render", str(run), "--cameras", str(cameras), "--out", str(out)]
         case "export":
             options = {"at": request["at_s"], "frames": request["frames"], "camera": request["camera"]}
-            name = FORMATS[request["format"]].file
-            return ["export", str(run), "--format", request["format"], *_flags(options), "--out", str(out / name)]
+            path = out / FORMATS[request["format"]].file
+            return ["export", str(run), "--format", request["format"], *_flags(options), "--out", str(path)]
     raise ValueError(request["type"])
 
 
 def import_arguments(request: dict[str, Any], dats: list[Path], cameras: Path, recording: Path) -> list[str]:
-    """Arguments of `spike4dgs` that make a recording of `.dat` files, each camera's own or in the rig's order."""
+    """Return the arguments of `spike4dgs` that make a recording of `.dat` files, named or in the rig's order."""
     names = request["ids"]
     files = [str(dat) if names is None else f"{names[number]}={dat}" for number, dat in enumerate(dats)]
     size = request["size"]
@@ -81,21 +78,16 @@ def import_arguments(request: dict[str, Any], dats: list[Path], cameras: Path, r
 
 
 def look_arguments(request: dict[str, Any], rig: str, devices: str, recording: Path) -> list[str]:
-    """Arguments of `spike4dgs` that record a few planes; simulated cameras need not write down the truth of them."""
+    """Return the arguments of `spike4dgs` that record a few planes, of which simulated cameras store no truth."""
     if devices.startswith("mock:"):
         devices += f"{'&' if '?' in devices else '?'}truth_every={request['ticks']}"
     return record_arguments({"ticks": request["ticks"]}, rig, devices, recording)
 
 
 def preflight_arguments(request: dict[str, Any], rig: str, devices: str, folder: Path) -> list[str]:
-    """Arguments of `spike4dgs` that look at a rig and at the disk of `folder`, where recordings go."""
+    """Return the arguments of `spike4dgs` that check a rig and the disk of `folder`, where recordings go."""
     options = {"rig": rig, "devices": devices, "out": folder, "disk_seconds": request["disk_seconds"]}
     return ["preflight", *_flags(options), "--json"]
-
-
-def rig_argument(source: RigSource, calibrated: Path) -> str:
-    """The rig file of the current calibration, or the rig as it was drawn where there is none."""
-    return str(calibrated) if calibrated.exists() else source.rig
 
 
 def _flags(options: dict[str, Any]) -> list[str]:

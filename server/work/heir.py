@@ -1,4 +1,4 @@
-"""Takes over what dead workers had begun, and what this one should be doing and is not."""
+"""Takes over the work of dead workers, and work of this one that its engine has given up."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Heir:
-    """Looks at each beat of its worker; `busy` is what the worker has in hand.
+    """Looks at each beat of its worker; `busy` are the entries that the worker has in hand.
 
     Nobody is declared dead on the evidence of a time in which nobody could beat: a worker inherits only after it has
     itself beaten without a gap for as long as it grants the others.
@@ -35,10 +35,10 @@ class Heir:
         self._clock = clock
         self._since: float | None = None  # when the beats without a gap began
         self._last = clock()
-        self._idle: dict[str, float] = {}  # what this worker should be doing and is not, since when
+        self._idle: dict[str, float] = {}  # entry: since when this worker should work on it and does not
 
     def look(self) -> None:
-        """Queue again what nobody works on any more; called after every beat that succeeded."""
+        """Queue again what nobody works on any more; to be called after every beat that succeeded."""
         now = self._clock()
         if self._since is None or now - self._last > self._store.workers.dead_s:
             self._since = now
@@ -49,14 +49,14 @@ class Heir:
             self._adopt_of_dead(running)
 
     def pause(self, reason: str) -> None:
-        """A beat failed: the database does not answer."""
+        """Note that a beat failed: the database does not answer."""
         if self._since is not None:
             _LOG.warning("the worker waits for its database: %s", reason)
         self._since = None
         self._idle.clear()
 
     def _adopt_of_dead(self, running: dict[str, str]) -> None:
-        """The first of the living does it for all."""
+        """Adopt the entries of dead workers; the first of the living does it for all."""
         alive = [worker.id for worker in self._store.workers.alive()]
         if not alive or alive[0] != self._me.id:
             return
@@ -65,7 +65,7 @@ class Heir:
             self._engine.adopt(entry, orphans[entry.id])
 
     def _adopt_own(self, mine: list[str], now: float) -> None:
-        """What the engine gave up, because it could not write down how it ended, is begun again."""
+        """Begin again what the engine gave up because it could not write down how it ended."""
         self._idle = {i: self._idle.get(i, now) for i in mine if i not in self._busy}
         lost = [entry_id for entry_id, since in self._idle.items() if now - since >= self._store.workers.dead_s]
         for entry in self._store.entries.find(lost) if lost else ():

@@ -13,7 +13,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def leashed(command: list[str], signal_name: str) -> list[str]:
-    """`command`, to be started by this very process, which then takes it along when it dies."""
+    """Return `command` wrapped so that it dies with this process, which must be the one to start it."""
     return [sys.executable, "-P", "-m", "server.work.leash", signal_name, str(os.getpid()), *command]
 
 

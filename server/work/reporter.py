@@ -30,7 +30,7 @@ class Reporter:
         self._write()
 
     def __call__(self, fraction: float, message: str) -> None:
-        """Progress of the stage."""
+        """Note the progress of the stage."""
         self._latest = Progress(stage=self._stage, fraction=fraction, message=message)
         if time.monotonic() < self._next:
             return
@@ -44,7 +44,7 @@ class Reporter:
             self._next = time.monotonic() + _OUTAGE_S  # the next report says more than the one that is lost
 
     def close(self, error: str | None = None) -> None:
-        """The stage is over, done or with an error."""
+        """Note that the stage is over, done or with an error."""
         end: dict[str, object] = {"fraction": 1.0} if error is None else {"error": error}
         self._latest = self._latest.model_copy(update=end)
         self._write()

@@ -1,11 +1,10 @@
-"""What each stage of an entry runs, and where its results go."""
+"""Runs each stage of an entry: puts its inputs in place, starts its process, and keeps its results."""
 
 from __future__ import annotations
 
 import asyncio
-import errno
 import json
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,12 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from acquisition.durable import write_durably
-from acquisition.errors import DiskError
 from acquisition.recording.reader import Recording, read_manifest
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import contact_sheet
 from server.settings import ServiceSettings
+from server.store import database
 from server.store.artefacts import is_plain, plain_files
-from server.store.database import is_full, is_outage
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.calibrations import keep_calibration, write_current
@@ -29,11 +27,11 @@ from server.work.commands import (
     preflight_arguments,
     reconstruct_arguments,
     record_arguments,
-    rig_argument,
     task_arguments,
 )
+from server.work.processes import Processes, is_full, no_room
 from server.work.reporter import Reporter
-from server.work.supervisor import Control, StageError, supervise
+from server.work.supervisor import Control, StageError
 
 RUN_ARTEFACTS = (
     "run.json",
@@ -47,15 +45,7 @@ RUN_ARTEFACTS = (
     "poses/rig.toml",
     "poses/refined.toml",
 )
-_NO_ROOM = "found no space left, expected some; free some and resume the job"
 _OUTAGE_POLL_S = 1.0
-ANSWERS = ("check-rig", "verify", "preflight")  # whose exit code 1 is an answer, not a failure
-
-
-def run_artefacts(run: Path) -> Iterator[str]:
-    """Names of what may be handed out of a run folder: not its checkpoints."""
-    yield from (name for name in RUN_ARTEFACTS if is_plain(run, name))
-    yield from (f"thumbnails/{name}" for name in plain_files(run / "thumbnails"))
 
 
 class Stages:
@@ -65,6 +55,14 @@ class Stages:
         self._settings = settings
         self._store = store
         self._folder = store.folder
+        self._processes = Processes(settings, store)
+        self._by_type = {
+            "record": self._record,
+            "import": self._import,
+            "preflight": self._preflight,
+            "look": self._look,
+            "reconstruct": self._reconstruct,
+        }
         self.busy: set[str] = set()
 
     @contextmanager
@@ -77,44 +75,34 @@ class Stages:
             self.busy.discard(entry_id)
 
     async def run(self, entry_id: str, stage: str) -> None:
-        """Run one stage: one that was interrupted from its own checkpoint on, one that is finished not again.
+        """Run one stage: from its own checkpoint on if it was interrupted, not again if it is finished.
 
         A database that does not answer is waited for. Raises StageError, and DiskError where there is no room left.
         """
         while True:
             try:
                 (entry,) = self._store.entries.find([entry_id])
-                return await self._work(entry.type)(entry, stage)
+                if entry.kind == "capture" and self._folder.recording(entry_id).exists():
+                    return None  # made by a worker that was killed: it has this name only when it is whole
+                return await self._by_type.get(entry.type, self._task)(entry, stage)
             except SQLAlchemyError as error:
-                if is_full(error):
-                    raise DiskError(f"{self._settings.database_name}: {_NO_ROOM}") from error
-                if not is_outage(error):
+                if database.is_full(error):
+                    raise no_room(self._settings.database_name) from error
+                if not database.is_outage(error):
                     raise
             except OSError as error:
-                if not _is_full(error):
+                if not is_full(error):
                     raise
-                raise DiskError(f"{self._folder.path}: {_NO_ROOM}") from error
+                raise no_room(self._folder.path) from error
             await asyncio.sleep(_OUTAGE_POLL_S)
-
-    def _work(self, entry_type: str) -> Callable[[Entry, str], Awaitable[None]]:
-        kinds = {
-            "record": self._record,
-            "import": self._import,
-            "preflight": self._preflight,
-            "look": self._look,
-            "reconstruct": self._reconstruct,
-        }
-        return kinds.get(entry_type, self._task)
 
     async def _record(self, entry: Entry, stage: str) -> None:
         recording = self._folder.recording(entry.id)
-        if recording.exists():  # made by a worker that was killed: it has this name only when it is whole
-            return
         rig, devices, lock = self._rig(entry)
         arguments = record_arguments(entry.request, rig, devices, recording)
         control = Control(self._folder.entry(entry.id) / "stop", self._folder.entry(entry.id) / "save")
         try:
-            await self._supervise(entry, stage, arguments, [lock], control=control)
+            await self._processes.run(entry, stage, arguments, locks=[lock], control=control)
         except StageError:
             if not recording.exists():  # else it was kept, and says itself what it lacks
                 raise
@@ -124,17 +112,15 @@ class Stages:
 
     async def _import(self, entry: Entry, stage: str) -> None:
         recording = self._folder.recording(entry.id)
-        if recording.exists():  # made by a worker that was killed: it has this name only when it is whole
-            return
         dats = [self._folder.upload(upload_id) / "data" for upload_id in entry.request["dats"]]
         cameras = self._folder.entry(entry.id) / entry.request["cameras"]
-        await self._supervise(entry, stage, import_arguments(entry.request, dats, cameras, recording), [])
+        await self._processes.run(entry, stage, import_arguments(entry.request, dats, cameras, recording))
 
     async def _preflight(self, entry: Entry, stage: str) -> None:
         rig, devices, lock = self._rig(entry)
         out = self._fresh_out(entry)
         arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
-        await self._supervise(entry, stage, arguments, [lock], stdout=out / "result.json", repeats=True)
+        await self._processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
     async def _look(self, entry: Entry, stage: str) -> None:
@@ -145,7 +131,7 @@ class Stages:
         try:
             try:
                 arguments = look_arguments(entry.request, rig, devices, recording)
-                await self._supervise(entry, stage, arguments, [lock], repeats=True)
+                await self._processes.run(entry, stage, arguments, locks=[lock], repeats=True)
             except StageError:
                 if not recording.exists():  # else a camera failed, and the others are worth seeing
                     raise
@@ -156,40 +142,21 @@ class Stages:
             self._folder.remove(recording)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
-    def _rig(self, entry: Entry) -> tuple[str, str, Path]:
-        """The rig's file or name, its devices, and the folder whose flock keeps others from its cameras."""
-        source = self._settings.rigs.get(entry.rig or "")
-        if source is None or entry.rig is None:
-            raise StageError(f"found no rig {entry.rig} in this worker's settings", "the service's own rigs")
-        calibrated = self._store.rig_files.refresh(entry.rig)
-        return rig_argument(source, calibrated), source.devices, self._folder.rig(entry.rig)
-
-    def _fresh_out(self, entry: Entry) -> Path:
-        """An empty folder for what a job makes, whatever an attempt that was interrupted left."""
-        out = self._folder.out(entry.id)
-        self._folder.remove(out)
-        out.mkdir(parents=True)
-        return out
-
     async def _reconstruct(self, entry: Entry, stage: str) -> None:
         run = self._folder.run(entry.id)
-        assert entry.capture is not None
-        recording = self._folder.recording(entry.capture)
-        arguments = reconstruct_arguments(entry.request, stage, recording, run, entry.restart)
+        arguments = reconstruct_arguments(entry.request, stage, self._recording(entry), run, entry.restart)
         try:
-            await self._supervise(
-                entry, stage, arguments, [], trains=True, is_due=lambda: not _finished(run, stage, entry.restart)
-            )
+            await self._processes.run(entry, stage, arguments, is_due=lambda: not _finished(run, stage, entry.restart))
         finally:
-            self._store.artefacts.catalogue(entry.id, run, run_artefacts(run))
+            self._store.artefacts.catalogue(entry.id, run, _run_artefacts(run))
 
     async def _task(self, entry: Entry, stage: str) -> None:
-        out = self._folder.out(entry.id) if self._finished(entry, stage).exists() else self._fresh_out(entry)
-        assert entry.capture is not None
+        is_finished = self._processes.finished(entry, stage).exists()
+        out = self._folder.out(entry.id) if is_finished else self._fresh_out(entry)
         try:
-            arguments = self._arguments(entry, entry.capture, out)
+            arguments = self._arguments(entry, out)
             printed = out / "result.json" if "--json" in arguments else None
-            await self._supervise(entry, stage, arguments, [], stdout=printed)
+            await self._processes.run(entry, stage, arguments, stdout=printed)
             if entry.type == "calibrate":
                 keep_calibration(self._store, self._settings, entry, out)
         except (Spike4dgsError, OSError) as error:
@@ -197,11 +164,11 @@ class Stages:
             raise
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
-    def _arguments(self, entry: Entry, capture: str, out: Path) -> list[str]:
+    def _arguments(self, entry: Entry, out: Path) -> list[str]:
         folder, request = self._folder, entry.request
-        recording = folder.recording(capture)
+        recording = self._recording(entry)
         if not recording.is_dir():  # the job waited for it, or it was deleted meanwhile
-            raise StageError(f"found no recording of {capture}", "it made and kept", "look at that capture")
+            raise StageError(f"found no recording of {entry.capture}", "it made and kept", "look at that capture")
         run = folder.run(request["job"]) if "job" in request else None
         dark = folder.recording(request["dark"]) if request.get("dark") else None
         of_rig = entry.type == "check-rig" and request.get("rig")
@@ -209,62 +176,35 @@ class Stages:
         cameras = folder.upload(request["cameras"]) / "data" if entry.type == "render" else None
         return task_arguments(request, recording, run, out, dark=dark, rig=rig, cameras=cameras)
 
-    async def _supervise(
-        self,
-        entry: Entry,
-        stage: str,
-        arguments: list[str],
-        locks: list[Path],
-        *,
-        control: Control | None = None,
-        stdout: Path | None = None,
-        trains: bool = False,
-        repeats: bool = False,
-        is_due: Callable[[], bool] = lambda: True,
-    ) -> None:
-        """Run the stage's process; one that `repeats` leaves no mark, since its results do not outlive its worker."""
-        reporter = Reporter(self._store, entry.id, stage)
-        try:
-            await supervise(
-                [*self._settings.stage_command, *arguments],
-                folders=[self._folder.entry(entry.id), *locks, *(self._accelerator() if trains else ())],
-                log=self._folder.log(entry.id),
-                finished=None if repeats else self._finished(entry, stage),
-                is_due=is_due,
-                on_progress=reporter,
-                grace_s=self._settings.grace_s,
-                control=control,
-                stdout=stdout,
-                answers=entry.type in ANSWERS,
-                environment={} if self._settings.gpu is None else {"CUDA_VISIBLE_DEVICES": str(self._settings.gpu)},
-            )
-        except Spike4dgsError as error:
-            reporter.close(str(error))
-            raise
-        except OSError as error:
-            reporter.close(f"{self._folder.path}: {_NO_ROOM}" if _is_full(error) else str(error))
-            raise
-        reporter.close()
+    def _recording(self, entry: Entry) -> Path:
+        assert entry.capture is not None
+        return self._folder.recording(entry.capture)
 
-    def _finished(self, entry: Entry, stage: str) -> Path:
-        """The mark of a finished stage; a restart, which counts attempts, begins without."""
-        attempt = 0 if entry.restart is None else entry.restart["attempt"]
-        return self._folder.entry(entry.id) / f"{stage}.{attempt}.finished"
+    def _rig(self, entry: Entry) -> tuple[str, str, Path]:
+        """Return the rig's file or name, its devices, and the folder whose flock keeps others from its cameras."""
+        source = self._settings.rigs.get(entry.rig or "")
+        if source is None or entry.rig is None:
+            raise StageError(f"found no rig {entry.rig} in this worker's settings", "the service's own rigs")
+        calibrated = self._store.rig_files.refresh(entry.rig)
+        rig = str(calibrated) if calibrated.exists() else source.rig
+        return rig, source.devices, self._folder.rig(entry.rig)
 
-    def _accelerator(self) -> Iterator[Path]:
-        """The folder whose flock says that the accelerator is taken; on this host, not on shared storage."""
-        if self._settings.gpu is not None:
-            folder = self._settings.locks / f"gpu{self._settings.gpu}"
-            folder.mkdir(parents=True, exist_ok=True)
-            yield folder
+    def _fresh_out(self, entry: Entry) -> Path:
+        """Return an empty folder for what a job makes, whatever an attempt that was interrupted left."""
+        out = self._folder.out(entry.id)
+        self._folder.remove(out)
+        out.mkdir(parents=True)
+        return out
 
 
-def _is_full(error: OSError) -> bool:
-    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+def _run_artefacts(run: Path) -> Iterator[str]:
+    """Yield the names of the files of a run folder that may be handed out: not its checkpoints."""
+    yield from (name for name in RUN_ARTEFACTS if is_plain(run, name))
+    yield from (f"thumbnails/{name}" for name in plain_files(run / "thumbnails"))
 
 
 def _finished(run: Path, stage: str, restart: dict[str, Any] | None) -> bool:
-    """Whether the run says so itself; who ran the stage may have died before it could."""
+    """Return whether the run itself says that a stage is finished; its worker may have died before it could."""
     if not (run / "run.json").exists():
         return False
     document = json.loads((run / "run.json").read_text())

@@ -12,7 +12,7 @@ from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, cast
 
 from acquisition.progress import Progress
 from server.errors import ServiceError
@@ -20,18 +20,18 @@ from server.work.leash import leashed
 
 _LOCK_POLL_S = 0.1
 _CONTROL_POLL_S = 0.05
-_START_S = 10.0  # until a process that says nothing is taken to be able to end in order
-_LONGEST_LINE = 65536
+_START_S = 10.0  # after which a process that reported nothing is taken to be able to end in order
+_LONGEST_LINE = 65536  # bytes
 _LAST_WORDS_S = 1.0
 
 
 class StageError(ServiceError):
-    """A stage ended badly; the message is the last line it wrote."""
+    """A stage ended badly: the error that its process reported or, where it reported none, the last line it wrote."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """Files by which a running stage is told something: `stop` becomes SIGTERM, `save` a line on standard input."""
+    """Files that give orders to a running stage: `stop` becomes SIGTERM, `save` a line on standard input."""
 
     stop: Path
     save: Path
@@ -53,12 +53,12 @@ async def supervise(
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
 
-    `finished` is the mark of its success, which the command leaves itself where it can, so that nobody's death comes
-    between its end and the mark. Where it is there, or the work is not `is_due`, nothing is done.
+    `finished` is the mark of its success. The command leaves it itself where it can, so that no death of this process
+    comes between its end and the mark. Where the mark is there, or the work is not `is_due`, nothing is done.
 
     The process inherits the locks, so they last until it is gone even where this process dies first. Cancelling sends
-    SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone. What it prints goes to `log`, or to
-    `stdout`. Where it `answers`, an exit code of 1 with an answer is no failure.
+    SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone. It prints to `log`, or to `stdout`.
+    Where it `answers`, an exit code of 1 with an answer is no failure.
     """
     async with _locked(folders) as locks:
         if (finished is not None and finished.exists()) or not is_due():
@@ -86,30 +86,27 @@ async def supervise(
                 transport.close()
         if relay.fault is not None:
             raise relay.fault
-        _judge(transport.get_returncode() or 0, relay, stdout if answers else None)
+        code = transport.get_returncode() or 0
+        if code != 0 and not (code == 1 and answers and stdout and stdout.stat().st_size):
+            raise relay.error or StageError(relay.last or f"the stage ended with {_named(code)} and no message")
         if finished is not None:
             finished.touch()
 
 
-def _judge(code: int, relay: _Relay, answer: Path | None) -> None:
-    if code == 1 and answer and answer.stat().st_size:
-        return
-    if code != 0:
-        ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        raise StageError(relay.last.removeprefix("spike4dgs: ") or f"the stage ended with {ended} and no message")
+def _named(code: int) -> str:
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 async def _tell(transport: asyncio.SubprocessTransport, relay: _Relay, control: Control) -> None:
-    """Pass on what the files say, each once; SIGTERM would kill a process that has not reported anything yet."""
-    line = transport.get_pipe_transport(0)
-    assert isinstance(line, asyncio.WriteTransport)
+    """Pass on each order once; SIGTERM would kill a process that has not reported anything yet."""
+    stdin = cast(asyncio.WriteTransport, transport.get_pipe_transport(0))
     clock = asyncio.get_running_loop().time
     patient_until = clock() + _START_S
     saved = False
     while True:
         if control.save.exists() and not saved:
             saved = True
-            line.write(b"\n")
+            stdin.write(b"\n")
         if control.stop.exists() and (relay.began or clock() > patient_until):
             os.killpg(transport.get_pid(), signal.SIGTERM)
             return
@@ -135,15 +132,17 @@ async def _locked(folders: Sequence[Path]) -> AsyncIterator[list[int]]:
 
 
 class _Relay(asyncio.SubprocessProtocol):
-    """Takes the process's standard error apart, to its very end: callbacks go on where a cancelled task would not.
+    """Reads the process's standard error to its very end: callbacks go on where a cancelled task would not.
 
     `gone` is set when the process is, `closed` at the end of its output, `over` when it is gone or a fault of ours,
-    such as a full disk, leaves no reason to wait for it; `began` says that it has reported progress.
+    such as a full disk, leaves no reason to wait for it. `began` says that it has reported progress, `error` is the
+    failure that it reported, `last` its last line.
     """
 
     def __init__(self, log: TextIO, on_progress: Progress) -> None:
         self.gone, self.closed, self.over = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.began = False
+        self.error: StageError | None = None
         self.last = ""
         self.fault: OSError | None = None
         self._log = log
@@ -160,40 +159,43 @@ class _Relay(asyncio.SubprocessProtocol):
             self._pass_on(line.decode(errors="replace"))
 
     def process_exited(self) -> None:
-        """The process is gone; what it wrote may still be on its way."""
+        """Note that the process is gone; its last output may still be on its way."""
         self.gone.set()
         self.over.set()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing more will come."""
+        """Note that nothing more will come."""
         if self._pending:
             self._pass_on(self._pending.decode(errors="replace"))
         self.closed.set()
 
     def _pass_on(self, line: str) -> None:
         try:
-            if _reported(line, self._on_progress):
-                self.began = True
-                return
-            self._log.write(f"{line}\n")
-            self._log.flush()
-            self.last = line.strip() or self.last
+            if not self._is_report(line):
+                self._log.write(f"{line}\n")
+                self._log.flush()
+                self.last = line.strip() or self.last
         except OSError as error:
             self.fault = self.fault or error
             self.over.set()
 
-
-def _reported(line: str, on_progress: Progress) -> bool:
-    if not line.startswith("{"):
-        return False
-    try:
-        event = json.loads(line)
-        if event["event"] != "progress":
+    def _is_report(self, line: str) -> bool:
+        """Return whether a line is a report for this process, of progress or of an error, and take it in."""
+        if not line.startswith("{"):
             return False
-        on_progress(min(max(0.0, float(event["fraction"])), 1.0), str(event["message"]))
-    except (ValueError, KeyError, TypeError):
+        try:
+            event = json.loads(line)
+            if event["event"] == "progress":
+                self._on_progress(min(max(0.0, float(event["fraction"])), 1.0), str(event["message"]))
+                self.began = True
+                return True
+            if event["event"] == "error":
+                parts = (str(event[name]) for name in ("found", "expected", "do"))
+                self.error = StageError(*parts, where=event["where"])
+                return True
+        except (ValueError, KeyError, TypeError):
+            pass
         return False
-    return True
 
 
 async def _stop(transport: asyncio.SubprocessTransport, relay: _Relay, grace_s: float) -> None:

@@ -1,4 +1,4 @@
-"""The worker process: alive as long as it beats, at work on its queues, heir of workers that died."""
+"""The worker process: it beats to show that it lives, works on its queues, and inherits from workers that died."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from server.engine import (
 from server.errors import WorkerRunningError
 from server.pickles import refuse_pickles
 from server.settings import ServiceSettings
-from server.store.database import is_outage
+from server.store.database import is_outage, reason_of
 from server.store.store import Store
 from server.store.tables import Worker
 from server.telemetry import configure_logs, engine_tracing
@@ -51,7 +51,7 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
             except SQLAlchemyError as error:  # lost while the worker was starting: it starts again, and waits for it
                 if not is_outage(error):
                     raise
-                logging.getLogger(__name__).warning("the worker starts again: %s", str(error).splitlines()[0])
+                logging.getLogger(__name__).warning("the worker starts again: %s", reason_of(error))
 
 
 def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: threading.Event) -> None:
@@ -83,7 +83,7 @@ def _refresh(settings: ServiceSettings, store: Store) -> None:
 
 
 def _work(settings: ServiceSettings, store: Store, me: Worker, stages: Stages, stop: threading.Event) -> None:
-    """Beat until told to stop; a database that does not answer is waited for. Raises WorkerRunningError."""
+    """Beat until told to stop, through outages of the database; raises WorkerRunningError."""
     engine = Engine(settings)
     heir = Heir(store, engine, me, stages.busy)
     try:
@@ -92,7 +92,7 @@ def _work(settings: ServiceSettings, store: Store, me: Worker, stages: Stages, s
                 store.workers.beat(me)
                 heir.look()
             except SQLAlchemyError as error:
-                heir.pause(str(getattr(error, "orig", error)).splitlines()[0])
+                heir.pause(reason_of(error))
             if stop.wait(store.workers.beat_s):
                 return
     finally:
@@ -137,7 +137,7 @@ def _one_line(record: logging.LogRecord) -> bool:
     if isinstance(error, Spike4dgsError):
         record.msg, record.args, record.exc_info = str(error), None, None
     elif isinstance(error, SQLAlchemyError):
-        record.msg, record.args, record.exc_info = str(getattr(error, "orig", error)).splitlines()[0], None, None
+        record.msg, record.args, record.exc_info = reason_of(error), None, None
     return not isinstance(error, engine_errors.DBOSAwaitedWorkflowCancelledError)
 
 

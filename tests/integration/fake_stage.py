@@ -14,6 +14,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 from rigs.rig import Calibration
 from rigs.toml import catalog_rig, dump_rig, load_rig
@@ -39,6 +40,12 @@ def report(fraction: float, message: str) -> None:
     sys.stderr.write(json.dumps(event) + "\n")
 
 
+def fail(found: str, expected: str, do: str, where: str = "") -> NoReturn:
+    parts = {"found": found, "expected": expected, "do": do, "where": where}
+    sys.stderr.write(json.dumps({"event": "error", **parts, "exit_code": 1}) + "\n")
+    sys.exit(f"spike4dgs: {where}: {found}")
+
+
 def record_until_told(out: Path) -> None:
     told: list[bool] = []
     signal.signal(signal.SIGTERM, lambda *_: told.append(True))
@@ -59,7 +66,7 @@ def record_until_told(out: Path) -> None:
 
 def record(out: Path, ticks: int, rig_name: str = "lab3x3") -> None:
     if ticks == 13:
-        sys.exit("spike4dgs: cam11: found no answer, expected a camera; plug it in")
+        fail("found no answer", "a camera", "plug it in", "cam11")
     aside = out.with_name(f".{out.name}.aside")
     aside.mkdir(exist_ok=True)
     report(0.5, "recording")
@@ -113,7 +120,7 @@ def calibrate(recording: Path, options: list[str]) -> None:
     sys.stderr.write(f"arguments {' '.join(options)}\n")
     fault = out.parents[2] / "fail-calibrate"
     if fault.exists():
-        sys.exit("spike4dgs: found 3 tracks, expected 250; show more")
+        fail("found 3 tracks", "250", "show more")
     rig, document = load_rig(recording / "rig.toml"), {"rig": str(out), "cameras": {}}
     if "--pixels" in options:
         rig = replace(rig, cameras=tuple(replace(c, pixels=pixels_beside(out, c.id)) for c in rig.cameras))
@@ -170,7 +177,7 @@ def main() -> None:
     run.mkdir(exist_ok=True)
     sys.stderr.write(f"arguments {' '.join(arguments[3:])}\n")
     if (run.parents[1] / f"fail-{stage}").exists():
-        sys.exit(f"spike4dgs: {stage}: found a fault, expected none; mend it")
+        fail("found a fault", "none", "mend it", stage)
     if stage == "train":
         train(run, int(os.environ.get("FAKE_STEPS", "10")), float(os.environ.get("FAKE_STEP_S", "0.02")))
     if stage == "report":

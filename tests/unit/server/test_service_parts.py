@@ -22,7 +22,7 @@ def test_arguments_of_the_stages() -> None:
     ]
     request = CaptureRequest(until_stopped=True, pre_trigger_ms=5, rejoin_s=0, threshold=900).model_dump()
     assert record_arguments(request, "lab3x3", "usb:", Path("rec"))[5:-2] == [
-        *("--threshold", "900", "--pre-trigger", "5.0", "--rejoin", "0.0", "--until-stopped")
+        *("--pre-trigger", "5.0", "--threshold", "900", "--rejoin", "0.0", "--until-stopped")
     ]
 
 

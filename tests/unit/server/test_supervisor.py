@@ -71,8 +71,20 @@ def test_progress_is_reported_and_the_rest_is_logged(tmp_path: Path) -> None:
     ("code", "message"),
     [
         (
-            "import sys; print('{\"event\": 1}', file=sys.stderr); sys.exit('spike4dgs: found a, expected b')",
+            "import sys; print('{\"event\": 1}', file=sys.stderr); sys.exit('found a, expected b')",
             "found a, expected b",
+        ),
+        (
+            "import sys; from rigs.errors import RigError; from server.cli import main\n"
+            "def cli(obj): raise RigError('found a', 'b', 'do c', where='d')\n"
+            "main.cli = cli; sys.argv[1:] = []; main.main()",
+            "d: found a, expected b; do c",
+        ),
+        (
+            "import sys; from server.cli import main\n"
+            "def cli(obj): open('/nowhere/at/all')\n"
+            "main.cli = cli; sys.argv[1:] = []; main.main()",
+            "/nowhere/at/all: No such file or directory",
         ),
         ("import sys; sys.exit(3)", "the stage ended with exit code 3 and no message"),
         ("import os; os.kill(os.getpid(), 9)", "the stage ended with SIGKILL and no message"),
@@ -82,6 +94,14 @@ def test_progress_is_reported_and_the_rest_is_logged(tmp_path: Path) -> None:
 def test_a_failure_is_the_last_line(tmp_path: Path, code: str, message: str) -> None:
     with pytest.raises(StageError, match=f"^{message}$"):
         run(code, tmp_path)
+
+
+def test_the_log_keeps_the_line_for_people_and_not_the_report(tmp_path: Path) -> None:
+    code = "import sys; from server.cli import main; sys.argv[1:] = ['verify', '/nowhere']; main.main()"
+    with pytest.raises(StageError) as caught:
+        run(code, tmp_path)
+    assert (tmp_path / "log.txt").read_text() == f"spike4dgs: {caught.value}\n"
+    assert str(caught.value).startswith(f"{caught.value.where}: {caught.value.found}")
 
 
 def test_a_line_without_end_is_not_kept_in_memory(tmp_path: Path) -> None:

@@ -1,0 +1,86 @@
+"""The processes of stages: what each locks, where it reports, and the mark that says it has finished."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from acquisition.errors import DiskError
+from rigs.errors import Spike4dgsError
+from server.settings import ServiceSettings
+from server.store.store import Store
+from server.store.tables import Entry
+from server.work.reporter import Reporter
+from server.work.supervisor import Control, supervise
+
+ANSWERS = ("check-rig", "verify", "preflight")  # whose exit code 1 is an answer, not a failure
+
+
+def no_room(where: object) -> DiskError:
+    """Return the error of a full disk at `where`."""
+    return DiskError("found no space left", "some", "free some and resume the job", where=where)
+
+
+def is_full(error: OSError) -> bool:
+    """Return whether an error says that a disk is full."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+class Processes:
+    """Runs the processes of a service's stages."""
+
+    def __init__(self, settings: ServiceSettings, store: Store) -> None:
+        self._settings = settings
+        self._store = store
+
+    async def run(
+        self,
+        entry: Entry,
+        stage: str,
+        arguments: Sequence[str],
+        *,
+        locks: Sequence[Path] = (),
+        control: Control | None = None,
+        stdout: Path | None = None,
+        repeats: bool = False,
+        is_due: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Run a stage's process, holding `locks`; its progress and its error go into the tables.
+
+        One that `repeats` leaves no mark, since its results do not outlive its worker. Raises as `supervise`.
+        """
+        reporter = Reporter(self._store, entry.id, stage)
+        folder = self._store.folder
+        gpu = self._settings.gpu
+        try:
+            await supervise(
+                [*self._settings.stage_command, *arguments],
+                folders=[folder.entry(entry.id), *locks, *self._accelerator(entry)],
+                log=folder.log(entry.id),
+                finished=None if repeats else self.finished(entry, stage),
+                is_due=is_due,
+                on_progress=reporter,
+                grace_s=self._settings.grace_s,
+                control=control,
+                stdout=stdout,
+                answers=entry.type in ANSWERS,
+                environment={} if gpu is None else {"CUDA_VISIBLE_DEVICES": str(gpu)},
+            )
+        except (Spike4dgsError, OSError) as error:
+            full = isinstance(error, OSError) and is_full(error)
+            reporter.close(str(no_room(folder.path) if full else error))
+            raise
+        reporter.close()
+
+    def finished(self, entry: Entry, stage: str) -> Path:
+        """Return the mark of a finished stage; a restart, which counts attempts, begins without."""
+        attempt = 0 if entry.restart is None else entry.restart["attempt"]
+        return self._store.folder.entry(entry.id) / f"{stage}.{attempt}.finished"
+
+    def _accelerator(self, entry: Entry) -> Iterator[Path]:
+        """Yield the folder whose flock says that the accelerator is taken; it lies on this host, not on a share."""
+        if self._settings.gpu is not None and entry.type == "reconstruct":
+            folder = self._settings.locks / f"gpu{self._settings.gpu}"
+            folder.mkdir(parents=True, exist_ok=True)
+            yield folder
