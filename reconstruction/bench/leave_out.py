@@ -4,16 +4,19 @@ Every run is made in a process of its own, at equal steps and at equal time. `co
 is (a plan may cost COST_DB), `saved_s` and `saved_mb` how much more processor time and memory it takes. Of a single
 decision these stand beside the plan's own claims. The price of a wrong plan is measured by a mover that it misses, with
 the watch and without.
+
+Clips are small, 200x125 and mostly 200 planes, with as many Gaussians a pixel as a run of 400x250 has. Compare their
+figures with one another, not with those of other benches.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.open import Simulation
@@ -21,23 +24,14 @@ from acquisition.durable import made_aside
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
-from reconstruction.bench.conventions import kept
-from reconstruction.bench.leave_out_cases import (
-    BUDGET_S,
-    CASES,
-    GAUSSIANS,
-    GREY,
-    MISSED,
-    PLAN,
-    QUICK_STEPS,
-    SIZE,
-    STEPS,
-    UNWATCHED,
-    Arm,
-    Case,
-)
+from reconstruction.bench.conventions import HOLDOUT, VIEWS, kept
+from reconstruction.run.configuration import ReconstructionConfig
 from rigs.toml import catalog_rig
 
+SIZE, TICKS = (200, 125), 200  # pixels, and planes of a clip
+GAUSSIANS = 12_000
+STEPS, QUICK_STEPS, BUDGET_S = 400, 40, 10.0
+DEAD = "cam00"  # the camera without light
 COST_DB = 0.1  # dB that a plan may cost at most
 Result = TypeVar("Result")
 SCORES = ("psnr_db", "dynamic_psnr_db")
@@ -49,14 +43,93 @@ OMISSIONS = (
 
 
 @dataclass(frozen=True)
-class Bench:
+class Arm:
+    """One way to run a case: `choices` are fields of the configuration that differ from the default.
+
+    `everywhere`: every pixel is taken to move. `channels`: number of the Gaussians' channels; where it is given, the
+    training alone is measured, from the first snapshot of a run by the plan.
+    """
+
+    name: str
+    choices: dict[str, Any] = field(default_factory=dict)
+    everywhere: bool = False
+    channels: int | None = None
+
+    def config(self, *, steps: int | None = None, budget_s: float | None = None) -> ReconstructionConfig:
+        """Return the configuration of a run of so many steps, or to a budget in seconds."""
+        kind: dict[str, Any] = {"holdout": HOLDOUT, "gaussians": GAUSSIANS} | self.choices
+        return ReconstructionConfig(steps=steps, budget_s=budget_s, **kind)
+
+
+@dataclass(frozen=True)
+class PlanCase:
+    """A recording of `ticks` planes; `switches` are the arms that decide otherwise, by the decision they test.
+
+    `dead`: a camera whose planes are empty. `everything`: choices of the arm `all` beyond EVERYTHING.
+    """
+
+    name: str
+    scene: str
+    seed: int
+    switches: dict[str, Arm]
+    ticks: int = TICKS
+    dead: str | None = None
+    everything: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def all(self) -> Arm:
+        """The run that leaves out nothing."""
+        return Arm("all", EVERYTHING | self.everything, everywhere=True)
+
+
+EVERYTHING: dict[str, Any] = {
+    "model": "linear",
+    "init": "natural",
+    "images": "adaptive",
+    "supervision": "image-variation",
+    "refine": "on",
+    "tick_stride": 1,
+}
+AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses dark recordings
+PLAN = Arm("plan")
+MOTION = Arm("motion", {"model": "linear"})
+POSES = Arm("poses", {"init": "natural"})
+IMAGES = Arm("images", {"images": "adaptive"})
+INSTANTS = Arm("instants", {"tick_stride": 1})
+SUPERVISION = Arm("supervision", {"supervision": "image-variation"})
+GAUSSIANS_TWICE = Arm("Gaussians", {"gaussians": 2 * GAUSSIANS})
+ALL_VIEWS = Arm("views", {"views": VIEWS})
+GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
+UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a model that was asked for
+
+
+def _switched(*arms: Arm) -> dict[str, Arm]:
+    return {arm.name: arm for arm in arms}
+
+
+CASES = (
+    PlanCase("static", "static", 101, _switched(MOTION, SUPERVISION)),
+    PlanCase("mono", "fan_and_ball", 1, _switched(COLOUR)),
+    PlanCase("calibrated", "fan_and_ball", 2, _switched(POSES)),
+    PlanCase("few-movers", "stiff", 101, _switched(IMAGES, INSTANTS)),
+    PlanCase("dim", "dim", 101, _switched(MOTION), ticks=800, everything=AS_GIVEN),
+    PlanCase(
+        "one-dead-view", "fan_and_ball", 3, _switched(ALL_VIEWS), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}
+    ),
+    PlanCase("outdoors", "outdoor", 101, _switched(IMAGES, GAUSSIANS_TWICE)),
+)
+MISSED = PlanCase("missed-mover", "faint", 101, {})
+
+
+@dataclass(frozen=True)
+class Runs:
     """The folder of the runs, and their length in steps and in seconds (None: at equal steps alone)."""
 
     work: Path
     steps: int = STEPS
     budget_s: float | None = BUDGET_S
 
-    def row(self, case: Case, arm: Arm, decision: str, budget_s: float | None = None) -> dict:
+    def row(self, case: PlanCase, arm: Arm, decision: str, budget_s: float | None = None) -> dict:
         """Return the run of a case by an arm: measured now, or found in `work`."""
         extent = f"{budget_s:g}s" if budget_s else f"{self.steps}"
         name = f"{case.name}-{arm.name}-{extent}"
@@ -64,7 +137,7 @@ class Bench:
         about |= {"run": "plan" if arm in (PLAN, GREY) else "all", "extent": extent}
         return about | kept(self.work / f"{name}.json", lambda: self._run(case, arm, name, budget_s))
 
-    def _run(self, case: Case, arm: Arm, name: str, budget_s: float | None) -> dict:
+    def _run(self, case: PlanCase, arm: Arm, name: str, budget_s: float | None) -> dict:
         steps = None if budget_s else self.steps
         return apart(partial(_measured, recorded(case, self.work), arm, self.work / f"{name}.run", steps, budget_s))
 
@@ -74,7 +147,7 @@ def bench_leave_out(
     progress: Progress,
     *,
     quick: bool = False,
-    cases: Sequence[Case] = CASES,
+    cases: Sequence[PlanCase] = CASES,
     time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
     """Run every case by its plan, with everything on, and with each of its decisions switched; runs lie in `work`.
@@ -84,35 +157,35 @@ def bench_leave_out(
     """
     document = BenchDocument("leave-out")
     work.mkdir(parents=True, exist_ok=True)
-    bench = Bench(work, QUICK_STEPS, None) if quick else Bench(work)
+    runs = Runs(work, QUICK_STEPS, None) if quick else Runs(work)
     todo = list(cases[:1] if quick else cases)
     if not quick:
         progress(0.0, f"{MISSED.name}: {MISSED.scene}, seed {MISSED.seed}")
-        _mistaken(document, bench)
+        _mistaken(document, runs)
     for number, case in enumerate(todo):
         if not time_left():
             document.omissions.append(f"{case.name}: no time was left")
             continue
         progress((number + 1) / (len(todo) + 1), f"{case.name}: {case.scene}, seed {case.seed}")
-        _compare(document, bench, case)
+        _compare(document, runs, case)
     document.omissions += OMISSIONS
     progress(1.0, f"{len(document.rows)} runs")
     return document
 
 
-def _compare(document: BenchDocument, bench: Bench, case: Case) -> None:
+def _compare(document: BenchDocument, runs: Runs, case: PlanCase) -> None:
     """Add a case at equal steps and at equal time, and each of its decisions."""
-    plan, everything = bench.row(case, PLAN, "all"), bench.row(case, case.all, "all")
+    plan, everything = runs.row(case, PLAN, "all"), runs.row(case, case.all, "all")
     document.rows += [plan, everything]
     document.summary |= costs(case.name, plan, everything)
-    if bench.budget_s:
-        pair = [bench.row(case, arm, "all", bench.budget_s) for arm in (PLAN, case.all)]
+    if runs.budget_s:
+        pair = [runs.row(case, arm, "all", runs.budget_s) for arm in (PLAN, case.all)]
         document.rows += pair
         gaps = costs(case.name, *pair)
-        document.summary |= {f"{k}@{bench.budget_s:g}": v for k, v in gaps.items() if k.endswith("cost_db")}
+        document.summary |= {f"{k}@{runs.budget_s:g}": v for k, v in gaps.items() if k.endswith("cost_db")}
     for name, arm in case.switches.items():
-        base = plan if arm.channels is None else bench.row(case, GREY, name)
-        other = bench.row(case, arm, name)
+        base = plan if arm.channels is None else runs.row(case, GREY, name)
+        other = runs.row(case, arm, name)
         document.rows += [other] if base is plan else [base, other]
         key = f"{case.name}.{name}"
         document.summary |= costs(key, base, other) | claims(key, plan, name)
@@ -137,15 +210,14 @@ def costs(key: str, plan: dict, other: dict) -> dict[str, float]:
 def claims(key: str, plan: dict, decision: str) -> dict[str, float]:
     """Return what the plan said that a decision saves, where it said so."""
     said = plan.get("decisions", {}).get(decision, {})
-    found = {f"{key}.claimed_s": said.get("saves_s")}
-    if said.get("saves_bytes") is not None:
-        found[f"{key}.claimed_mb"] = said["saves_bytes"] / 1e6
-    return {name: value for name, value in found.items() if value is not None}
+    found = {"claimed_s": said.get("saves_s"), "claimed_mb": said.get("saves_bytes")}
+    scale = {"claimed_s": 1.0, "claimed_mb": 1e-6}
+    return {f"{key}.{name}": value * scale[name] for name, value in found.items() if value is not None}
 
 
-def _mistaken(document: BenchDocument, bench: Bench) -> None:
+def _mistaken(document: BenchDocument, runs: Runs) -> None:
     """Add a plan that took a mover for still: undone by the watch, and left as it is."""
-    watched, left = bench.row(MISSED, PLAN, "watch"), bench.row(MISSED, UNWATCHED, "watch")
+    watched, left = runs.row(MISSED, PLAN, "watch"), runs.row(MISSED, UNWATCHED, "watch")
     document.rows += [watched, left]
     gains = costs(MISSED.name, left, watched)
     document.summary |= {k.replace("cost", "gained"): v for k, v in gains.items() if k.endswith("cost_db")}
@@ -162,7 +234,7 @@ def _measured(recording: Path, arm: Arm, out: Path, steps: int | None, budget_s:
     return measured(Job(recording, arm, out, steps, budget_s))
 
 
-def recorded(case: Case, work: Path) -> Path:
+def recorded(case: PlanCase, work: Path) -> Path:
     """Return the recording of a case in `work`, simulated where there is none; a dead camera's planes are zeros."""
     path = work / f"{case.scene}-{case.seed}-{case.ticks}{f'-no-{case.dead}' if case.dead else ''}"
     if path.exists():

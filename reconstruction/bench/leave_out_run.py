@@ -18,11 +18,10 @@ from torch import Tensor
 from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
-from reconstruction.bench.conventions import HOLDOUT, truth_of
-from reconstruction.bench.leave_out_cases import PLAN, Arm
-from reconstruction.bench.score_run import STAGES
+from reconstruction.bench.leave_out import PLAN, Arm
+from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
-from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
+from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
@@ -104,9 +103,7 @@ def _quiet(stage: str) -> Progress:
 def _scores(run: RunFolder, cloud: SceneModel) -> dict[str, float]:
     """Score the held-out camera against the truth."""
     recording = posed(run, Recording.open(run.recording), refined=True)
-    true = truth_of(recording)
-    held_out, truth = held_out_camera(recording, HOLDOUT, run.plan.views, true)
-    return score_against_truth(cloud, held_out, truth or true)
+    return score_against_truth(cloud, *held_out_with_truth(recording, run.plan.views))
 
 
 def _trained(job: Job, channels: int) -> dict:

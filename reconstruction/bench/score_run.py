@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from acquisition.recording.reader import Recording
 from reconstruction.bench.conventions import HOLDOUT, truth_of
-from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth, score_floors
+from reconstruction.evaluation.evaluate import HeldOut, held_out_camera, score_against_truth, score_floors
+from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.stages import composite_sources
 from reconstruction.run import configuration
@@ -18,17 +20,22 @@ METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "
 CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 
 
+def held_out_with_truth(recording: Recording, views: Sequence[str]) -> tuple[HeldOut, Truth]:
+    """Return the held-out camera and the truth in the frame of `views`; raises BadRunError where there is no truth."""
+    true = truth_of(recording)
+    held_out, truth = held_out_camera(recording, HOLDOUT, views, true)
+    return held_out, truth or true
+
+
 def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> dict:
     """Return the scores of a trained run, its costs, and the `curve` of its snapshots by wall seconds.
 
     `recording` has the truth; the run may have read one derived from it, with other cameras or fewer planes. Scoring
     follows the training, so that no second of it is on the run's clock. Raises BadRunError where there is no truth.
     """
-    true = truth_of(recording)
     own = posed(run, Recording.open(run.recording), refined=True)
     seen = replace(recording, rig=replace(own.rig, tick_rate_hz=recording.tick_rate_hz))
-    held_out, truth = held_out_camera(seen, HOLDOUT, run.plan.views, true)
-    truth = truth or true
+    held_out, truth = held_out_with_truth(seen, run.plan.views)
     states = [load_checkpoint(path) for path in run.snapshots()]
     clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)

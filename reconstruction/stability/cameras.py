@@ -1,4 +1,4 @@
-"""Case 28 of the catalogue: cameras that no observation determines, and whether the covariance says so.
+"""Defines case 28: cameras that no observation determines, and a covariance that must say so.
 
 Points are seen by the lab rig's nine places with noise of 0.1 px. Where axes are parallel, a longer focal length and a
 scene as much deeper give the same pictures: then all that is known of the focal length is its prior.
@@ -25,7 +25,7 @@ from rigs.transform import Floats
 
 POINTS, NOISE_PX = 150, 0.1
 DEEP_M, FLAT_M = (1.3, 3.0), (2.0, 2.0)
-PRIOR_PERCENT = 100 * FOCAL_SD * math.sqrt(OPTIMISM)  # what is said of a focal length that nothing determines
+PRIOR_PERCENT = 100 * FOCAL_SD * math.sqrt(OPTIMISM)  # reported error of a focal length that nothing determines
 
 
 def _cameras(*, parallel: bool) -> Cameras:
@@ -37,7 +37,7 @@ def _cameras(*, parallel: bool) -> Cameras:
 
 
 def _seen(cameras: Cameras, depths_m: tuple[float, float], freedom: Freedom) -> tuple[Problem, State]:
-    """The problem at its true state: every point seen by every camera."""
+    """Return a problem and its true state: every point is seen by every camera."""
     rng, count = np.random.default_rng(28), len(cameras)
     across = rng.uniform((-0.5, -0.3), (0.5, 0.3), (POINTS, 2))
     points = np.concatenate([across, rng.uniform(*depths_m, (POINTS, 1))], axis=1)
@@ -64,7 +64,7 @@ def _parallel(_: str) -> Observation:
 
 
 def _without_prior(_: str) -> Observation:
-    """Of a focal length that neither a prior nor the pictures hold, no small error may be told."""
+    """Leave the focal length free of prior and pictures; no small error of it may be reported."""
     cameras = _cameras(parallel=True)
     problem, state = _seen(cameras, DEEP_M, _freedom(cameras, np.inf))
     try:
@@ -75,7 +75,7 @@ def _without_prior(_: str) -> Observation:
 
 
 def _flat(_: str) -> Observation:
-    """A flat scene before parallel axes: a turn and a shift look alike; the verdict refuses what comes of it."""
+    """Look at a flat scene with parallel axes, where a turn and a shift look alike; the verdict must refuse."""
     cameras = _cameras(parallel=True)
     deep, flat = (float(np.mean([sd.rotation_deg for sd in _sds(cameras, d)])) for d in (DEEP_M, FLAT_M))
     try:
@@ -88,7 +88,7 @@ def _flat(_: str) -> Observation:
 
 
 def _whole(problem: Problem, state: State) -> Floats:
-    """The covariance [G, G] from the normal equations of cameras and points together, with nothing eliminated."""
+    """Return the covariance [G, G] from the normal equations of cameras and points together, nothing eliminated."""
     observations, count = problem.observations, len(state.cameras)
     positions, _ = state.blocks.place(observations.block)
     seen = project(positions, state.cameras, observations.camera)

@@ -1,4 +1,4 @@
-"""One case of the catalogue, and one row of the table it makes."""
+"""Defines a case of the catalogue, and the row of the table that it makes."""
 
 from __future__ import annotations
 
@@ -7,28 +7,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-STEEPER = 10.0  # gradients may be so much farther off than values
+STEEPER = 10.0  # tolerance of gradients over that of values
 
 
 class Observation(NamedTuple):
-    """What was seen, in words, how far that is from what was expected, and how far the gradients are."""
+    """What was seen in words, and the errors of values and of gradients."""
 
     said: str
     error: float
     gradient: float | None = None
 
 
-def alone() -> tuple[str, ...]:
-    """For what needs no backend, method or model."""
-    return ("none",)
-
-
 @dataclass(frozen=True)
 class Case:
-    """`observe` looks at what one of `on()` makes of it: a renderer, an image method, a motion model, or `none`.
+    """A situation, and the function that observes it on each of `on()`: renderers, image methods, motion models.
 
-    It passes where the error is at most `tolerance`, and that of gradients at most STEEPER times as much. `number` is
-    the stress catalogue's; fields and runs on the stiff scenes have none.
+    A case passes where the error is at most `tolerance`, and that of gradients at most STEEPER times as much. `number`
+    is its number in the stress catalogue; fields and runs on the stiff scenes have none.
     """
 
     number: int | None
@@ -36,12 +31,12 @@ class Case:
     expected: str
     tolerance: float
     observe: Callable[[str], Observation]
-    on: Callable[[], tuple[str, ...]] = alone
+    on: Callable[[], tuple[str, ...]] = lambda: ("none",)
 
 
 @dataclass(frozen=True)
 class Row:
-    """The outcome of a case; `error` and `gradient` are None where there is none, or it is not a number."""
+    """The outcome of a case; `error` and `gradient` are None where there is none, or where it is not finite."""
 
     case: str
     backend: str
@@ -53,11 +48,11 @@ class Row:
 
 
 def row_of(case: Case, backend: str) -> Row:
-    """Run a case on one of `case.on()`; an exception is a failure, with its text."""
+    """Run a case on one of `case.on()`; an exception is a failure with its text."""
     name = case.name if case.number is None else f"{case.number} {case.name}"
     try:
         said, error, gradient = case.observe(backend)
-    except Exception as error:  # noqa: BLE001 - whatever is thrown is what was made of the case
+    except Exception as error:  # noqa: BLE001 - any exception is an outcome of the case
         return Row(name, backend, case.expected, f"{type(error).__name__}: {error}", None, None, "fail")
     good = error <= case.tolerance and (gradient is None or gradient <= STEEPER * case.tolerance)
     return Row(name, backend, case.expected, said, _finite(error), _finite(gradient), "pass" if good else "fail")

@@ -1,4 +1,4 @@
-"""The whole catalogue on everything this machine has, as the document `spike4dgs stability --json` prints."""
+"""Runs the whole catalogue on everything this machine has, for the document of `spike4dgs stability --json`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from acquisition.bench_document import device
-from acquisition.progress import Progress
-from acquisition.revision import code_revision
+from acquisition.bench_document import BenchDocument
+from acquisition.progress import Progress, part
 from reconstruction.stability import cameras, images, losses, marching, motion, recordings, rendering
 from reconstruction.stability.case import Case, Row, row_of
 from reconstruction.stability.drift import drift_cases
@@ -24,32 +23,27 @@ CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or mat
 
 @dataclass(frozen=True)
 class LongRuns:
-    """What takes minutes: so many ticks of drift, and trainings on the stiff scenes."""
+    """The runs that take minutes: `ticks` of drift, and trainings on the stiff scenes."""
 
     ticks: int = 10_000_000
     trainings: Extent = FULL
 
 
 def run_catalogue(progress: Progress, long_runs: LongRuns | None = None) -> dict:
-    """`rows`, a `summary` of how many there are and how many failed, and the `omissions` with their reasons.
+    """Run every case and return the document; `summary` has the number of rows, and of those that failed.
 
-    `device` and `revision` say where and of what.
-
-    With `long_runs` more rows, and the `curves`: losses of every step in float32 and float64, by scene.
+    With `long_runs` there are more rows, and `curves`: the losses of every step in float32 and float64, by scene.
     """
-    rows, shown = _rows(CASES, _part(progress, 0.0, 0.1 if long_runs else 1.0)), {}
+    rows, shown = _rows(CASES, part(progress, 0.0, 0.1 if long_runs else 1.0)), {}
     if long_runs:
-        rows += _drift(long_runs.ticks, _part(progress, 0.1, 0.2))
-        stiff, shown = _stiff(long_runs.trainings, _part(progress, 0.2, 1.0))
+        drifting = part(progress, 0.1, 0.2)
+        rows += _rows(drift_cases(long_runs.ticks, lambda _, said: drifting(0.0, said)), drifting)
+        stiff, shown = _stiff(long_runs.trainings, part(progress, 0.2, 1.0))
         rows += stiff
-    return {
-        "device": device(),
-        "revision": code_revision(),
-        "rows": [asdict(row) for row in rows],
-        "omissions": omissions(),
-        "summary": {"cases": len(rows), "failed": sum(row.verdict == "fail" for row in rows)},
-        **({"curves": shown} if long_runs else {}),
-    }
+    failed = sum(row.verdict == "fail" for row in rows)
+    document = BenchDocument("stability", [asdict(row) for row in rows], omissions())
+    document.summary = {"cases": len(rows), "failed": failed}
+    return document.to_json() | ({"curves": shown} if long_runs else {})
 
 
 def _rows(cases: Iterable[Case], progress: Progress) -> list[Row]:
@@ -62,22 +56,12 @@ def _rows(cases: Iterable[Case], progress: Progress) -> list[Row]:
     return rows
 
 
-def _drift(ticks: int, progress: Progress) -> list[Row]:
-    return _rows(drift_cases(ticks, lambda _, said: progress(0.0, said)), progress)
-
-
 def _stiff(extent: Extent, progress: Progress) -> tuple[list[Row], dict]:
-    """The rows and the curves of every scene, recorded and trained in a folder that goes away."""
-    rows, shown = [], {}
+    """Return the rows and the curves of every scene, recorded and trained in a folder that is removed."""
+    rows, shown, count = [], {}, len(extent.planes)
     with tempfile.TemporaryDirectory() as folder:
         for number, name in enumerate(extent.planes):
             scene = StiffScene(name, Path(folder), extent)
-            share = len(extent.planes)
-            rows += _rows(stiff_cases(scene), _part(progress, number / share, (number + 1) / share))
+            rows += _rows(stiff_cases(scene), part(progress, number / count, (number + 1) / count))
             shown[name] = curves(scene)
     return rows, shown
-
-
-def _part(progress: Progress, first: float, last: float) -> Progress:
-    """Report a part of the work as [first, last] of the whole."""
-    return lambda done, said: progress(first + done * (last - first), said)

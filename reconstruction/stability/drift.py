@@ -1,4 +1,4 @@
-"""Case 26 at length: a sensor, its counts and the rig clock over ten million ticks, against whole numbers.
+"""Defines case 26 at length: a sensor, its counts and the rig clock over ten million ticks, against whole numbers.
 
 Letters: q the charge of one tick in units of 2^-40 spike, Q what has been added since the start, n the spikes since. A
 pixel that starts with the charge c and loses nothing has n = floor(c + Q), so that n - Q stays within (c - 1, c].
@@ -21,19 +21,19 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import FRACTION_BITS, Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import renderers
+from reconstruction.stability.probe import natives
 from rigs.clock import RigClock
 
-CHUNK = 100_000  # ticks at a time
-LIGHTS = np.array([1e-6, 0.01, 1 / 3, 0.95], dtype=np.float32)  # spikes per tick at most, by column
-SLOW = 70_000.0  # ticks to a radian of the swell that half the light has
-REPLAYED = 200  # ticks by NumPy after all of them by the kernel
+CHUNK = 100_000  # ticks exposed at a time
+LIGHTS = np.array([1e-6, 0.01, 1 / 3, 0.95], dtype=np.float32)  # brightest light of each column, in spikes per tick
+SLOW = 70_000.0  # ticks to a radian of the swell of the light
+REPLAYED = 200  # ticks that NumPy repeats after the kernel's
 ROW = PlaneLayout(len(LIGHTS), 1)
-TICK_RATE_HZ = 1e6 / 3  # a tick that is no finite binary fraction
+TICK_RATE_HZ = 1e6 / 3  # makes a tick that is no finite binary fraction
 
 
 def _light(first: int, last: int) -> NDArray[np.float32]:
-    """Spikes per tick [n, 1, W]."""
+    """Return the light of ticks [first, last) in spikes per tick [n, 1, W]."""
     swell = 0.75 + 0.25 * np.sin(np.arange(first, last) / SLOW)
     return (swell[:, None, None] * LIGHTS).astype(np.float32)
 
@@ -46,7 +46,7 @@ class _Balance:
         self._low, self._high = self._last.copy(), self._last.copy()
 
     def add(self, light: NDArray[np.float32], spikes: NDArray[np.uint8]) -> None:
-        """What came in and went out, tick by tick [n, 1, W]."""
+        """Add the charge that came in and the spikes that went out, tick by tick [n, 1, W]."""
         charge = (light[:, 0].astype(np.float64) * 2.0**FRACTION_BITS + 0.5).astype(np.int64)
         steps = (spikes[:, 0].astype(np.int64) << FRACTION_BITS) - charge
         balance = self._last + np.cumsum(steps, axis=0)
@@ -56,12 +56,12 @@ class _Balance:
 
     @property
     def span(self) -> float:
-        """The widest that n - Q of a pixel was, in spikes."""
+        """The widest range of a pixel's n - Q, in spikes."""
         return float((self._high - self._low).max()) / 2.0**FRACTION_BITS
 
 
 def _charge(renderer: str, ticks: int, progress: Progress) -> Observation:
-    """Spikes out against charge in, then all of them counted from the file they make."""
+    """Compare the spikes with the charge, then count all of them from the file they make."""
     path = renderer.split()[1]
     sensor, balance = Sensor(len(LIGHTS), 1, "ideal", 7, 0), _Balance()
     total, wrong = np.zeros(len(LIGHTS), dtype=np.int64), 0
@@ -85,7 +85,7 @@ def _charge(renderer: str, ticks: int, progress: Progress) -> Observation:
 
 
 def _noise(renderer: str, ticks: int, progress: Progress) -> Observation:
-    """A sensor with noise: after all ticks its kernel and its twin still give the same spikes."""
+    """Compare the kernel of a noisy sensor with its twin after all ticks."""
     path = renderer.split()[1]
     sensor, spikes = Sensor(len(LIGHTS), 1, "real", 7, 0), 0
     with code_path(path):
@@ -98,7 +98,7 @@ def _noise(renderer: str, ticks: int, progress: Progress) -> Observation:
 
 
 def _clock(ticks: int, progress: Progress) -> Observation:
-    """Every tick to its instant and back; every 97th against rational numbers."""
+    """Take every tick to its instant and back, and compare every 97th with rational numbers."""
     clock, exact = RigClock(TICK_RATE_HZ), Fraction(TICK_RATE_HZ)
     wrong, error = 0, 0.0
     for first in range(0, ticks, CHUNK):
@@ -111,14 +111,10 @@ def _clock(ticks: int, progress: Progress) -> Observation:
 
 
 def drift_cases(ticks: int, progress: Progress) -> tuple[Case, ...]:
-    """Over so many ticks; each reports its own progress from 0 to 1."""
+    """Return the cases over so many ticks; each reports its own progress from 0 to 1."""
     balanced, alike = "spikes less charge within one spike", "as its twin in NumPy"
     return (
-        Case(26, f"{ticks:,} ticks of a sensor", balanced, 0.0, lambda on: _charge(on, ticks, progress), _natives),
-        Case(26, f"{ticks:,} ticks with noise", alike, 0.0, lambda on: _noise(on, ticks, progress), _natives),
+        Case(26, f"{ticks:,} ticks of a sensor", balanced, 0.0, lambda on: _charge(on, ticks, progress), natives),
+        Case(26, f"{ticks:,} ticks with noise", alike, 0.0, lambda on: _noise(on, ticks, progress), natives),
         Case(26, f"{ticks:,} ticks of the clock", "as in rational numbers", 1e-6, lambda _: _clock(ticks, progress)),
     )
-
-
-def _natives() -> tuple[str, ...]:
-    return tuple(name for name in renderers() if name.startswith("native"))

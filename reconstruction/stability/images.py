@@ -1,7 +1,7 @@
-"""Cases 22 to 25 and 27 of the catalogue for every image method without weights: pixels and clips at their limits.
+"""Defines cases 22 to 25 and 27 for every image method without weights: pixels and clips at their limits.
 
-Light is exact: it gives each pixel a spike every so many ticks. Each method runs by every code path of the kernels,
-whose images must be the same to the bit.
+Light is exact: each pixel fires at a fixed period. Each method runs by every code path of the kernels, whose images
+must be the same to the bit.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from reconstruction.stability.case import Case, Observation
 SIZE = (12, 17)  # rows, columns: 204 bits are no whole bytes
 MIDDLE, PLANES = 150, 301
 PERIODS = (2, 3, 4, 5)  # ticks to a spike, by column
-SHORTEST = 33  # planes: the least that a method looks at where nothing moves
-COARSEST = 0.4  # sigma in spikes per tick of a single interval of one tick
+SHORTEST = 33  # planes that a method looks at where nothing moves, at least
+COARSEST = 0.4  # sigma of a single interval of one tick, in spikes per tick
 ORDERS: tuple[tuple[BitOrder, RowOrder], ...] = (("lsb", "bottom"), ("msb", "top"))
 
 
 def method_names() -> tuple[str, ...]:
-    """The methods that need no weights."""
+    """Return the methods that need no weights."""
     return tuple(m.name for m in methods().values() if not m.learned)
 
 
@@ -39,7 +39,7 @@ def _periods() -> NDArray[np.int64]:
 
 
 def _spikes(periods: NDArray[np.int64], planes: int = PLANES) -> NDArray[np.uint8]:
-    """Planes [T, H, W] of pixels that fire every so many ticks, each in a phase of its own; 0 never fires."""
+    """Return planes [T, H, W] of pixels that fire once a period [H, W] in ticks, each in its own phase; 0 is never."""
     phases = np.arange(periods.size).reshape(periods.shape) * 7
     ticks = np.arange(planes)[:, None, None]
     return ((periods > 0) & ((ticks + phases) % np.maximum(periods, 1) == 0)).astype(np.uint8)
@@ -51,7 +51,7 @@ def _stream(spikes: NDArray[np.uint8], bit_order: BitOrder = "lsb", row_order: R
 
 
 def _image(name: str, stream: SpikeStream, plane: int = MIDDLE) -> Estimate:
-    """The estimate, the same by every code path or not finite."""
+    """Return the estimate if it is the same by every code path, else one that is not finite."""
     found = []
     for path in code_paths():
         with code_path(path):
@@ -61,34 +61,29 @@ def _image(name: str, stream: SpikeStream, plane: int = MIDDLE) -> Estimate:
 
 
 def _light_error(estimate: Estimate, periods: NDArray[np.int64]) -> float:
-    """Beyond three standard deviations of what is claimed, in spikes per tick."""
+    """Return the largest error beyond three of the claimed standard deviations, in spikes per tick."""
     gap = np.abs(estimate.intensity - 1 / periods) - 3 * estimate.sigma
     return math.inf if not np.isfinite(gap).all() else max(0.0, float(gap.max()))
 
 
+def _patched(name: str, period: int) -> tuple[Estimate, float]:
+    """Return the estimate of a patch whose pixels have that period, and the error of the pixels around it."""
+    periods, patch = _periods(), np.zeros(SIZE, dtype=bool)
+    patch[4:6, 6:9] = True
+    found = _image(name, _stream(_spikes(np.where(patch, period, periods))))
+    own, around = (Estimate(found.intensity[w], found.valid[w], found.sigma[w]) for w in (patch, ~patch))
+    return own, _light_error(around, periods[~patch])
+
+
 def _silent(name: str) -> Observation:
-    periods = _periods()
-    silent = np.zeros(SIZE, dtype=bool)
-    silent[4:6, 6:9] = True
-    found = _image(name, _stream(_spikes(np.where(silent, 0, periods))))
-    lit = _light_error(_only(found, ~silent), periods[~silent])
-    most = float(found.intensity[silent].max())
-    flagged = not found.valid[silent].any()
+    own, lit = _patched(name, 0)
+    most, flagged = float(own.intensity.max()), not own.valid.any()
     said = f"{'flagged' if flagged else 'not flagged'}, at most {most:.4f}; the others {lit:.0e} off"
     return Observation(said, max(lit, most - 1 / SHORTEST) if flagged else math.inf)
 
 
-def _only(estimate: Estimate, which: NDArray[np.bool_]) -> Estimate:
-    return Estimate(estimate.intensity[which], estimate.valid[which], estimate.sigma[which])
-
-
 def _saturated(name: str) -> Observation:
-    periods = _periods()
-    full = np.zeros(SIZE, dtype=bool)
-    full[4:6, 6:9] = True
-    found = _image(name, _stream(_spikes(np.where(full, 1, periods))))
-    own = _only(found, full)
-    lit = _light_error(_only(found, ~full), periods[~full])
+    own, lit = _patched(name, 1)
     least, surest = float(own.intensity.min()), float(own.sigma.min())
     flagged = not own.valid.any()
     unsure = flagged or surest >= COARSEST
@@ -98,7 +93,7 @@ def _saturated(name: str) -> Observation:
 
 
 def _defects(name: str) -> Observation:
-    """Dead and stuck pixels: found in the whole clip, masked in the image of its middle."""
+    """Find dead and stuck pixels in the whole clip, and mask them in the image of its middle."""
     periods, defect = _periods(), np.zeros(SIZE, dtype=bool)
     broken = periods.copy()
     for row, column, period in ((3, 4, 0), (3, 11, 1), (8, 4, 1), (8, 11, 0), (0, 0, 0), (11, 16, 1)):
@@ -107,15 +102,21 @@ def _defects(name: str) -> Observation:
     found = stuck_pixels(stream.counts(0, PLANES).astype(np.float32) / np.float32(PLANES))
     image = mended(_image(name, stream).intensity, found)
     clean = _image(name, _stream(_spikes(periods)))
-    changed = float(np.abs(image - clean.intensity)[~defect].max())
-    filled = bool(((image >= clean.intensity.min()) & (image <= clean.intensity.max()))[defect].all())
-    missed = int((found != defect).sum())
+    return _masked(image, clean.intensity, defect, int((found != defect).sum()))
+
+
+def _masked(
+    image: NDArray[np.float32], light: NDArray[np.float32], defect: NDArray[np.bool_], missed: int
+) -> Observation:
+    """Compare an image with the light around its defects; at these it must lie within the range of the light."""
+    changed = float(np.abs(image - light)[~defect].max())
+    filled = bool(((image >= light.min()) & (image <= light.max()))[defect].all())
     said = f"{missed} of {int(defect.sum())} missed or made up, neighbours {changed:.0e} off"
     return Observation(said, changed if filled and not missed else math.inf)
 
 
 def _calibrated(_: str) -> Observation:
-    """Hot and dead pixels: found in a flat and a dark recording, masked in an image of another light."""
+    """Find hot and dead pixels in a flat and a dark recording, and mask them in an image of another light."""
     hot, dead = np.zeros(SIZE, dtype=bool), np.zeros(SIZE, dtype=bool)
     hot[3, 4], hot[8, 11], dead[3, 11], dead[8, 4] = True, True, True, True
     dark = np.where(hot, 3, 0)
@@ -123,16 +124,12 @@ def _calibrated(_: str) -> Observation:
     found = estimate_pixels(_stream(_spikes(flat, 600)), _stream(_spikes(dark, 600)))
     light = (1 / _periods()).astype(np.float32)
     seen = np.where(hot, light + np.float32(1 / 3), np.where(dead, np.float32(0), light))
-    image = found.corrected(seen)
-    changed = float(np.abs(image - light)[~(hot | dead)].max())
-    filled = bool((image >= light.min()).all() and (image <= light.max()).all())
     missed = int((found.hot != hot).sum() + (found.dead != dead).sum())
-    said = f"{missed} of 4 missed or made up, neighbours {changed:.0e} off"
-    return Observation(said, changed if filled and not missed else math.inf)
+    return _masked(found.corrected(seen), light, hot | dead, missed)
 
 
 def _short(name: str) -> Observation:
-    """A clip of one plane, and one of nine with a spike in its middle, whose light is below one spike in four ticks."""
+    """Look at a clip of one plane, and at one of nine with a spike in its middle: at most a spike in four ticks."""
     error, said = 0.0, []
     for planes, at, bound in ((1, 0, 1.0), (9, 6, 1 / 4)):
         spikes = np.zeros((planes, *SIZE), dtype=np.uint8)
@@ -147,7 +144,7 @@ def _short(name: str) -> Observation:
 
 
 def _odd_sizes(name: str) -> Observation:
-    """Every size and order of bits against the same pixels in a corner of whole bytes that are silent elsewhere."""
+    """Compare every size and order of bits with the same pixels in a corner of whole bytes, silent elsewhere."""
     differing, count = 0, 0
     for height, width in (SIZE, (1, 1), (3, 5), (7, 8)):
         for planes in (301, 1, 15):

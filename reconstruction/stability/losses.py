@@ -1,4 +1,4 @@
-"""Cases 20, 21 and 30 of the catalogue: constant signals, equal images, numbers that are refused; and held depths."""
+"""Defines cases 20, 21 and 30: constant signals, equal images, numbers that are refused; and held depths."""
 
 import math
 
@@ -54,12 +54,12 @@ def _taken(tensors: list[torch.Tensor], renderer: str, what: str, named: str) ->
         with running(renderer) as backend:
             render(tuple(tensors), CAMERA, backend=backend)  # type: ignore[arg-type]
     except ReconstructionError as error:
-        return [] if named in str(error) else [f"{what} ({error})"]
+        return [] if named in error.found else [f"{what} ({error})"]
     return [what]
 
 
 def _held_depth(_: str) -> Observation:
-    """Depths from 1e-30 to 1e30 m, light on them, before, behind and nowhere; what is no depth at the end."""
+    """Hold depths from 1e-30 to 1e30 m: light on them, before, behind and nowhere; the last four are no depths."""
     known = torch.tensor([1e-30, 1e-3, 1.0, 1.0, 1.0, 1.0, 1e3, 1e30, math.nan, math.inf, 0.0, -1.0])
     shares = torch.tensor([1.0, 1.01, 1.0, 0.98, 1.3, 0.0, 1.0001, 1.02, 1.0, 1.0, 1.0, 1.0])
     alpha = torch.tensor([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])

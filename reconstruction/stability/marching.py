@@ -1,4 +1,4 @@
-"""Rays through radiance fields: densities, light, offsets and rays no march likes, on each build of the kernel."""
+"""Defines the cases of radiance fields: densities, light, offsets and rays at their limits, on each kernel build."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from acquisition.native import code_path, code_paths
 from reconstruction.radiance_fields.march import Grid, march, march_reference
 from reconstruction.radiance_fields.radiance_field import REACH, grid_of
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import apart
+from reconstruction.stability.probe import apart, natives, running, slopes_of
 
 SHAPE = (20, 24, 12)  # rows, columns, layers
 STILL, MOVING, RAYS = 2500, 1500, 61
 OUTSIDE = (1e9, -1e9, 3e38, math.nan, math.inf)
-EDGE = 100.0  # raw density, of either sign in neighbours: float32 keeps 1e-7 of it
+EDGE = 100.0  # raw density of neighbours, of either sign; float32 keeps 1e-7 of it
 
 
 @dataclass(frozen=True, eq=False)
 class March:
-    """The arguments of one march: some cells that stand still, some that move, rays that cross them at random."""
+    """The arguments of one march: cells that stand still, cells that move, and rays that cross them at random."""
 
     grids: tuple[Grid, ...]
     lines: Tensor
@@ -31,7 +30,7 @@ class March:
     tensors: tuple[Tensor, Tensor, Tensor]
 
     def with_tensors(self, **changes: Tensor) -> March:
-        """The same with other `raws`, `intensities` or `offsets`."""
+        """Return the march with other `raws`, `intensities` or `offsets`."""
         named = dict(zip(("raws", "intensities", "offsets"), self.tensors, strict=True)) | changes
         return replace(self, tensors=tuple(named.values()))
 
@@ -49,24 +48,19 @@ def _march(still: int = STILL, moving: int = MOVING, rays: int = RAYS) -> March:
 
 
 def marchers() -> tuple[str, ...]:
-    """The readable twin in float32, and the kernel by each code path of this processor."""
-    return ("reference", *(f"native {name}" for name in code_paths()))
+    """Return the readable twin in float32, and the kernel by each code path of this processor."""
+    return ("reference", *natives())
 
 
 def _marched(asked: March, marcher: str, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """Light, alpha, and the gradients of their uneven sum by the three tensors, in float64."""
+    """Return light, alpha, and the gradients of their uneven sum by the three tensors, in float64."""
     raws, intensities, offsets = (t.detach().to(dtype).clone().requires_grad_() for t in asked.tensors)
     leaves = raws, intensities, offsets
-    path = marcher.partition(" ")[2]
-    if path:
-        with code_path(path):
-            seen = march(asked.grids, asked.lines, asked.jitter, 1.0, leaves)
-            _uneven(seen.light, seen.alpha).backward()
-    else:
-        seen = march_reference(asked.grids, asked.lines, asked.jitter, 1.0, leaves)
+    with running(marcher) as backend:
+        marching = march_reference if backend == "reference" else march
+        seen = marching(asked.grids, asked.lines, asked.jitter, 1.0, leaves)
         _uneven(seen.light, seen.alpha).backward()
-    slopes = (torch.zeros_like(t) if t.grad is None else t.grad for t in leaves)
-    return tuple(t.detach().double() for t in (seen.light, seen.alpha, *slopes))
+    return seen.light.detach().double(), seen.alpha.detach().double(), *slopes_of(leaves)
 
 
 def _uneven(light: Tensor, alpha: Tensor) -> Tensor:
@@ -75,7 +69,7 @@ def _uneven(light: Tensor, alpha: Tensor) -> Tensor:
 
 
 def _against_float64(cases: list[March], marcher: str) -> Observation:
-    """How far light and alpha, and the gradients, are from the twin's in float64; infinite where not finite."""
+    """Compare light, alpha and gradients with the twin's in float64; errors are infinite where not finite."""
     error, slope = 0.0, 0.0
     for asked in cases:
         found = _marched(asked, marcher, torch.float32)
@@ -108,7 +102,7 @@ def _offsets(marcher: str) -> Observation:
 
 
 def _strays(marcher: str) -> Observation:
-    """Every ray of a march but the first is led astray, in one number each; the first stays as it is alone."""
+    """Lead every ray of a march but the first astray in one number each; the first must stay as it is alone."""
     usual = _march(rays=1)
     stray = usual.lines.repeat(1 + 4 * len(OUTSIDE), 1)
     for row, (column, value) in enumerate(((c, v) for c in (0, 1, 2, 3) for v in OUTSIDE), start=1):

@@ -1,4 +1,4 @@
-"""A small cloud by every motion model, for the cases that each must bear."""
+"""Makes a small cloud by every motion model, and compares its float32 with its float64."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
 from reconstruction.initialization.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
 from reconstruction.scene_model import TimeSpan
-from reconstruction.stability.probe import Apart, apart
+from reconstruction.stability.probe import Apart, apart, slopes_of, worst
 
 CLIP = TimeSpan(0.0, 0.02)
 INSTANTS = 8
-BESIDE = 6  # points at each instant, four of them on a body
+BESIDE = 6  # points of an instant, four of them on a body
 POINTS = INSTANTS * BESIDE
 TIMES_S = (np.arange(INSTANTS) + 0.5) / INSTANTS * CLIP.last_s
 
 
 def models() -> Mapping[str, Callable[..., DynamicCloud]]:
-    """By name, what makes a cloud of `count` moving points, up to POINTS, with lengths in units of `scale` m."""
+    """Return by name the makers of a cloud of `count` moving points, up to POINTS, with lengths in `scale` m."""
     return {
         "linear": partial(_free, cubic=False),
         "cubic": partial(_free, cubic=True),
@@ -43,7 +43,7 @@ def models() -> Mapping[str, Callable[..., DynamicCloud]]:
 
 
 def model_names() -> tuple[str, ...]:
-    """The names of `models`."""
+    """Return the names of `models`."""
     return tuple(models())
 
 
@@ -54,12 +54,11 @@ def _points(scale: float, count: int) -> Points:
 
 
 def _free(scale: float = 1.0, count: int = POINTS, *, cubic: bool) -> DynamicCloud:
-    cloud = seed_cloud(Points.none(), _points(scale, count), CLIP, INSTANTS, cubic=cubic)
-    return _shaken(cloud, scale)
+    return _shaken(seed_cloud(Points.none(), _points(scale, count), CLIP, INSTANTS, cubic=cubic), scale)
 
 
 def _rigid(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
-    """The body turns half a circle."""
+    """Return a cloud whose body turns half a circle."""
     angles = np.linspace(0, math.pi, INSTANTS) / 2
     quats = np.stack([np.cos(angles), 0 * angles, 0 * angles, np.sin(angles)], axis=1)[None]
     centers = scale * np.stack([angles, 0 * angles, 0 * angles], axis=1)[None]
@@ -69,7 +68,7 @@ def _rigid(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
 
 
 def _field(scale: float = 1.0, count: int = POINTS, *, model: type[CanonicalMotion]) -> DynamicCloud:
-    """Its last layer, which starts at zero, deforms."""
+    """Return a field whose last layer, which starts at zero, deforms."""
     cloud = seed_field(Points.none(), _points(scale, count), CLIP, 0, model)
     generator = torch.Generator().manual_seed(1)
     for name, tensor in cloud.motion.tensors():
@@ -87,7 +86,7 @@ def _spacetime(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
 
 
 def _timesteps(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
-    """As after a whole training, which moved it a little."""
+    """Return a cloud as after a whole training that moved it a little."""
     cloud = seed_timesteps(Points.none(), _points(scale, count), CLIP)
     for done in (0.5, 0.8, 1.0):
         cloud.advance(done)
@@ -103,7 +102,7 @@ def _shaken(cloud: DynamicCloud, scale: float) -> DynamicCloud:
 
 
 def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], dict[str, Tensor]]:
-    """Everything at an instant, and the gradients of an uneven sum of it, in float64."""
+    """Return the cloud at an instant, and the gradients of an uneven sum of it, in float64."""
     own = DynamicCloud.from_state(cloud.state())
     leaves = {name: t.requires_grad_() for name, t in own.tensors() if name in own.rates()}
     now = own.at(instant_s)
@@ -111,13 +110,12 @@ def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...]
     total = sum((t.double() * torch.rand(t.shape, generator=generator)).sum() for t in now)
     assert isinstance(total, Tensor)
     total.backward()
-    slopes = {name: torch.zeros_like(t) if t.grad is None else t.grad for name, t in leaves.items()}
-    return tuple(t.detach().double() for t in now), {name: t.double() for name, t in slopes.items()}
+    return tuple(t.detach().double() for t in now), dict(zip(leaves, slopes_of(leaves.values()), strict=True))
 
 
 def against_float64(cloud: DynamicCloud, instants_s: tuple[float, ...]) -> Apart:
-    """How far the cloud in float32, by every code path, is from its float64 self; infinite where not finite."""
-    worst = Apart(0.0, 0.0)
+    """Return the worst errors of the cloud in float32, by every code path, against float64; infinite where unsound."""
+    errors = []
     for instant_s in instants_s:
         values, slopes = evaluated(cloud.to(torch.float64), instant_s)
         finite = all(bool(t.isfinite().all()) for t in chain(values, slopes.values()))
@@ -126,6 +124,5 @@ def against_float64(cloud: DynamicCloud, instants_s: tuple[float, ...]) -> Apart
                 found, steep = evaluated(cloud, instant_s)
             gaps = max(apart(a, b) for a, b in zip(found, values, strict=True))
             steeper = max(apart(steep[key], slopes[key]) for key in slopes)
-            gaps, steeper = (gaps, steeper) if finite else (math.inf, math.inf)
-            worst = Apart(max(worst.images, gaps), max(worst.gradients, steeper))
-    return worst
+            errors.append(Apart(gaps, steeper) if finite else Apart(math.inf, math.inf))
+    return worst(errors)

@@ -1,4 +1,4 @@
-"""Cases 1, 12, 15 to 19 and 30 of the catalogue for every motion model: bounded, finite, the same at any scale."""
+"""Defines cases 1, 12, 15 to 19 and 30 for every motion model: bounded, finite, the same at any scale."""
 
 from __future__ import annotations
 
@@ -20,25 +20,24 @@ from reconstruction.initialization.points import spacing
 from reconstruction.rendering.render import render
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import CLIP, against_float64, evaluated, model_names, models
-from reconstruction.stability.probe import CAMERA, Apart, apart
+from reconstruction.stability.probe import CAMERA, Apart, apart, worst
 from reconstruction.training.exposure import passed_px
 
 WITHIN_S = (0.0, 0.007, 0.02)
 BEYOND_S = (-1e30, -1e6, -0.1, 0.5, 1e6, 1e15)
-GONE = 1e-6  # opacity of what is not seen
-LIMITED = ("opacity_logits", "log_durations")  # infinity means always, or never
-UNSEEN = ("motion.weights", "motion.distances")  # of neighbours: the loss alone reads them
-BOUND = 20.0  # of the unit that lengths are made in
+GONE = 1e-6  # opacity below which a Gaussian is not seen
+LIMITED = ("opacity_logits", "log_durations")  # tensors in which infinity means always, or never
+UNSEEN = ("motion.weights", "motion.distances")  # tensors of neighbours, which the loss alone reads
+BOUND = 20.0  # largest length of a place, in the unit of the cloud
 
 
 def _with(*names: str) -> Callable[[], tuple[str, ...]]:
-    """The models whose motion stores all the tensors `names`."""
+    """Return a list of the models whose motion stores all the tensors `names`."""
     return lambda: tuple(n for n, make in models().items() if set(names) <= dict(make().motion.tensors()).keys())
 
 
 def _worst(clouds: list[DynamicCloud], instants_s: tuple[float, ...] = WITHIN_S) -> Apart:
-    errors = [against_float64(cloud, instants_s) for cloud in clouds]
-    return Apart(max(e.images for e in errors), max(e.gradients for e in errors))
+    return worst(against_float64(cloud, instants_s) for cloud in clouds)
 
 
 def _said(count: int, error: Apart, more: str = "") -> str:
@@ -89,7 +88,7 @@ def _outside_the_box(name: str) -> Observation:
 
 
 def _unlike_the_edge(cloud: DynamicCloud) -> float:
-    """How far a field, in float64, stretches what lies outside its box otherwise than at the edge nearest to it."""
+    """Return the error, in float64, of a field's stretch outside its box against that at the nearest edge."""
     own = cloud.to(torch.float64)
     assert isinstance(own.motion, HexPlaneMotion)
     low, high = own.motion.box
@@ -113,12 +112,12 @@ def _body_weights(name: str) -> Observation:
 
 
 def _sound(clouds: list[DynamicCloud]) -> bool:
-    """Whether every gradient is finite."""
+    """Return whether every gradient is finite."""
     return all(bool(t.isfinite().all()) for cloud in clouds for t in evaluated(cloud, 0.007)[1].values())
 
 
 def _knot_weights(_: str) -> Observation:
-    """Catmull-Rom weights sum to one and put even knots where they are, so that a straight course stays straight."""
+    """Check that Catmull-Rom weights sum to one and keep even knots, so that a straight course stays straight."""
     error = 0.0
     for knots in (1, 2, 3, 17, 1000):
         for u in (-1e300, -1e-300, 0.0, 1e-16, 1 / 3, 0.5, 1 - 1e-16, 1.0, 1e300):
@@ -169,7 +168,7 @@ def _beyond_the_clip(name: str) -> Observation:
 
 
 def _refused(name: str) -> Observation:
-    """Of every tensor full of it; not of infinity where that has a meaning."""
+    """Fill every tensor with NaN and infinity, but for infinity where it has a meaning; all must be refused."""
     taken, tried = [], 0
     for key, tensor in models()[name]().tensors():
         if not tensor.is_floating_point() or not tensor.numel() or key.endswith(UNSEEN):
@@ -184,7 +183,7 @@ def _refused(name: str) -> Observation:
 
 
 def _rendered(cloud: DynamicCloud, path: str) -> bool:
-    """At every instant: a timestep may be the only one that has what is wrong."""
+    """Return whether the cloud renders at every instant; a fault may lie in a single timestep."""
     with code_path(path):
         try:
             for instant_s in WITHIN_S:
@@ -195,7 +194,7 @@ def _rendered(cloud: DynamicCloud, path: str) -> bool:
 
 
 def _passed(_: str) -> Observation:
-    """How far a point gets in the middle tenth of a clip, from rest to 1e30 m a clip, against its path on paper."""
+    """Compare how far a point gets in the middle tenth of a clip, at up to 1e30 m a clip, with its path on paper."""
     error, speeds = 0.0, (0.0, 1e-30, 1e-6, 1e-3, 0.1, 1.0, 3.0, 1e3, 1e30, math.nan)
     for speed in speeds:
         point = GaussianCloud.from_points(torch.tensor([[0.0, 0.0, 2.0]]), torch.ones(1, 1), torch.ones(1), 0.9)

@@ -1,9 +1,9 @@
-"""A small scene rendered with its gradients, and how far that is from the reference in float64."""
+"""Renders a small scene with its gradients, and compares both with the reference in float64."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import NamedTuple, cast
@@ -18,13 +18,13 @@ from rigs.camera import Camera
 from rigs.transform import Transform
 
 CAMERA = Camera("cam11", 40, 28, 60.0, 60.0, 20.0, 14.0, Transform.identity())
-BUILDS = ("v2", "v3", "v4")  # of the native kernels, on x86-64
+BUILDS = ("v2", "v3", "v4")  # builds of the native kernels, on x86-64
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What came out, on the CPU in float64: the rendering and the gradients of the five tensors."""
+    """A rendering and the gradients of the five tensors, on the CPU in float64."""
 
     rendering: Rendering
     gradients: tuple[Tensor, ...]
@@ -38,20 +38,29 @@ class Probe:
 
 
 class Apart(NamedTuple):
-    """How far a probe's images and gradients are from those of the reference in float64; infinite where unsound."""
+    """The errors of a probe's images and gradients against the reference in float64; infinite where unsound."""
 
     images: float
     gradients: float
 
 
+def worst(errors: Iterable[Apart]) -> Apart:
+    """Return the largest error of the images, and of the gradients."""
+    return Apart(*(max(found) for found in zip(*errors, strict=True)))
+
+
+def natives() -> tuple[str, ...]:
+    """Return the native backend by each code path of this processor."""
+    return tuple(f"native {name}" for name in code_paths())
+
+
 def renderers() -> tuple[str, ...]:
-    """The backends this machine can run, the native one by each code path; all are float32 here."""
-    native = tuple(f"native {name}" for name in code_paths())
-    return ("reference", *native) if why_unavailable() else ("reference", *native, "gsplat")
+    """Return the backends that this machine can run, all in float32."""
+    return ("reference", *natives(), *(() if why_unavailable() else ("gsplat",)))
 
 
 def omissions() -> list[str]:
-    """What `renderers` lacks on this machine, and why."""
+    """Name the renderers that this machine lacks, and why."""
     missing = () if "plain" in code_paths() else BUILDS
     left_out = [f"native {name}: this processor lacks its instructions" for name in missing if name not in code_paths()]
     reason = why_unavailable()
@@ -60,14 +69,14 @@ def omissions() -> list[str]:
 
 @contextmanager
 def running(renderer: str) -> Iterator[Backend]:
-    """The backend to ask for, and while it lasts the code path, of one of `renderers`."""
+    """Take the code path of one of `renderers`, and yield the backend to ask for."""
     backend, _, path = renderer.partition(" ")
     with code_path(path) if path else nullcontext():
         yield cast(Backend, backend)
 
 
 def gaussians_of(n: int = 1, **changes: Tensor) -> Gaussians:
-    """N equal Gaussians at a pixel's centre, two metres away, 3 px wide; `changes` replace whole tensors."""
+    """Return `n` equal Gaussians at a pixel's centre, two metres away, 3 px wide; `changes` replace whole tensors."""
     tensors = {
         "means": torch.tensor([[0.5 / 30, 0.5 / 30, 2.0]]).repeat(n, 1),
         "quats_wxyz": torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
@@ -86,7 +95,7 @@ def probe(
     background: float | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> Probe:
-    """Render on `renderer`; gradients are of an uneven sum over all three images."""
+    """Render on `renderer`, and take the gradients of an uneven sum over all three images."""
     device = "cuda" if renderer == "gsplat" else "cpu"
     leaves = cast(Gaussians, tuple(t.detach().to(device, dtype).clone().requires_grad_() for t in gaussians))
     # Not symmetric, or the gradients would cancel.
@@ -98,12 +107,17 @@ def probe(
     intensity, depth, alpha = (t.detach().cpu().double() for t in images)
     return Probe(
         Rendering(intensity, depth, alpha, rendering.radii.cpu()),
-        tuple((torch.zeros_like(t) if t.grad is None else t.grad).cpu().double() for t in leaves),
+        slopes_of(leaves),
     )
 
 
+def slopes_of(leaves: Iterable[Tensor]) -> tuple[Tensor, ...]:
+    """Return the gradients of the leaves on the CPU in float64; zeros where there are none."""
+    return tuple((torch.zeros_like(t) if t.grad is None else t.grad).cpu().double() for t in leaves)
+
+
 def apart(found: Tensor, expected: Tensor) -> float:
-    """Largest difference, over the larger of 1 and what was expected."""
+    """Return the largest difference, over the larger of 1 and the largest value expected."""
     if found.numel() == 0:
         return 0.0
     worst = float((found - expected).abs().max()) / max(1.0, float(expected.abs().max()))
@@ -113,7 +127,7 @@ def apart(found: Tensor, expected: Tensor) -> float:
 def against_reference(
     gaussians: Gaussians, renderer: str, near_m: float = 0.01, background: float | None = None
 ) -> tuple[Probe, Apart]:
-    """What `renderer` made of it, and how far that is off."""
+    """Return the probe of `renderer`, and its errors against the reference in float64."""
     found = probe(gaussians, renderer, near_m, background)
     expected = probe(gaussians, "reference", near_m, background, torch.float64)
     if not (found.sound and expected.sound):

@@ -1,17 +1,16 @@
-"""Cases 1 to 15 of the catalogue: Gaussians no renderer likes."""
+"""Defines cases 1 to 15: Gaussians at the limits of every renderer."""
 
 import math
 
 import torch
 
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import Gaussians, against_reference, apart, gaussians_of, probe, renderers
+from reconstruction.stability.probe import Gaussians, against_reference, apart, gaussians_of, probe, renderers, worst
 
 
 def _worst(cases: list[Gaussians], renderer: str, **options: float) -> Observation:
-    errors = [against_reference(gaussians, renderer, **options)[1] for gaussians in cases]
-    worst, slope = max(e.images for e in errors), max(e.gradients for e in errors)
-    return Observation(f"{len(cases)} renderings, worst {worst:.1e} from float64", worst, slope)
+    error = worst(against_reference(gaussians, renderer, **options)[1] for gaussians in cases)
+    return Observation(f"{len(cases)} renderings, worst {error.images:.1e} from float64", *error)
 
 
 def _zero_quaternion(renderer: str) -> Observation:
@@ -19,8 +18,8 @@ def _zero_quaternion(renderer: str) -> Observation:
     found, error = against_reference(gaussians_of(quats_wxyz=torch.zeros(1, 4), log_scales=scales), renderer)
     identity = probe(gaussians_of(log_scales=scales), renderer)
     turn = float(found.gradients[1].abs().max())
-    worst = max(error.images, apart(found.rendering.intensity, identity.rendering.intensity), turn)
-    return Observation(f"the identity to {worst:.1e}, gradient {turn:.0e}", worst, error.gradients)
+    most = max(error.images, apart(found.rendering.intensity, identity.rendering.intensity), turn)
+    return Observation(f"the identity to {most:.1e}, gradient {turn:.0e}", most, error.gradients)
 
 
 def _long_quaternions(renderer: str) -> Observation:
@@ -141,7 +140,7 @@ def _equal_depths(renderer: str) -> Observation:
     cloud = gaussians_of(3, intensities=torch.tensor([[1.0], [2.0], [3.0]]))
     found, again = (probe(cloud, renderer).rendering.intensity for _ in range(2))
     _, (_, slope) = against_reference(cloud, renderer)
-    a = 0.7 * 9 / 9.3  # what the dilation of 0.3 px^2 leaves of 9 px^2
+    a = 0.7 * 9 / 9.3  # opacity after a dilation of 9 px^2 by 0.3 px^2
     expected = a * 1 + (1 - a) * a * 2 + (1 - a) ** 2 * a * 3
     error = max(abs(float(found[14, 20, 0]) - expected), apart(found, again))
     return Observation(f"in the order given, twice the same, to {error:.1e}", error, slope)

@@ -1,4 +1,4 @@
-"""Short, small trainings on the stiff scenes: spread over seeds, float32 against float64, kill and resume, baselines.
+"""Trains briefly on the stiff scenes: spread over seeds, float32 against float64, kill and resume, baselines.
 
 All trainings of a scene take the same number of steps; those of one seed draw the same views and instants, whatever the
 float type. The centre camera is held out. float64 is rendered, and its motion evaluated, by the torch references.
@@ -21,8 +21,9 @@ from acquisition.native import code_path, code_paths
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
-from reconstruction.evaluation.evaluate import held_out_camera, score_against_truth
-from reconstruction.evaluation.truth import Truth
+from reconstruction.bench.conventions import HOLDOUT
+from reconstruction.bench.score_run import held_out_with_truth
+from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.training import trainer_of
@@ -31,21 +32,21 @@ from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
+from reconstruction.stability.probe import natives
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 from reconstruction.training.trainer import Trainer
 from rigs.toml import catalog_rig
 
-HOLDOUT = "cam11"
 TRUTH_INSTANTS = 4
-SPREAD_DB = 2.0  # between seeds, of so few Gaussians and steps; worst measured 1.2, on `dim`
-APART_DB = 0.1  # what float32 may cost
-FALLS_TO = 0.95  # of the first losses, the last ones at most; worst measured 0.88, on `flicker`
-ENDS = 10  # losses that are the first, and the last
+SPREAD_DB = 2.0  # dB between seeds at most, with so few Gaussians and steps; worst measured 1.2, on `dim`
+APART_DB = 0.1  # dB between float32 and float64 at most
+FALLS_TO = 0.95  # last losses over the first ones, at most; worst measured 0.88, on `flicker`
+ENDS = 10  # number of first losses, and of last ones
 
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is trained: scenes with their planes, pictures [width, height], Gaussians, steps, seeds."""
+    """The extent of the trainings: scenes with their planes, size [width, height], Gaussians, steps, seeds."""
 
     planes: dict[str, int]
     size: tuple[int, int]
@@ -58,7 +59,7 @@ FULL = Extent({"stiff": 200, "flicker": 200, "burst": 200, "bright": 200, "dim":
 
 
 class Trained(NamedTuple):
-    """The loss of every step, and what the held-out view scores."""
+    """The loss of every step, and the score of the held-out view."""
 
     losses: tuple[float, ...]
     psnr_db: float
@@ -66,7 +67,7 @@ class Trained(NamedTuple):
 
 @dataclass
 class StiffScene:
-    """One scene recorded in `folder`; every training of it is done once, when it is asked for."""
+    """A scene recorded in `folder`; each of its trainings runs once, when it is first asked for."""
 
     name: str
     folder: Path
@@ -75,14 +76,14 @@ class StiffScene:
 
     @cached_property
     def recording(self) -> Recording:
-        """Simulated, with its truth."""
+        """The simulated recording, with its truth."""
         planes, path = self.extent.planes[self.name], self.folder / self.name
         simulation = Simulation(self.name, seed=1, truth_every=planes // TRUTH_INSTANTS)
         simulate(simulation, catalog_rig("ci3x3").scaled(*self.extent.size), planes, path)
         return Recording.open(path)
 
     def run(self, seed: int, model: str) -> RunFolder:
-        """A run folder that is ready for training."""
+        """Return a run folder that is ready for training."""
         config = ReconstructionConfig(
             model, holdout=HOLDOUT, budget_s=None, steps=self.extent.steps, seed=seed, gaussians=self.extent.gaussians
         )
@@ -90,7 +91,7 @@ class StiffScene:
         return reconstruct(self.recording.path, path, config, lambda _: silent, last="points")
 
     def trained(self, seed: int, model: str = "auto", *, exact: bool = False, path: str | None = None) -> Trained:
-        """Float32 by a code path of the kernels (None: the best one), or float64 by the references."""
+        """Train in float32 by a code path of the kernels (None: the best one), or in float64 by the references."""
         key = (seed, model, exact, path or code_paths()[-1])
         if key not in self.done:
             with code_path(key[-1]):
@@ -102,15 +103,12 @@ class StiffScene:
         kind = ("reference", torch.float64) if exact else ("native", torch.float32)
         trainer = trainer_of(run, self.recording, *kind)
         losses = _stepped(trainer, 0, self.extent.steps, self.extent.steps)
-        truth = self.recording.truth
-        assert truth is not None
-        camera, truth = held_out_camera(self.recording, HOLDOUT, run.plan.views, Truth.open(truth))
-        assert truth is not None
+        camera, truth = held_out_with_truth(self.recording, run.plan.views)
         return Trained(losses, score_against_truth(_single(trainer.cloud), camera, truth)["psnr_db"])
 
 
 def _single(cloud: SceneModel) -> SceneModel:
-    """As the native renderer takes it."""
+    """Return the cloud in the type that the native renderer takes."""
     return cloud.to(torch.float32) if isinstance(cloud, DynamicCloud) else cloud
 
 
@@ -119,7 +117,7 @@ def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float
 
 
 def _seeds(scene: StiffScene) -> Observation:
-    """Apart from the best to the worst seed."""
+    """Measure the gap between the best and the worst seed."""
     scores = [scene.trained(seed).psnr_db for seed in scene.extent.seeds]
     said = f"{', '.join(f'{s:.2f}' for s in scores)} dB, standard deviation {np.std(scores):.2f}"
     return Observation(said, max(scores) - min(scores))
@@ -138,7 +136,7 @@ def _precision(scene: StiffScene, path: str) -> Observation:
 
 
 def _resumed(scene: StiffScene) -> Observation:
-    """Half, kept on disk, loaded by a trainer that knows nothing, and the other half."""
+    """Train half, keep it on disk, load it into a new trainer, and train the other half."""
     seed, steps = scene.extent.seeds[0], scene.extent.steps
     run, kept = scene.run(seed, "auto"), scene.folder / f"{scene.name}.pt"
     first, second = (trainer_of(run, scene.recording) for _ in range(2))
@@ -151,26 +149,25 @@ def _resumed(scene: StiffScene) -> Observation:
 
 
 def _baseline(scene: StiffScene, model: str) -> Observation:
-    """Whether it learns, and stays finite."""
-    found = scene.trained(scene.extent.seeds[0], model)  # type: ignore[arg-type]
+    """Check that a model learns and stays finite."""
+    found = scene.trained(scene.extent.seeds[0], model)
     ends = np.mean(found.losses[:ENDS]), np.mean(found.losses[-ENDS:])
     said = f"loss {ends[0]:.3f} to {ends[1]:.3f}, {found.psnr_db:.2f} dB"
     return Observation(said, float(ends[1] / ends[0]) if np.isfinite(found.losses).all() else math.inf)
 
 
 def stiff_cases(scene: StiffScene) -> tuple[Case, ...]:
-    """What is asked of one scene."""
+    """Return the cases of one scene."""
     name, count = scene.name, len(scene.extent.seeds)
 
     def case(kind: str, expected: str, tolerance: float, observe: Callable[[str], Observation], on: tuple = ("none",)):
         return Case(None, f"{name}: {kind}", expected, tolerance, observe, lambda: on)
 
     within, cost = f"within {SPREAD_DB:g} dB", f"{APART_DB:g} dB apart at most"
-    natives = tuple(f"native {path}" for path in code_paths())
     return (
-        case(f"{count} seeds", within, SPREAD_DB, lambda _: _seeds(scene), natives[-1:]),
-        case("float32", cost, APART_DB, lambda on: _precision(scene, on.split()[1]), natives),
-        case("killed and resumed", "the same losses", 0.0, lambda _: _resumed(scene), natives[-1:]),
+        case(f"{count} seeds", within, SPREAD_DB, lambda _: _seeds(scene), natives()[-1:]),
+        case("float32", cost, APART_DB, lambda on: _precision(scene, on.split()[1]), natives()),
+        case("killed and resumed", "the same losses", 0.0, lambda _: _resumed(scene), natives()[-1:]),
         case(
             "trains", f"losses below {FALLS_TO:g} of the first", FALLS_TO, lambda m: _baseline(scene, m), model_names()
         ),
@@ -178,7 +175,7 @@ def stiff_cases(scene: StiffScene) -> tuple[Case, ...]:
 
 
 def curves(scene: StiffScene) -> dict[str, tuple[float, ...]]:
-    """The loss curves in float32 and float64, of the trainings that were done."""
+    """Return the loss curves in float32 and float64, of the trainings that ran."""
     seed, best = scene.extent.seeds[0], code_paths()[-1]
     keys = {"float32": (seed, "auto", False, best), "float64": (seed, "auto", True, best)}
     return {name: scene.done[key].losses for name, key in keys.items() if key in scene.done}

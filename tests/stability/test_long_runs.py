@@ -16,6 +16,7 @@ from reconstruction.stability.plot import plot_stability
 from reconstruction.stability.stiff import Extent, StiffScene, Trained, stiff_cases
 from server.cli.stability import stability_command
 
+MACHINE = {"device": {"processor": "a chip", "threads": 2}, "revision": "abc"}
 TINY = Extent({"burst": 64}, (60, 38), 300, 20, (0, 1))
 
 
@@ -77,7 +78,7 @@ def test_curves_are_drawn(tmp_path):
     scene = scene_of(tmp_path)
     curves = {"burst": stiff.curves(scene), "untrained": stiff.curves(StiffScene("dim", tmp_path, TINY))}
     assert {name: list(found) for name, found in curves.items()} == {"burst": ["float32", "float64"], "untrained": []}
-    plot_stability(tmp_path / "curves.png", {"curves": curves})
+    plot_stability(tmp_path / "curves.png", {"curves": curves, **MACHINE})
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -85,7 +86,7 @@ def test_curves_are_drawn(tmp_path):
 def test_the_command_keeps_what_it_prints(tmp_path, monkeypatch, full, verdict):
     row = {"case": "1 x", "backend": "none", "expected": "a", "observed": "b"}
     row |= {"error": 1e-6, "gradient": None, "verdict": verdict}
-    document = {"rows": [row], "omissions": ["c"], "summary": {"cases": 1, "failed": int(verdict == "fail")}}
+    document = {"rows": [row], "omissions": ["c"], "summary": {"cases": 1, "failed": int(verdict == "fail")}, **MACHINE}
     document |= {"curves": {"burst": {}}} if full else {}
     asked = []
     monkeypatch.setattr("server.cli.stability.run_catalogue", lambda _, runs: asked.append(runs) or document)

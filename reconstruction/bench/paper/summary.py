@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -15,12 +15,11 @@ from reconstruction.bench.paper.method import Protocol
 AVERAGED = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25", "seconds", "steps_per_s")
 MARGINS = {"tfi+4dgs": 1, "dy-spikegs": 1, "clean": -1}  # ours less theirs; for the bound, theirs less ours
 RIVALS = tuple(method.name for method in (*m.TFI.values(), *m.SPIKES.values()))  # same poses, from spikes
-LEAD_S = 15.0  # seconds from which on curves are compared
 TARGETS_DB = (25, 27, 28, 30)
 
 
 def summarise(document: BenchDocument, protocol: Protocol) -> None:
-    """Fill the summary: `table.row.metric@effort`, `margin.rival@effort`, `leads.*` and `seconds_to_*`."""
+    """Fill the summary: `table.row.metric@effort`, `margin.rival@effort` and `seconds_to_*`."""
     for table in protocol.tables:
         for row in table.rows:
             cells = protocol.wanted(table, row)
@@ -36,7 +35,6 @@ def summarise(document: BenchDocument, protocol: Protocol) -> None:
             found = gaps(rows, m.AUTO.name, rival, effort)
             if found:
                 document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(found))
-    document.summary |= leads(rows)
     for target in TARGETS_DB:
         reached = times_to(rows, m.AUTO.name, target)
         if reached and None not in reached:
@@ -59,32 +57,6 @@ def gaps(rows: Sequence[dict], one: str, other: str, effort: str) -> list[float]
     levels = {(r["method"], r["scene"], r["seed"]): r["psnr_db"] for r in rows if r["effort"] == effort}
     ones = {key[1:]: level for key, level in levels.items() if key[0] == one}
     return [level - levels[other, *key] for key, level in ones.items() if (other, *key) in levels]
-
-
-def leads(rows: Sequence[dict]) -> dict[str, float]:
-    """Return the number of points of the rivals' curves from LEAD_S on, and at how many ours is behind, by metric.
-
-    Ours at a time is the latest snapshot of any of its runs of that recording by then. The points compare schedules of
-    different lengths: a rival in the middle of a long run may stand against a finished short run of ours.
-    """
-    found: dict[str, float] = {}
-    for metric, better in (("psnr_db", max), ("abs_rel", min)):
-        pairs = list(_paired(rows, metric))
-        if pairs:
-            found[f"leads.{metric}.points"] = len(pairs)
-            found[f"leads.{metric}.behind"] = sum(better(level, ours) != ours for level, ours in pairs)
-    return found
-
-
-def _paired(rows: Sequence[dict], metric: str) -> Iterator[tuple[float, float]]:
-    """Yield every point of a rival from LEAD_S on, with the latest snapshot of ours on the same recording by then."""
-    for recording in dict.fromkeys((r["scene"], r["seed"]) for r in rows):
-        here = [r for r in rows if (r["scene"], r["seed"]) == recording]
-        ours = curve((r for r in here if r["method"] == m.AUTO.name), metric)
-        for seconds, level in curve((r for r in here if r["method"] in RIVALS), metric):
-            shown = [y for x, y in ours if x <= seconds]
-            if seconds >= LEAD_S and shown:
-                yield level, shown[-1]
 
 
 def curve(rows: Iterable[dict], metric: str = "psnr_db") -> list[tuple[float, float]]:

@@ -13,8 +13,7 @@ from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench import leave_out
 from reconstruction.bench.diagrams import plot_leave_out
-from reconstruction.bench.leave_out import Bench, bench_leave_out, claims, costs, recorded
-from reconstruction.bench.leave_out_cases import (
+from reconstruction.bench.leave_out import (
     BUDGET_S,
     CASES,
     COLOUR,
@@ -25,7 +24,12 @@ from reconstruction.bench.leave_out_cases import (
     STEPS,
     TICKS,
     UNWATCHED,
-    Case,
+    PlanCase,
+    Runs,
+    bench_leave_out,
+    claims,
+    costs,
+    recorded,
 )
 from reconstruction.bench.leave_out_run import EveryChannel, Memory
 from reconstruction.images.flicker import Light
@@ -144,7 +148,7 @@ def test_the_plan_misses_the_card_of_faint_and_the_watch_sees_it(seed):
 def test_a_dead_camera_is_skipped_by_the_plan_and_kept_where_it_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(leave_out, "SIZE", (100, 62))
     (dead,) = (case for case in CASES if case.dead)
-    small = Case("small", "static", 1, dead.switches, ticks=64, dead=dead.dead, everything=dead.everything)
+    small = PlanCase("small", "static", 1, dead.switches, ticks=64, dead=dead.dead, everything=dead.everything)
     recording = Recording.open(recorded(small, tmp_path))
     assert not recording.stream("cam00").counts(0, 64).any()
     assert recording.stream("cam22").counts(0, 64).any()
@@ -155,4 +159,4 @@ def test_a_dead_camera_is_skipped_by_the_plan_and_kept_where_it_is_named(monkeyp
     assert all(row["psnr_db"] > 10 and row["peak_mb"] > 50 for row in document.rows)
     assert document.summary["small.views.claimed_s"] > 0
     assert not list(tmp_path.glob("*.run"))
-    assert Bench(tmp_path).steps == STEPS
+    assert Runs(tmp_path).steps == STEPS

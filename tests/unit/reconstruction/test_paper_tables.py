@@ -9,7 +9,7 @@ from reconstruction.bench.figures import relative_error
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.diagrams import curves, write_diagrams
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
-from reconstruction.bench.paper.summary import leads, summarise, times_to
+from reconstruction.bench.paper.summary import summarise, times_to
 from reconstruction.bench.paper.tables import measured_table, posed_by_all, write_tables
 
 STAGES = {f"seconds.{stage}": 1.0 for stage in ("plan", "poses", "images", "points", "train")}
@@ -81,18 +81,6 @@ def test_the_summary_is_of_means_over_recordings_and_of_pairs():
 def test_a_bound_is_as_far_above_as_it_is():
     found = document([row("auto", 35.0, effort="60"), row("clean", 36.5, effort="60")]).summary
     assert found["margin.clean@60"] == pytest.approx(1.5)
-
-
-def test_who_leads_from_a_quarter_of_a_minute_on():
-    assert leads([row("auto", 30.0)]) == {}
-    behind = leads([row("auto", 30.0), row("tfi+4dgs", 25.0), row("spikegs", 40.0, "traffic")])
-    counts = {f"leads.{metric}.points": 2 for metric in ("psnr_db", "abs_rel")}
-    assert behind == counts | dict.fromkeys(("leads.psnr_db.behind", "leads.abs_rel.behind"), 0)
-    fell = row("auto", 30.0)
-    fell["curve"][-1]["psnr_db"] = 24.0  # it had 28 dB before
-    assert leads([fell, row("tfi+4dgs", 25.0)])["leads.psnr_db.behind"] == 1
-    ahead = leads([row("auto", 30.0, effort="60"), row("tfi+4dgs", 27.0)])  # 25 > 24 dB at 15 s
-    assert ahead == counts | dict.fromkeys(("leads.psnr_db.behind", "leads.abs_rel.behind"), 1)
 
 
 def test_the_first_second_at_which_any_run_reached_a_level():
