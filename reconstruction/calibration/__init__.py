@@ -1,1 +1,1 @@
-"""What the cameras are, found from recordings: where they stand and how they see."""
+"""Finds cameras from recordings: their places, their turns and their lenses."""

@@ -17,8 +17,8 @@ from rigs.transform import Floats
 
 ITERATIONS = 30
 MOST_DAMPING = 1e8
-SINGULAR = 1e-12  # of what a value is observed by, left once the blocks are free; rounding leaves 1e-16
-UNSEEN_PX = 100.0  # what a point behind its camera costs
+SINGULAR = 1e-12  # least share of a value's information that is left once blocks are free; rounding alone leaves 1e-16
+UNSEEN_PX = 100.0  # residual of a point behind its camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +109,7 @@ def _prior(problem: Problem, state: State) -> tuple[float, Floats, Floats]:
 
 
 def adjust(problem: Problem, state: State, iterations: int = ITERATIONS, least_gain: float = 1e-6) -> State:
-    """Return the state of least cost near `state`, after at most `iterations` steps. A step that gains less than
-    `least_gain` of the cost is the last.
-    """
+    """Return the state of least cost near `state`; a step that gains less than `least_gain` of the cost is the last."""
     damping, growth = 1e-4, 4.0
     current = linearised(problem, state)
     for _ in range(iterations):
@@ -149,9 +147,7 @@ def _stepped(problem: Problem, state: State, at: Linearised, damping: float) -> 
 
 
 def _inverse(hessians: Floats, damping: float) -> Floats:
-    """Invert Hessians [L, D, D], each diagonal raised by `damping` of itself; an unseen block gets a large finite
-    inverse.
-    """
+    """Invert Hessians [L, D, D], each diagonal raised by `damping` of itself; unseen blocks get large finite ones."""
     diagonal = np.einsum("ldd->ld", hessians)
     raised = damping * diagonal + 1e-10 * diagonal.max(axis=1, keepdims=True, initial=0.0) + 1e-12
     return np.asarray(np.linalg.inv(hessians + np.eye(diagonal.shape[1]) * raised[:, :, None]), dtype=np.float64)

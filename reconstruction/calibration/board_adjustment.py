@@ -29,14 +29,14 @@ from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Floats, Transform
 
-TURN_SD, CENTER_SD_M, FOCAL_SD = np.radians(3.0), 0.03, 0.03  # of a nominal rig
-OWN_FOCAL_SD = 0.01  # of lenses of one kind
-PRINCIPAL_SD = 0.01  # of the picture's width
+TURN_SD, CENTER_SD_M, FOCAL_SD = np.radians(3.0), 0.03, 0.03  # prior of a nominal rig: rad, m, share of the length
+OWN_FOCAL_SD = 0.01  # prior deviation between lenses of one kind, as a share
+PRINCIPAL_SD = 0.01  # prior deviation, as a share of the picture's width
 DISTORTION_SD = 0.3
 ROUGH_PX, FINE_PX = 1.0, 0.05  # standard deviations of a point, at first and later
 LEAST_PX = 0.001  # least standard deviation of a point
-LEAST_POINTS = 4  # of a board in a picture that tells its pose
-LEAST_WIDTH = 0.1  # of the points' extent across their length; less is a line
+LEAST_POINTS = 4  # fewest points of a board in a picture that tells its pose
+LEAST_WIDTH = 0.1  # least extent of the points across their length, as a share of it; less is a line
 MOST_PX = 50.0  # largest distance that a point far off counts with
 BEND = 4.0  # Huber's, in standard deviations
 OWN, PRINCIPAL, K1, K2 = LENS_GROUPS = ("own focal lengths", "principal points", "k1", "k2")
@@ -74,8 +74,7 @@ class _Values:
 
 
 def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[BoardSolution, Sightings]:
-    """Return the cameras of `rig` that explain the `sightings` of a board with `points` [N, 3] in m, and the sightings
-    used.
+    """Find the cameras of `rig` by `sightings` of a board with `points` [N, 3] in m; return the sightings used, too.
 
     Raises GeometryError where no picture tells how the board stood.
     """
@@ -113,9 +112,7 @@ def _reduced(values: _Values, sightings: Sightings, state: State, groups: tuple[
 
 
 def _weakest(values: _Values, groups: tuple[str, ...], steps: Floats, covariance: Floats, numbers: int) -> str | None:
-    """Return the least significant of the groups that are not significant, if there is one; k1 is judged once k2 is
-    gone.
-    """
+    """Return the least significant group, if it is not significant; k1 is judged once k2 is gone."""
     judged = [g for g in groups if g in LENS_GROUPS and not (g == K1 and K2 in groups)]
     place = {g: _within(values, groups, g) for g in judged}
     ratios = {}

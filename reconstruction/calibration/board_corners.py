@@ -1,4 +1,4 @@
-"""Where one picture has the points of a calibration board, to a few hundredths of a pixel.
+"""Finds the points of a calibration board in one picture, to a few hundredths of a pixel.
 
 OpenCV's detector finds the tags in a picture made twice as large, for it wants cells of several pixels. What it found
 must lie as the board says (one homography, RANSAC); then each point is sought anew in the linear picture itself, by
@@ -22,11 +22,11 @@ from rigs.transform import Floats
 
 Image = NDArray[np.float32]
 LARGEST_TO_ENLARGE = 1000  # pixels a side of the picture
-LAYOUT_PX = 3.0  # how far a tag's corner may lie from where the board's homography has it
+LAYOUT_PX = 3.0  # largest distance of a tag's corner from where the board's homography has it
 LEAST_POINTS = 4
 WHITE_PERCENTILE = 99.0
-_DEFECT_STEP = 0.2  # of white: a single pixel so far out of its neighbours' range is hot or dead
-_INSET_PX = 2.5  # what is left out at an edge's ends, a tenth of it at least
+_DEFECT_STEP = 0.2  # distance of a hot or dead pixel from its neighbours' range, as a share of white
+_INSET_PX = 2.5  # part left out at either end of an edge, at least a tenth of it
 _ALONG, _ACROSS = 24, 17  # samples
 _PASSES = 3
 
@@ -45,9 +45,7 @@ class Sighting:
 
 
 def find_board(image: Image, board: BoardSpec) -> Sighting:
-    """Find the points of `board` in a linear picture [H, W] in spikes per tick; none where fewer than four can be
-    trusted.
-    """
+    """Find the points of `board` in a linear picture [H, W], spikes per tick; none where fewer than four fit."""
     image = without_defects(image)
     ids, quads = find_tags(image, board.dictionary)
     known = (ids >= 0) & (ids < len(board.tags))
@@ -68,9 +66,7 @@ def find_board(image: Image, board: BoardSpec) -> Sighting:
 
 
 def find_tags(image: Image, dictionary: str) -> tuple[NDArray[np.int64], Floats]:
-    """Find the tags in a picture: ids [T] and corners [T, 4, 2] in px, clockwise from the top left. A repeated id is
-    left out.
-    """
+    """Find the tags in a picture: ids [T], each once, and corners [T, 4, 2] in px, clockwise from the top left."""
     white = max(float(np.percentile(image, WHITE_PERCENTILE)), 1e-6)
     grey = (np.clip(image / white, 0, 1) * 255).astype(np.uint8)
     times = 2 if max(grey.shape) <= LARGEST_TO_ENLARGE else 1
@@ -157,8 +153,7 @@ def _reach(clear_px: Floats) -> Floats:
 
 
 def _edges(image: Image, starts: Floats, ends: Floats, reach: Floats) -> Floats:
-    """Find points [B, E, S, 2] on the edges near starts to ends [B, E, 2], with white to their left and black to their
-    right.
+    """Find points [B, E, S, 2] on the edges near starts to ends [B, E, 2], white to their left, black to their right.
 
     NaN where there is no such edge. `reach` [B] is how far to look across.
     """

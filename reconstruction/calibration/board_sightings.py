@@ -1,4 +1,4 @@
-"""Where all cameras of a recording see a calibration board, at instants spread over it.
+"""Finds a calibration board in all cameras of a recording, at instants spread over it.
 
 A board may be waved about: pictures are interpolated counts of 17 planes, which at an arm's speed blur no more than a
 pixel or two, alike to both sides. While it stands still its pictures are one observation, with the noise averaged.
@@ -25,8 +25,8 @@ from rigs.transform import Floats
 
 HALF_WINDOW = 8  # planes; more blur a waved board, fewer are noisier: 0.010 px for 8 and 16, 0.013 for 4 and 32
 MOST_INSTANTS = 60
-STILL_PX, ALIKE_PX = 0.15, 10.0  # how far points move while a board counts as still; as seen in much the same way
-LEAST_FITTING = 0.5  # of the tags seen, as the board says
+STILL_PX, ALIKE_PX = 0.15, 10.0  # largest move of a board that stands still, and of one seen in much the same way
+LEAST_FITTING = 0.5  # least share of the tags seen that lie as the board says
 
 Pictures = Mapping[tuple[int, str], Sighting]  # by number of the instant and camera id
 
@@ -116,9 +116,7 @@ def chosen_planes(planes: int, most: int) -> list[int]:
 
 
 def gathered(cameras: tuple[str, ...], found: Pictures, instants: int) -> Sightings:
-    """Turn all pictures into observations; neighbouring instants at which the board stood still are averaged to one
-    pose.
-    """
+    """Turn all pictures into observations; instants at which the board stood still are averaged to one pose."""
     groups: list[list[int]] = []
     for number in range(instants):
         if not any(len(found[number, c].points) for c in cameras):
@@ -167,10 +165,10 @@ def _refuse_other_sizes(recording: Recording) -> None:
         layout = recording.layout(camera.id)
         if (layout.width, layout.height) != (camera.width, camera.height):
             raise BadRunError(
-                f"{camera.id}: found planes of {layout.width}x{layout.height}",
+                f"found planes of {layout.width}x{layout.height}",
                 f"{camera.width}x{camera.height} as its rig says",
                 "the rig file is another array's",
-                where=recording.path,
+                where=f"{recording.path}: {camera.id}",
             )
 
 
@@ -181,8 +179,8 @@ def _refuse_contradictions(board: BoardSpec, found: Pictures) -> None:
     if fitting < LEAST_FITTING * seen:
         ids = sorted({tag for sighting in found.values() for tag in sighting.tags})
         raise BadRunError(
-            f"found {fitting} of {seen} tags where the board has them (ids {ids[0]} to {ids[-1]}",
-            f"0 to {len(board.tags) - 1})",
+            f"found {fitting} of {seen} tags where the board has them, with ids {ids[0]} to {ids[-1]}",
+            f"most of them, with ids 0 to {len(board.tags) - 1}",
             "it is another board: check columns, rows and millimetres",
             where=f"board {board.text}",
         )
@@ -194,9 +192,7 @@ def _refuse_unseen(board: BoardSpec, found: Pictures, pictures: Iterable[Image])
     if not any(sighting.tags for sighting in found.values()):
         other = _other_dictionary(list(pictures))
         if other:
-            raise BadRunError(
-                f"found tags of {other}", f"{board.dictionary}", "mend the SPEC", where=f"board {board.text}"
-            )
+            raise BadRunError(f"found tags of {other}", board.dictionary, "mend the SPEC", where=f"board {board.text}")
     raise GeometryError(
         f"found no board {board.text} in any camera",
         do="hold it where the cameras see it whole, in focus and in the light",

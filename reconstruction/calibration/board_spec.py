@@ -1,4 +1,4 @@
-"""What is printed on a calibration board: which tags with which ids, and where their corners lie in metres.
+"""The print of a calibration board: its tags, their ids, and the places of their corners in metres.
 
 SPEC is `charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT` (squares, the first one black) or
 `apriltag:COLSxROWS:TAG_MM:GAP_MM:36h11` (tags, id 0 at the top left, row by row). A board's frame has its origin at the
@@ -29,8 +29,8 @@ class BoardSpec:
 
     The points [N, 3] in metres are what is measured: the inner corners of a ChArUco board's squares, row by row, or the
     middles of the tags. Print and light that spread move a tag's corners outward, but not its middle. `tags_of` [N, 2]
-    are the two tags next to each point, equal where it has one. `cell_m` is the width of a black or white cell of a
-    tag, `margin_m` how far from a point the next print begins.
+    are the two tags next to each point, equal where it has one. `margin_m`
+    is how far from a point the next print begins.
     """
 
     text: str
@@ -39,7 +39,6 @@ class BoardSpec:
     tags: Floats
     points: Floats
     tags_of: np.ndarray
-    cell_m: float
     margin_m: float
 
 
@@ -76,8 +75,7 @@ def _charuco(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
     points = square * np.array([(x, y, 0) for y in range(1, rows) for x in range(1, columns)], dtype=np.float64)
     distances = np.linalg.norm(tags.mean(axis=1)[None] - points[:, None], axis=2)
     tags_of = np.sort(np.argsort(distances, axis=1)[:, :2], axis=1)
-    cell = marker / (predefined(dictionary).markerSize + 2)
-    return BoardSpec(text, "charuco", dictionary, tags, points, tags_of, cell, (square - marker) / 2)
+    return BoardSpec(text, "charuco", dictionary, tags, points, tags_of, (square - marker) / 2)
 
 
 def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
@@ -89,11 +87,8 @@ def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSp
     dictionary = _dictionary(text, _FAMILIES[parts[2]], columns * rows)
     at = (tag + gap) * np.array([(column, row) for row in range(rows) for column in range(columns)], dtype=np.float64)
     tags = _tags(at, tag)
-    tags_of = np.arange(columns * rows)
-    cell = tag / (predefined(dictionary).markerSize + 2)
-    return BoardSpec(
-        text, "apriltag", dictionary, tags, tags.mean(axis=1), np.stack([tags_of, tags_of], axis=1), cell, gap
-    )
+    tags_of = np.repeat(np.arange(columns * rows)[:, None], 2, axis=1)
+    return BoardSpec(text, "apriltag", dictionary, tags, tags.mean(axis=1), tags_of, gap)
 
 
 def _tags(at: Floats, side: float) -> Floats:

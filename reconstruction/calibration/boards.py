@@ -21,10 +21,10 @@ from rigs.similarity import Similarity, align
 
 MOST_RESIDUAL_PX = 0.3
 LEAST_KEPT = 0.9  # share of observations within INLIER_PX
-MOST_RESCALED = 0.1  # of the nominal baselines
-MOST_TURN_DEG, MOST_SHIFT = 15.0, 0.15  # off the nominal rig; of the object distance
+MOST_RESCALED = 0.1  # largest change of the baselines, as a share of the nominal ones
+MOST_TURN_DEG, MOST_SHIFT = 15.0, 0.15  # largest way from the nominal rig; the shift as a share of the object distance
 MOST_SD = CameraSd(rotation_deg=0.2, center_m=0.005, focal_percent=0.5)  # the centre's: of the object distance
-_SPREAD_M = 0.01  # of the cameras; nearer to one another they tell no scale
+_SPREAD_M = 0.01  # least extent of the cameras that tells a scale
 
 
 def calibrate_board(recording: Recording, board: BoardSpec, date: str, progress: Progress = silent) -> Calibrated:

@@ -44,7 +44,7 @@ class Calibrated:
 
 
 class Fit(NamedTuple):
-    """How well cameras explain O observations: `residuals` [O, 2] in px, which are `good` [O], and those' `rms_px`."""
+    """The fit of cameras to O observations: `residuals` [O, 2] in px, which are `good` [O], and `rms_px` of those."""
 
     residuals: Floats
     good: NDArray[np.bool_]
@@ -60,7 +60,7 @@ class Fit(NamedTuple):
 
 
 class Displacement(NamedTuple):
-    """How far a camera is from another place: the angle of the turn and the distance of the centres."""
+    """The way of a camera from another place: the angle of the turn and the distance of the centres."""
 
     turn_deg: float
     shift_m: float

@@ -1,4 +1,4 @@
-"""Whether a stored calibration still fits what the cameras see today, and which camera has moved where it does not."""
+"""Checks whether a stored calibration still fits what the cameras see today, and finds the camera that has moved."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from reconstruction.calibration.natural import calibrate_natural
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 
-SDS = 4.0  # what was found may differ by so many standard deviations
-TURN_DEG, SHIFT_SHARE, FOCAL_PERCENT = 0.05, 1e-3, 0.5  # what always fits: a third of a pixel; shift: of the distance
+SDS = 4.0  # largest difference of a camera that fits, in standard deviations
+TURN_DEG, SHIFT_SHARE, FOCAL_PERCENT = 0.05, 1e-3, 0.5  # differences that always fit: a third of a pixel
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """How far today's camera is from the stored one, after alignment on the cameras that fit."""
+    """The way of today's camera from the stored one, after alignment on the cameras that fit."""
 
     camera: str
     turn_deg: float

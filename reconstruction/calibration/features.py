@@ -17,7 +17,7 @@ from rigs.transform import Floats
 Image = NDArray[np.float32]
 MOST_PLANES = 800  # averaged, in the middle of the recording
 MOST_FEATURES = 2500
-CONTRAST = 0.012  # of the tone; noise of 100 planes stays below
+CONTRAST = 0.012  # least contrast of a feature, in tones of 0 to 1; noise of 100 planes stays below
 ODD_SHARE = 0.25  # a pixel that differs from its neighbours by so much of the white, and by ODD_RATIO, is a defect
 ODD_RATIO = 2.0
 

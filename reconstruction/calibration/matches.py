@@ -21,14 +21,14 @@ from rigs.transform import Floats, cross_matrices
 
 RATIO = 0.8
 VERIFIED_PX = 1.0
-LEAST_MATCHES = 12  # of a pair that is verified at all
+LEAST_MATCHES = 12  # fewest matches of a pair that is verified
 Pair = tuple[int, int]
 Matches = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Gate:
-    """What a nominal rig allows: px from the epipolar line, and triangulated depths in distances to the object."""
+    """The limits of a nominal rig on matches: px from the epipolar line, and depths in distances to the object."""
 
     epipolar_px: float
     nearest: float = 0.35

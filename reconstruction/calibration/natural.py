@@ -32,7 +32,7 @@ from rigs.similarity import align
 
 NOMINAL_GATE = Gate(45.0)
 COARSE_GATE = Gate(8.0, along=1.0)  # once turns are found
-LEAST_VIEWS = 3  # of a track
+LEAST_VIEWS = 3  # fewest views of a track
 MOST_TRACKS = 1000
 COARSE_TRACKS = 400
 CELLS = (8, 5)  # across and down a view, that tracks are spread over

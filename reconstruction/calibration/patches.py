@@ -17,7 +17,7 @@ from rigs.transform import Floats
 RADIUS = 7
 SMOOTH_PX = 0.7
 ROUNDS = 8
-MOST_SHIFT_PX = 2.0  # from the feature; further is another place
+MOST_SHIFT_PX = 2.0  # largest way from the feature; further is another place
 LEAST_ALIKE = 0.85  # correlation of the patches at the end
 LEAST_TEXTURE = 4e-3  # standard deviation of a patch's tone
 AXIS = np.arange(-RADIUS, RADIUS + 1, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What a bundle adjustment is about: observations of blocks by cameras, what may change, how residuals count.
+"""The parts of a bundle adjustment: observations of blocks by cameras, the values that may change, the loss.
 
 Blocks are whatever the cameras look at, of any size: a point of the scene has 3 unknowns, the pose of a board 6.
 Letters: C cameras, G free camera values, L blocks of D unknowns, O observations.
@@ -19,7 +19,7 @@ Indices = NDArray[np.int64]
 
 
 class Blocks(Protocol):
-    """What cameras look at: `place` gives each observation's point [O, 3] in m and its derivatives [O, 3, D]."""
+    """The things that cameras look at, each with D unknowns."""
 
     def __len__(self) -> int: ...
 
@@ -94,7 +94,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Loss:
-    """How residuals count: squares, Huber's or Cauchy's, whose bend is at `scale` standard deviations."""
+    """The loss of residuals: squares, Huber's or Cauchy's, whose bend is at `scale` standard deviations."""
 
     kind: Literal["squares", "huber", "cauchy"] = "squares"
     scale: float = 1.0
@@ -118,7 +118,7 @@ class Loss:
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """Which camera parameters may change: steps [C, 14] of PARAMETERS are `mixing` [C, 14, G] times G free values.
+    """The camera parameters that may change: steps [C, 14] of PARAMETERS are `mixing` [C, 14, G] times G free values.
 
     `prior_sd` [G] is how far each value may be from zero (infinity: anywhere).
     """
@@ -161,7 +161,7 @@ class State:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is observed, what may change and how residuals count."""
+    """The observations, the values that may change, and the loss."""
 
     observations: Observations
     freedom: Freedom

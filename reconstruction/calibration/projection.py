@@ -14,7 +14,7 @@ from rigs.camera import Camera
 from rigs.transform import Floats, Transform, cross_matrices, rotations
 
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
-PARAMETERS = ("turn_x", "turn_y", "turn_z", "center_x", "center_y", "center_z", *LENS)  # what a camera can change by
+PARAMETERS = ("turn_x", "turn_y", "turn_z", "center_x", "center_y", "center_z", *LENS)  # a camera's changes
 TURN, CENTER = slice(0, 3), slice(3, 6)
 NEAREST_M = 1e-3  # a point nearer than this, or behind, has no picture
 

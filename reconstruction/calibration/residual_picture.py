@@ -16,7 +16,7 @@ from rigs.toml import GRID_ID
 from rigs.transform import Floats
 
 MOST_ARROWS = 600  # a camera
-ARROW_SHARE = 0.06  # of the picture's width, for the 95th percentile of all residuals
+ARROW_SHARE = 0.06  # length of the arrow of the 95th percentile of residuals, as a share of the width
 COLOUR = "#1f5fa8"
 
 
@@ -66,9 +66,7 @@ def _draw_vectors(axes: Axes, camera: Camera, rows: Floats, times: float) -> Non
     axes.quiver(
         x, y, times * dx, times * dy, angles="xy", scale_units="xy", scale=1, color=COLOUR, width=0.004, headwidth=3
     )
-    axes.set_xlim(0, camera.width)
-    axes.set_ylim(camera.height, 0)
-    axes.set_aspect("equal")
+    axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal")
     axes.tick_params(labelsize=6)
     axes.set_title(f"{camera.id}: {_rms(rows):.4f} px, {len(rows)} points", fontsize=8)
 
@@ -78,8 +76,7 @@ def _draw_spread(axes: Axes, ids: list[str], residuals: list[Floats]) -> None:
     lengths = [np.linalg.norm(rows[:, 2:], axis=1) if len(rows) else np.zeros(1) for rows in residuals]
     axes.boxplot(lengths, tick_labels=ids, whis=(5, 95), showfliers=False)
     axes.plot(range(1, len(ids) + 1), [_rms(rows) for rows in residuals], "o", color=COLOUR, label="root mean square")
-    axes.set_ylabel("residual / px")
-    axes.set_ylim(bottom=0)
+    axes.set(ylabel="residual / px", ylim=(0, None))
     axes.tick_params(labelsize=7)
     axes.grid(True, axis="y", alpha=0.3)
     axes.legend(fontsize=7)
@@ -89,11 +86,8 @@ def _draw_scatter(axes: Axes, apart: Floats, usual: float) -> None:
     """Draw all residuals about their middle."""
     axes.plot(apart[:, 0], apart[:, 1], ".", markersize=2, alpha=0.4, color=COLOUR)
     limit = 2 * max(usual, 1e-9)
-    axes.set_xlim(-limit, limit)
-    axes.set_ylim(limit, -limit)
-    axes.set_aspect("equal")
-    axes.set_xlabel("dx / px, all cameras")
-    axes.set_ylabel("dy / px")
+    labels = {"xlabel": "dx / px, all cameras", "ylabel": "dy / px"}
+    axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", **labels)
     axes.tick_params(labelsize=7)
     axes.grid(True, alpha=0.3)
 

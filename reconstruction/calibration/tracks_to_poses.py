@@ -17,8 +17,8 @@ from rigs.transform import Floats
 FEATURE_SD_PX, PATCH_SD_PX = 0.3, 0.1
 HELD_M = 1e-4
 ROUGHLY = 1e-3  # gain at which a step on the way is good enough
-FOCAL_SD = 0.02  # of a nominal focal length
-CENTER_SD_M = 0.02  # of a nominal camera centre
+FOCAL_SD = 0.02  # prior deviation of a nominal focal length, as a share
+CENTER_SD_M = 0.02  # prior deviation of a nominal camera centre
 STEPS = ((10.0, 1e-3), (5.0, 4e-3), (3.0, CENTER_SD_M), (1.0, CENTER_SD_M))  # Cauchy's bend in px, centre prior in m
 
 

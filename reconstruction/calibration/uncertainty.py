@@ -1,4 +1,4 @@
-"""How sure an adjustment is of each camera, once what no camera can tell (place, turn, scale) is set aside.
+"""The uncertainty of each camera, leaving out what no camera can tell: place, turn and scale of the whole.
 
 Letters: C cameras, G free values.
 """
@@ -15,9 +15,7 @@ OPTIMISM = 2.0  # variances are taken for so much larger than the sandwich says;
 
 
 def camera_sds(covariance: Floats, freedom: Freedom, cameras: Cameras, *, metric: bool) -> list[CameraSd]:
-    """Return every camera's deviations, from the covariance [G, G] of the free values; `metric`: whether scale is
-    known.
-    """
+    """Return every camera's deviations from the covariance [G, G] of the free values; `metric`: scale is known."""
     count, parameters = len(cameras), len(PARAMETERS)
     mixing = freedom.mixing.reshape(count * parameters, freedom.mixing.shape[2])
     spread = (mixing @ covariance @ mixing.T).reshape(count, parameters, count, parameters)

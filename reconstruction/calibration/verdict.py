@@ -1,4 +1,4 @@
-"""Whether cameras found from an ordinary scene are to be trusted, and if not, why: which camera, what was found.
+"""Decides whether cameras found from an ordinary scene can be trusted, and says which camera cannot, and why.
 
 A reprojection error tells nothing of a wrong minimum; how far the rig would have to be off its drawing does.
 """
@@ -20,10 +20,10 @@ from rigs.similarity import align
 DARK = 1e-3  # spikes per tick; twice the dark current of the sensor
 LEAST_VIEWS = 3
 LEAST_TRACKS = 250
-LEAST_OBSERVATIONS = 40  # of one camera
+LEAST_OBSERVATIONS = 40  # fewest observations of one camera
 LEAST_KEPT = 0.9  # share of observations within INLIER_PX
 MOST_SD_DEG = 0.1  # mean over the cameras; worse is seen in the pictures
-MOST_TURN_DEG, MOST_SHIFT_M, MOST_FOCAL = 12.5, 0.1, 0.08  # off the drawing: five times what a careful hand does
+MOST_TURN_DEG, MOST_SHIFT_M, MOST_FOCAL = 12.5, 0.1, 0.08  # off the drawing: five times what a careful hand is
 
 
 @dataclass(frozen=True, eq=False)

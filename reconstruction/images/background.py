@@ -1,4 +1,4 @@
-"""What stays when the movers are taken away, and the pixels a sensor has lost."""
+"""The background that stays when the movers are taken away, and the pixels a sensor has lost."""
 
 from dataclasses import dataclass
 

@@ -14,7 +14,7 @@ from reconstruction.images.flicker import Light
 
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
-KEPT_BYTES = 64_000_000  # of a view's short images, which training asks for again and again
+KEPT_BYTES = 64_000_000  # memory for a view's short images, which training asks for again and again
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""What every spike-to-image method returns."""
+"""The image that every spike-to-image method returns."""
 
 from dataclasses import dataclass
 

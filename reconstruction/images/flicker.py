@@ -19,7 +19,7 @@ WINDOW = 4  # planes counted together
 BLOCK_PX = 8
 LEAST_SPIKES = 4.0  # a block and window, on average; dimmer blocks say little
 MEDIAN_NOISE = 1.25  # deviation of a median over that of the mean of as many spikes, were they a Poisson process
-SURE = 3.0  # of those deviations that the gains must exceed: a few dim blocks tell nothing
+SURE = 3.0  # deviations by which the gains must vary: a few dim blocks tell nothing
 FLICKER = 0.01  # standard deviation of the gain from which light is said to flicker; noise alone leaves some 0.002
 
 

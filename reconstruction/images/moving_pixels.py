@@ -1,4 +1,4 @@
-"""Which pixels ever see something change: the count test.
+"""Finds the pixels that ever see something change, by the count test.
 
 Under constant light, counts over equal windows differ by at most one spike plus shot noise. A pixel whose counts spread
 wider, over long windows (slow change) or short ones (a brief passage), is moving.

@@ -1,4 +1,4 @@
-"""What quantisation and shot noise leave in an image: one standard deviation in spikes per tick, under constant light.
+"""The error that quantisation and shot noise leave in an image: one standard deviation in spikes per tick.
 
 Letters: r light in spikes per tick, n planes of a window, T ticks of an interval, E electrons to a spike.
 An error that is uniform over one unit has variance 1/12; the difference of two such, which both a count and an interval

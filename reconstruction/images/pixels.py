@@ -21,7 +21,7 @@ from acquisition.spikes.stream import SpikeStream
 LEAST_SPIKES = 200  # a pixel, of the light alone: its gain to 0.2 %
 BRIGHTEST = 0.95  # spikes per tick; pixels fire at most once a tick
 HOT_ABOVE, HOT_SPREADS = 0.02, 8.0  # spikes per tick, or robust standard deviations, above the median in the dark
-DEAD_BELOW = 0.2  # of the median light
+DEAD_BELOW = 0.2  # light of a dead pixel, as a share of the median
 _NO_ARCHIVE = (ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError, BadZipFile, zlib.error)
 _ARRAYS = ("gain", "offset", "hot", "dead")
 

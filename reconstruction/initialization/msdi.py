@@ -31,10 +31,10 @@ from rigs.transform import rotvec_of
 
 FEWEST_VIEWS, MOST_VIEWS = 3, 9
 FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
-MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # from the nominal rig; what moves further is taken for a wrong minimum
+MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # largest way from the nominal rig; further is a wrong minimum
 FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with the cameras found
-LEAST_CONFIDENCE = 1.75  # of a point; 1 says nothing
-AGREEMENT = 0.03  # of the object's inverse distance: how far other views' inverse depths may lie
+LEAST_CONFIDENCE = 1.75  # least confidence of a point; 1 says nothing
+AGREEMENT = 0.03  # largest gap between views' inverse depths, as a share of the object's inverse distance
 BORDER = 2  # px of the working size that are left out
 
 
@@ -126,8 +126,7 @@ def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
 
 
 def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return the confident pixels of all views that others confirm, as points in the rig frame [N, 3] in m, and
-    confidences.
+    """Return the confident pixels that other views confirm, as points [N, 3] in m in the rig frame, and confidences.
 
     `scale` is that of the similarity which brought the cameras to `moved`.
     """

@@ -22,8 +22,8 @@ from reconstruction.networks.spk2imgnet_small import LEAST_SIGMA, ResidualBlock,
 GAP, NEAR = 9, 28  # ticks: a pixel's own spikes nearer than GAP are hidden; its bins end at GAP, NEAR and REACH
 OWN = 4  # bins of the pixel itself: far and near past, near and far future
 CHANNELS, CLOSE = 32, (0, 2, 4, 7)  # windows of the neighbours that are offered as they are
-OWN_ERROR = 0.01  # of the light: the spread of the pixels' gain, below which no error is stated
-OWN_SHARE = 0.3  # of the spread is the guess's own; on development seeds 0.73 of the pixels lie within one sigma then
+OWN_ERROR = 0.01  # least error, as a share of the light: the spread of the pixels' gain
+OWN_SHARE = 0.3  # the guess's own share of the spread; 0.73 of development pixels are then within one sigma
 
 
 def blind_rates(stream: SpikeStream, plane: int) -> Floats:

@@ -23,8 +23,7 @@ Floats = NDArray[np.float32]
 def infer(
     network: ImageNetwork, module: nn.Module, stream: SpikeStream, plane: int, seen: torch.Tensor | None = None
 ) -> tuple[Floats, Floats]:
-    """Return light and its standard deviation [H, W] in spikes per tick at `plane`; both finite, the light not
-    negative.
+    """Return light, not negative, and its standard deviation [H, W] in spikes per tick at `plane`; both finite.
 
     `seen` [1, C, H, W] is what `network` observes there, for those who have it already.
     """
@@ -46,8 +45,7 @@ def infer(
 
 
 def gathered(stream: SpikeStream, plane: int, reach: int) -> tuple[SpikeStream, int, int]:
-    """Return the stream, the plane in it, and 1; where light is dim, planes joined in groups about `plane`, and their
-    number.
+    """Return stream, plane in it, and 1; where light is dim, planes joined in groups about `plane`, and their number.
 
     A group has a spike where one of its planes has; intervals so long that the networks see too few of them get shorter
     by the size of the group. Motion gets faster by it, too.

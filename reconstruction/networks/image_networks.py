@@ -1,7 +1,8 @@
 """The networks by name: what each sees, how it is built, and what it is trained to do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -17,9 +18,17 @@ from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet
 from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet, window_means
 
 LEAST_LIGHT = 1e-3  # spikes per tick; a darker image is treated as this bright on average
-BEND = 0.05  # of the mean light: errors beyond it count linearly
+BEND = 0.05  # error from which errors count linearly, as a share of the mean light
 NOISE_BEND = 2.0  # the same for a noisy target, whose mean is wanted and not its median; a hot pixel is beyond it
 SIGMA_WEIGHT = 0.02
+
+
+def _reversed(seen: NDArray) -> NDArray:
+    return np.flip(seen, axis=-3)
+
+
+def _interval(seen: Tensor) -> Tensor:
+    return seen[:, BINS // 2, None]
 
 
 @dataclass(frozen=True)
@@ -34,7 +43,7 @@ class ImageNetwork:
     observe: Callable[[SpikeStream, int], NDArray]
     level: Callable[[Tensor], Tensor]
     build: Callable[[], nn.Module]
-    reverse: Callable[[NDArray], NDArray]
+    reverse: Callable[[NDArray], NDArray] = _reversed
     interval: Callable[[Tensor], Tensor] | None = None
     bend: float = BEND
     reach: int = REACH
@@ -78,16 +87,17 @@ def _mean(seen: Tensor) -> Tensor:
     return seen.mean(dim=(1, 2, 3), keepdim=True).clamp_min(LEAST_LIGHT)
 
 
-def _reversed(seen: NDArray) -> NDArray:
-    return np.flip(seen, axis=-3)
-
-
-def _interval(seen: Tensor) -> Tensor:
-    return seen[:, BINS // 2, None]
-
-
-IMAGE_NETWORKS: dict[str, ImageNetwork] = {
-    "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet, _reversed),
-    "published": ImageNetwork(raw_planes, _mean, PublishedSpk2ImgNet, _reversed, reach=RAW_REACH),
-    "blindspot": ImageNetwork(blind_rates, _mean_rate, BlindSpotNet, reversed_blind_rates, _interval, NOISE_BEND),
-}
+IMAGE_NETWORKS: Mapping[str, ImageNetwork] = MappingProxyType(
+    {
+        "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet),
+        "published": ImageNetwork(raw_planes, _mean, PublishedSpk2ImgNet, reach=RAW_REACH),
+        "blindspot": ImageNetwork(
+            blind_rates,
+            _mean_rate,
+            BlindSpotNet,
+            reversed_blind_rates,
+            lambda seen: seen[:, BINS // 2, None],
+            NOISE_BEND,
+        ),
+    }
+)

@@ -1,4 +1,4 @@
-"""What the networks see of a stream around an instant: light in windows, read off the spikes' own times.
+"""The input of the image networks: light in windows around an instant, read off the spikes' own times.
 
 Letters: T planes, H rows, W columns, e edges. A pixel's charge grows by one from spike to spike; between two spikes it
 is taken to grow evenly, so the charge at any time is known to a fraction of a spike, and its growth over a window is a

@@ -5,14 +5,16 @@ sub-windows (13, 11, 9 and 7 planes about its middle) that attention weighs and 
 block's features; the four outer blocks are aligned to the middle one by deformable convolutions at three scales;
 fusion 320 -> 192 -> 64 -> 1 makes the image. Layouts the paper leaves open (channels, attention, the offsets' layers)
 are chosen to give its 3.90 M parameters; the standard deviation beside the image is ours.
-Source: Zhao et al., "Spk2ImgNet: learning to reconstruct dynamic scene from continuous spike stream", CVPR 2021.
+Deformable convolutions are made of torch alone: samples where the offsets say, then an ordinary product of matrices.
+They keep nine samples of every value and are slower than a fused kernel, but run wherever torch does.
+Sources: Zhu et al., "Deformable ConvNets v2", CVPR 2019, without its modulation;
+Zhao et al., "Spk2ImgNet: learning to reconstruct dynamic scene from continuous spike stream", CVPR 2021.
 """
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from reconstruction.networks.deformable import DeformableConvolution
 from reconstruction.networks.spk2imgnet_small import LEAST_SIGMA, ResidualBlock
 
 BLOCKS, LENGTH, STEP = 5, 13, 7
@@ -42,6 +44,43 @@ class Extractor(nn.Module):
         weights = self.attention(torch.cat(seen, dim=1))
         weighed = [features * weights[:, k, None] for k, features in enumerate(seen)]
         return self.refine(functional.relu(self.join(torch.cat(weighed, dim=1))))
+
+
+class DeformableConvolution(nn.Module):
+    """A 3x3 convolution of [N, C, H, W] whose taps lie where `guide` [N, C, H, W] puts them, in 8 groups."""
+
+    groups = 8
+
+    def __init__(self, channels: int, guide_channels: int) -> None:
+        super().__init__()
+        self.taps = nn.Conv2d(channels, channels, 3)
+        self.offsets = nn.Conv2d(guide_channels, 2 * 9 * self.groups, 3, padding=1)
+        nn.init.zeros_(self.offsets.weight)  # at first an ordinary convolution
+        nn.init.zeros_(self.offsets.bias)  # pyright: ignore[reportArgumentType]
+
+    def forward(self, x: Tensor, guide: Tensor) -> Tensor:
+        """Return the convolution of `x` [N, C, H, W] with taps moved as the `guide` says."""
+        return deformed(x, self.offsets(guide), self.taps.weight, self.taps.bias)
+
+
+def deformed(x: Tensor, offsets: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+    """Convolve `x` [N, C, H, W] by `weight` [D, C, 3, 3] at nine taps moved by `offsets`; zero outside.
+
+    `offsets` [N, G * 9 * 2, H, W] are pixels (down, right) of each tap, for G equal groups of the channels.
+    """
+    batch, channels, height, width = x.shape
+    groups = offsets.shape[1] // 18
+    moves = offsets.reshape(batch * groups, 9, 2, height, width)
+    rows = torch.arange(height, device=x.device, dtype=x.dtype)[:, None]
+    columns = torch.arange(width, device=x.device, dtype=x.dtype)[None, :]
+    tap = torch.arange(9, device=x.device)[:, None, None]
+    y, z = rows + (tap // 3 - 1) + moves[:, :, 0], columns + (tap % 3 - 1) + moves[:, :, 1]
+    grid = torch.stack([(2 * z + 1) / width - 1, (2 * y + 1) / height - 1], dim=-1)
+    grouped = x.reshape(batch * groups, channels // groups, height, width)
+    below = grid.reshape(batch * groups, 9 * height, width, 2)  # the taps' samples one below another
+    sampled = functional.grid_sample(grouped, below, mode="bilinear", padding_mode="zeros", align_corners=False)
+    gathered = sampled.reshape(batch, channels * 9, height, width)
+    return functional.conv2d(gathered, weight.reshape(len(weight), channels * 9, 1, 1), bias)
 
 
 class Alignment(nn.Module):

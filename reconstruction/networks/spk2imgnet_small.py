@@ -13,7 +13,7 @@ from torch.nn import functional
 from reconstruction.networks.rates import BINS, EDGES
 
 FULL, HALF = 32, 64  # channels at the two resolutions
-LEAST_SIGMA = 1e-3  # of the image's mean light
+LEAST_SIGMA = 1e-3  # least error, as a share of the image's mean light
 
 
 class ResidualBlock(nn.Module):
@@ -62,9 +62,7 @@ class SmallSpk2ImgNet(nn.Module):
 
 
 def window_means() -> Tensor:
-    """Return 1x1 filters [8, BINS, 1, 1] that turn bins into the means of the windows, from the shortest to the
-    longest.
-    """
+    """Return 1x1 filters [8, BINS, 1, 1] that turn bins into means of windows, the shortest first."""
     width = torch.tensor(EDGES[1:] - EDGES[:-1], dtype=torch.float32)
     offset = (torch.arange(BINS) - BINS // 2).abs()
     inside = (offset[None, :] <= torch.arange(BINS // 2 + 1)[:, None]).float() * width

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from reconstruction.networks import train
-from reconstruction.networks.training.clips import CameraClips, Clip
+from reconstruction.networks.training.clips import CameraClip, CameraClips
 from reconstruction.networks.training.image_validation import Scored
 
 TINY = CameraClips(first_seed=1, count=1, size=24, planes=30, instants=(15,))
@@ -17,7 +17,7 @@ TINY = CameraClips(first_seed=1, count=1, size=24, planes=30, instants=(15,))
 def quick_scores(monkeypatch):
     clip = TINY.make(1)
     half = np.arange(24 * 24).reshape(24, 24) % 2 == 0
-    known = Clip(clip.stream, clip.instants, clip.truth)
+    known = CameraClip(clip.stream, clip.instants, clip.truth)
     monkeypatch.setattr(train, "validation_clips", lambda progress: [Scored(clip, 0.6), Scored(known, 0.6, half)])
 
 

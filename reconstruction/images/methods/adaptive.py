@@ -29,9 +29,7 @@ LEVELS = 1024
 
 
 def adaptive(stream: SpikeStream, plane: int) -> Estimate:
-    """Return the image at `plane` from 17 to 257 planes a pixel; a pixel that never or always fires in them is not
-    valid.
-    """
+    """Return the image at `plane` from 17 to 257 planes a pixel."""
     first, last = stream.around(plane, HALF_WINDOWS[-1])
     bounds = [stream.around(plane, half) for half in HALF_WINDOWS]
     weights = np.zeros((len(bounds), last - first), dtype=np.int64)

@@ -23,19 +23,9 @@ HALF_WINDOW = 16
 
 def tfp(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Estimate:
     """Return the image at `plane` from up to 2 * half_window + 1 planes."""
-    return tfp_images(stream, [plane], half_window)[0]
-
-
-def tfp_images(
-    stream: SpikeStream, planes: Sequence[int], half_window: int = HALF_WINDOW, *, threads: int = 1
-) -> list[Estimate]:
-    """Return the images at many planes of one stream, in one call to the kernel on `threads` cores."""
-    estimates = []
-    means = tfp_intensities(stream, planes, half_window, threads=threads)
-    for mean, plane in zip(means, planes, strict=True):
-        first, last = stream.around(plane, half_window)
-        estimates.append(Estimate(mean, (mean > 0) & (mean < 1), window_sigma(mean, last - first)))
-    return estimates
+    first, last = stream.around(plane, half_window)
+    mean = tfp_intensities(stream, [plane], half_window)[0]
+    return Estimate(mean, (mean > 0) & (mean < 1), window_sigma(mean, last - first))
 
 
 def tfp_intensities(

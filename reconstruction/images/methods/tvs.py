@@ -20,7 +20,7 @@ from reconstruction.images.noise import interval_sigma
 from reconstruction.images.replay import Replay
 
 UNLIKE = 1.0  # ticks beyond the mean interval that quantisation explains
-LEAK = 0.9  # of a neuron's potential that stays from tick to tick
+LEAK = 0.9  # share of a neuron's potential that stays from tick to tick
 FIRES_AT = 1.0
 FED = np.array([[0.5, 0.5, 0.5], [0.5, 1.0, 0.5], [0.5, 0.5, 0.5]], dtype=np.float32)
 MEMORY = 32  # intervals

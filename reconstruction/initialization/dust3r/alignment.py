@@ -1,4 +1,4 @@
-"""Many pairs, each in a frame and at a scale of its own, to one world: poses, depths and a focal length for all views.
+"""Many pairs, each in a frame and at a scale of its own, to one world: poses and depths for all views.
 
 Letters: v views, e pairs, n sampled pixels of each view. A view's points are its rays times their depths, carried by
 its pose; a pair's points are carried by its similarity; the sum over all pairs of the distance between the two, times
@@ -18,14 +18,15 @@ from torch import Tensor
 from acquisition.progress import Progress, silent
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.dust3r.pairs import PairMaps
-from reconstruction.initialization.dust3r.start import Start, focal_factor, started
+from reconstruction.initialization.dust3r.start import Start, started
+from reconstruction.networks.msdi.views import cross_matrices
 from rigs.transform import Floats, Transform
 
-ROUNDED = (0.05, 0.01, 0.002)  # below which a distance counts as a square, in median depths
-STEPS = 100  # of each stage, at most
+ROUNDED = (0.05, 0.01, 0.002)  # distances, in median depths, below which squares count; stage by stage
+STEPS = 100  # most steps of a stage
 POLISHED = 3  # times: L-BFGS may stop on its way, and goes on when begun anew
 CAUCHY = 3.0  # width of the last stage, in median distances
-FINEST = 1e-6  # of those, in median depths
+FINEST = 1e-6  # least median distance, in median depths
 MOST_RESIDUAL = 0.15  # median disagreement of a view with its pairs, as a share of the depth
 AGREEMENT = 0.05  # as a share of the depth: where a point's confidence has fallen to half
 
@@ -34,32 +35,23 @@ AGREEMENT = 0.05  # as a share of the depth: where a point's confidence has fall
 class Aligned:
     """Views in one world, whose unit is arbitrary.
 
-    `points` [v, n, 3] with `confidence` [v, n] >= 0; `focal` the factor on the lenses that the rays were computed with;
-    `residuals` [v] the median disagreement with the pairs as a share of the depth.
+    `points` [v, n, 3] have a `confidence` [v, n] >= 0; `residuals` [v] are the median disagreement with the pairs, as a
+    share of the depth.
     """
 
     cam_from_world: tuple[Transform, ...]
     points: Floats
     confidence: Floats
-    focal: float
     residuals: Floats
 
 
-def aligned(
-    names: Sequence[str],
-    rays: Floats,
-    pairs: Sequence[PairMaps],
-    *,
-    estimate_focal: bool = False,
-    progress: Progress = silent,
-) -> Aligned:
+def aligned(names: Sequence[str], rays: Floats, pairs: Sequence[PairMaps], progress: Progress = silent) -> Aligned:
     """Lay all `pairs` of the views `names` on one another; `rays` [v, n, 2] are x / z and y / z of the sampled pixels.
 
     Raises GeometryError naming the views that overlap with no other, or on which the pairs do not agree.
     """
     progress(0.0, "first poses")
-    focal = focal_factor(rays, pairs) if estimate_focal else 1.0
-    problem = _Problem(rays, pairs, started(names, rays / focal, pairs), focal, estimate_focal)
+    problem = _Problem(rays, pairs, started(names, rays, pairs))
     for stage, rounded in enumerate(ROUNDED):
         progress((stage + 1) / (len(ROUNDED) + 1), "aligning pairs")
         problem.improve(rounded)
@@ -70,22 +62,17 @@ def aligned(
     bad = [name for name, off in zip(names, found.residuals, strict=True) if not off <= MOST_RESIDUAL]
     if bad:
         worst = 100 * float(np.nanmax(found.residuals))
-        limit = f"expected less than {100 * MOST_RESIDUAL:.0f}%; leave them out or give clearer images"
-        raise GeometryError(f"found pairs that disagree on {', '.join(bad)} by {worst:.0f}% of the depth, {limit}")
+        found_pairs = f"found pairs that disagree on {', '.join(bad)} by {worst:.0f}% of the depth"
+        raise GeometryError(
+            found_pairs, f"less than {100 * MOST_RESIDUAL:.0f}%", "leave them out or give clearer images"
+        )
     return found
-
-
-def _skew(vectors: Tensor) -> Tensor:
-    """Return the cross product matrices [..., 3, 3] of vectors [..., 3]."""
-    x, y, z = vectors.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
 
 
 class _Problem:
     """The unknowns, as changes from the start, and what they cost."""
 
-    def __init__(self, rays: Floats, pairs: Sequence[PairMaps], start: Start, focal: float, free_focal: bool):
+    def __init__(self, rays: Floats, pairs: Sequence[PairMaps], start: Start):
         poses, similarities = start.cam_from_world, start.world_from_pair
         depths = np.stack([pose.apply(cloud)[:, 2] for pose, cloud in zip(poses, start.points, strict=True)])
         weights = np.stack([pair.weights for pair in pairs])
@@ -103,36 +90,27 @@ class _Problem:
         self._pair_turns = torch.from_numpy(np.stack([s.rotation for s in similarities]))
         self._pair_shifts = torch.from_numpy(np.stack([s.translation for s in similarities]) / self._unit)
         self._log_scales = torch.log(torch.tensor([s.scale for s in similarities], dtype=torch.float64) / self._unit)
-        self._mean_log_scale = self._log_scales.mean()
-        self._focal, self._free_focal = focal, free_focal
         v, n, e = *rays.shape[:2], len(pairs)
-        shapes = ((v, 3), (v, 3), (v, n), (e, 3), (e, 3), (e,), ())
+        shapes = ((v, 3), (v, 3), (v, n), (e, 3), (e, 3), (e,))
         self._changes = [torch.zeros(shape, dtype=torch.float64, requires_grad=True) for shape in shapes]
-        self._steps = [(v) ** 0.5, v**0.5, (v * n) ** 0.5, e**0.5, e**0.5, e**0.5, float(free_focal)]
+        self._steps = [v**0.5, v**0.5, (v * n) ** 0.5, e**0.5, e**0.5, e**0.5]
 
     def _world(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return world_from_cam [v, 3, 3], centres [v, 3], depths [v, n] and points [v, n, 3] by the unknowns as they
-        are now.
-        """
-        turn, shift, deeper, *_, longer = (c * step for c, step in zip(self._changes, self._steps, strict=True))
-        turns = self._turns @ torch.linalg.matrix_exp(_skew(turn))
+        """Return world_from_cam [v, 3, 3], centres [v, 3], depths [v, n] and points [v, n, 3] of the unknowns."""
+        turn, shift, deeper, *_ = (c * step for c, step in zip(self._changes, self._steps, strict=True))
+        turns = self._turns @ torch.linalg.matrix_exp(cross_matrices(turn))
         depths = torch.exp(self._log_depths + deeper)
-        rays = self._rays / (self._focal * torch.exp(longer))
-        in_cam = torch.cat([rays, torch.ones_like(rays[..., :1])], dim=-1) * depths[..., None]
+        in_cam = torch.cat([self._rays, torch.ones_like(self._rays[..., :1])], dim=-1) * depths[..., None]
         centers = self._centers + shift
         return turns, centers, depths, in_cam @ turns.mT + centers[:, None]
 
     def _apart(self, points: Tensor) -> Tensor:
         """Return the squared distances [e, 2, n] of each pair's points from the views' points."""
-        _, _, _, turn, shift, larger, _ = (c * step for c, step in zip(self._changes, self._steps, strict=True))
-        turns = self._pair_turns @ torch.linalg.matrix_exp(_skew(turn))
-        scales = torch.exp(
-            self._log_scales + larger - larger.mean()
-        )  # the mean is fixed, or all would shrink to nothing
-        said = (
-            scales[:, None, None, None] * (self._points @ turns.mT[:, None])
-            + (self._pair_shifts + shift)[:, None, None]
-        )
+        *_, turn, shift, larger = (c * step for c, step in zip(self._changes, self._steps, strict=True))
+        turns = self._pair_turns @ torch.linalg.matrix_exp(cross_matrices(turn))
+        fixed = larger - larger.mean()  # or all would shrink to nothing
+        scales = torch.exp(self._log_scales + fixed)[:, None, None, None]
+        said = scales * (self._points @ turns.mT[:, None]) + (self._pair_shifts + shift)[:, None, None]
         return (said - points[self._sides]).square().sum(dim=-1)
 
     def improve(self, rounded: float) -> None:
@@ -175,13 +153,10 @@ class _Problem:
         weights = self._weights * (self._weights.numel() / self._weights.sum())
         support = torch.zeros(v, n, dtype=torch.float64)
         support.index_add_(0, self._sides.ravel(), (weights / (1 + (shares / AGREEMENT) ** 2)).flatten(0, 1))
-        residuals = []
-        for view in range(v):
-            mine = (self._sides == view)[..., None] & (self._weights > 0)
-            residuals.append(float(shares[mine].median()))
+        seen = [(self._sides == view)[..., None] & (self._weights > 0) for view in range(v)]
+        residuals = [float(shares[mine].median()) for mine in seen]
         poses = [Transform(r.T, -r.T @ c) for r, c in zip(_proper(turns.numpy()), centers.numpy(), strict=True)]
-        focal = self._focal * float(torch.exp(self._changes[-1] * self._steps[-1]))
-        return Aligned(tuple(poses), points.numpy(), support.numpy(), focal, np.array(residuals))
+        return Aligned(tuple(poses), points.numpy(), support.numpy(), np.array(residuals))
 
 
 def _proper(rotations: Floats) -> Floats:

@@ -6,19 +6,18 @@ ones are under CC BY-NC-SA, so none is shipped) and, on a CPU, minutes. Precisio
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from acquisition.progress import Progress, silent
+from acquisition.progress import Progress, part, silent
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.dust3r.alignment import Aligned, aligned
-from reconstruction.initialization.dust3r.pairs import PairMaps, complete, neighbours, rays_of, sampled_pixels
+from reconstruction.initialization.dust3r.alignment import aligned
+from reconstruction.initialization.dust3r.pairs import PairMaps, complete, rays_of, sampled_pixels
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.placement import Images, laid_on, toned, usable_views
 from reconstruction.networks.dust3r.checkpoint import load_network
@@ -26,82 +25,39 @@ from reconstruction.networks.dust3r.network import Dust3r
 from rigs.camera import Camera
 from rigs.rig import Rig
 
-MOST_PIXELS = 2000  # of each view, that the alignment works on
+MOST_PIXELS = 2000  # most pixels of a view that the alignment works on
 AT_ONCE = 4  # images or pairs in the network
-LEAST_CONFIDENCE = 0.1  # of a point, in mean confidences
+LEAST_CONFIDENCE = 0.1  # least confidence of a point, as a share of the mean
 
 
-@dataclass(frozen=True)
-class Dust3rOptions:
-    """How `dust3r` works: which `pairs` it looks at, and one `focal` factor for all lenses, estimated or the rig's.
-
-    `device` is torch's name of where the network runs. Raises BadRunError for other names.
-    """
-
-    pairs: Literal["complete", "neighbours"] = "complete"
-    focal: Literal["estimated", "rig"] = "rig"
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        for name, values in {"pairs": ("complete", "neighbours"), "focal": ("estimated", "rig")}.items():
-            if getattr(self, name) not in values:
-                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"{' or '.join(values)}")
-
-
-def dust3r(
-    rig: Rig,
-    images: Images,
-    checkpoint: Path | None,
-    options: Dust3rOptions | None = None,
-    progress: Progress = silent,
-) -> Geometry:
+def dust3r(rig: Rig, images: Images, checkpoint: Path | None, progress: Progress = silent) -> Geometry:
     """Find poses and points from `images`: camera id to [H, W], linear, spikes per tick; the network from `checkpoint`.
 
     Raises BadRunError without a usable checkpoint or images, GeometryError, by name, for views that do not fit.
     """
     if checkpoint is None:
-        reason = "none is shipped, for its licence (CC BY-NC-SA) forbids it"
-        raise BadRunError("found no checkpoint for dust3r", "--dust3r-checkpoint FILE", f"{reason}")
+        licence = "none is shipped, for its licence (CC BY-NC-SA) forbids it"
+        raise BadRunError("found no checkpoint for dust3r", "--dust3r-checkpoint FILE", licence)
     usable_views(rig, images)
-    return dust3r_with(load_network(checkpoint), rig, images, options, progress)
+    return dust3r_with(load_network(checkpoint), rig, images, progress)
 
 
-def dust3r_with(
-    network: Dust3r, rig: Rig, images: Images, options: Dust3rOptions | None = None, progress: Progress = silent
-) -> Geometry:
+def dust3r_with(network: Dust3r, rig: Rig, images: Images, progress: Progress = silent) -> Geometry:
     """Do as `dust3r` with a network at hand."""
-    options = options or Dust3rOptions()
     views = usable_views(rig, images)
     seen = rig.only(views)
-    height, width = _common_size(seen.cameras)
-    rows, columns = sampled_pixels(height, width, MOST_PIXELS)
-    centers = np.array([camera.center for camera in seen.cameras])
-    edges = complete(len(views)) if options.pairs == "complete" else neighbours(centers)
+    rows, columns = sampled_pixels(*_common_size(seen.cameras), MOST_PIXELS)
     tones = toned({c: images[c] for c in views})
-    pairs = predicted(
-        network, [tones[c] for c in views], edges, (rows, columns), options.device, _part(progress, 0, 0.8)
-    )
-    found = aligned(
-        views,
-        rays_of(seen.cameras, rows, columns),
-        pairs,
-        estimate_focal=options.focal == "estimated",
-        progress=_part(progress, 0.8, 1),
-    )
-    return _geometry(rig, seen, found, {"pairs": len(pairs), "focal": options.focal})
-
-
-def _geometry(rig: Rig, seen: Rig, found: Aligned, report: dict[str, object]) -> Geometry:
-    cameras = tuple(
-        replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal, cam_from_rig=pose)
-        for camera, pose in zip(seen.cameras, found.cam_from_world, strict=True)
-    )
-    estimated, similarity, placed = laid_on(rig, replace(seen, cameras=cameras))
+    edges = complete(len(views))
+    pairs = predicted(network, [tones[c] for c in views], edges, (rows, columns), part(progress, 0, 0.8))
+    found = aligned(views, rays_of(seen.cameras, rows, columns), pairs, part(progress, 0.8, 1))
+    turned = (replace(c, cam_from_rig=pose) for c, pose in zip(seen.cameras, found.cam_from_world, strict=True))
+    estimated, similarity, placed = laid_on(rig, replace(seen, cameras=tuple(turned)))
     kept = found.confidence > LEAST_CONFIDENCE * found.confidence.mean()
     residuals = {c: float(off) for c, off in zip(seen.ids, found.residuals, strict=True)}
-    report = placed | report | {"method": "dust3r", "points": int(kept.sum()), "residual_of_depth": residuals}
+    report = {"pairs": len(pairs), "focal": "rig", "method": "dust3r", "points": int(kept.sum())}
     points, confidence = similarity.apply(found.points[kept]), found.confidence[kept].astype(np.float32)
-    return Geometry(estimated, points, confidence, report=report)
+    return Geometry(estimated, points, confidence, report=placed | report | {"residual_of_depth": residuals})
 
 
 def _common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
@@ -109,13 +65,10 @@ def _common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
     first = cameras[0]
     for camera in cameras:
         if (camera.width, camera.height) != (first.width, first.height):
-            sizes = f"{camera.width}x{camera.height}, expected {first.width}x{first.height} as of {first.id}"
-            raise BadRunError(f"found the size {sizes}", do="dust3r takes images of one size", where=camera.id)
+            expected = f"{first.width}x{first.height} as of {first.id}"
+            found = f"found the size {camera.width}x{camera.height}"
+            raise BadRunError(found, expected, "dust3r takes images of one size", where=camera.id)
     return first.height, first.width
-
-
-def _part(progress: Progress, first: float, last: float) -> Progress:
-    return lambda fraction, message: progress(first + (last - first) * fraction, message)
 
 
 @torch.no_grad()
@@ -124,20 +77,18 @@ def predicted(
     tones: Sequence[NDArray[np.float32]],
     edges: Sequence[tuple[int, int]],
     pixels: tuple[NDArray[np.intp], NDArray[np.intp]],
-    device: str,
     progress: Progress = silent,
 ) -> list[PairMaps]:
     """Show the network each pair in `edges`, and return what it says at the sampled `pixels`.
 
     Images are padded to whole patches on all sides with their outermost pixels. Each is encoded once.
     """
-    network = _on(network, device)
     padded, (top, left) = padded_images(tones, network.architecture.patch_px)
     grid = network.grid(padded)
     encoded = []
     for batch in _batches(len(tones)):
         progress(0.3 * batch.start / len(tones), "encoding images")
-        encoded.append(network.encode(padded[batch].to(device)))
+        encoded.append(network.encode(padded[batch]))
     tokens = torch.cat(encoded)
     rows, columns = (torch.from_numpy(axis + shift) for axis, shift in zip(pixels, (top, left), strict=True))
     pairs = []
@@ -145,18 +96,10 @@ def predicted(
         progress(0.3 + 0.7 * batch.start / len(edges), "decoding pairs")
         first, second = (tokens[list(side)] for side in zip(*edges[batch], strict=True))
         maps = network(first, second, grid)
-        points = torch.stack([m.points.cpu()[:, rows, columns] for m in maps], dim=1).numpy()
-        confidence = torch.stack([m.confidence.cpu()[:, rows, columns] for m in maps], dim=1).numpy()
+        points = torch.stack([m.points[:, rows, columns] for m in maps], dim=1).numpy()
+        confidence = torch.stack([m.confidence[:, rows, columns] for m in maps], dim=1).numpy()
         pairs += [PairMaps(*edge, p, c) for edge, p, c in zip(edges[batch], points, confidence, strict=True)]
     return pairs
-
-
-def _on(network: Dust3r, device: str) -> Dust3r:
-    try:
-        return network.to(device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise BadRunError(f"found no usable device {device!r} ({reason})", "cpu or cuda") from error
 
 
 def _batches(count: int) -> Iterator[slice]:
@@ -165,8 +108,8 @@ def _batches(count: int) -> Iterator[slice]:
 
 
 def padded_images(tones: Sequence[NDArray[np.float32]], patch_px: int) -> tuple[Tensor, tuple[int, int]]:
-    """Return grey images [H, W] in [0, 1] as the network takes them, [v, 3, H', W'] in [-1, 1], and the rows and
-    columns added above and to the left: as many as below and to the right, or one fewer.
+    """Pad grey images [H, W] in [0, 1] to whole patches, as [v, 3, H', W'] in [-1, 1]; return the rows and columns
+    before.
     """
     height, width = tones[0].shape
     more = [-size % patch_px for size in (height, width)]

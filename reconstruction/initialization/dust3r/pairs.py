@@ -1,4 +1,4 @@
-"""Which views are shown to the network together, and what it says of each pair.
+"""The pairs of views that are shown to the network, and its answers.
 
 Letters: v views, n sampled pixels of each.
 """
@@ -16,7 +16,7 @@ from rigs.transform import Floats
 
 @dataclass(frozen=True, eq=False)
 class PairMaps:
-    """What the network says of two views, numbered `first` and `second`.
+    """The network's answer to two views, numbered `first` and `second`.
 
     `points` [2, n, 3]: of the first and of the second view's pixels, both in the first camera's frame, at a scale of
     the pair's own. `confidence` [2, n] >= 1, larger is better.
@@ -45,27 +45,15 @@ def complete(count: int) -> list[tuple[int, int]]:
     return [(a, b) for a in range(count) for b in range(count) if a != b]
 
 
-def neighbours(centers: Floats, nearest: int = 4) -> list[tuple[int, int]]:
-    """Pair each view with the `nearest` ones by their centres [v, 3], both ways round."""
-    apart = np.linalg.norm(centers[:, None] - centers[None], axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    chosen = np.argsort(apart, axis=1, kind="stable")[:, : min(nearest, len(centers) - 1)]
-    linked = {(a, int(b)) for a, row in enumerate(chosen) for b in row}
-    return sorted(linked | {(b, a) for a, b in linked})
-
-
 def sampled_pixels(height: int, width: int, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows and columns [n] of an even grid of at most `most` pixels."""
     stride = max(1, int(np.ceil(np.sqrt(height * width / most))))
-    rows, columns = np.meshgrid(
-        np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride), indexing="ij"
-    )
+    rows, columns = np.meshgrid(*(np.arange(stride // 2, side, stride) for side in (height, width)), indexing="ij")
     return rows.ravel(), columns.ravel()
 
 
 def rays_of(cameras: Sequence[Camera], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
     """Return where the pixels' centres look, as x / z and y / z [v, n, 2] in camera axes, without lens distortion."""
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)[:, None]
-    return np.stack([cv2.undistortPoints(pixels, c.K, np.array(c.distortion))[:, 0] for c in cameras]).astype(
-        np.float64
-    )
+    rays = [cv2.undistortPoints(pixels, c.K, np.array(c.distortion))[:, 0] for c in cameras]
+    return np.stack(rays).astype(np.float64)

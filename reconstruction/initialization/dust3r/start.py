@@ -1,4 +1,4 @@
-"""A first guess for the alignment of pairs: the focal length, poses along a spanning tree, a similarity for each pair.
+"""A first guess for the alignment of pairs: poses along a spanning tree, and a similarity for each pair.
 
 Letters: v views, n sampled pixels of each, m points. Source: Wang et al., "DUSt3R", CVPR 2024, sections 3.3 and 3.4.
 """
@@ -21,7 +21,6 @@ PNP_TOLERANCE = 0.015  # in units of the focal length, 5 pixels at 350
 LEAST_INLIERS = 0.5  # share of a view's points that one pose explains
 LEAST_LOG_CONFIDENCE = 0.1
 SMALL = 1e-9
-MOST_FOCAL = 3.0  # times the rig's
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,34 +39,6 @@ class Link:
     maps: PairMaps
     second_from_first: Transform
     score: float
-
-
-def focal_factor(rays: Floats, pairs: Sequence[PairMaps]) -> float:
-    """Return the factor on all focal lengths at which the rays [v, n, 2] meet each first view's own points.
-
-    The least sum of distances in the image, by Weiszfeld's iteration.
-    """
-    widest = MOST_FOCAL * float(np.linalg.norm(rays, axis=-1).max())
-    seen, made, weights = [], [], []
-    for pair in pairs:
-        points, weight = pair.finite_points[0], pair.weights[0]
-        flat = points[:, :2] / np.maximum(points[:, 2:], SMALL)
-        usable = (
-            (points[:, 2] > SMALL) & (weight > 0) & (np.linalg.norm(flat, axis=1) < widest)
-        )  # the rest has leverage
-        seen.append(rays[pair.first][usable])
-        made.append(flat[usable])
-        weights.append(weight[usable])
-    x, p, w = np.concatenate(seen), np.concatenate(made), np.concatenate(weights)
-    if not (w.sum() > 0 and (p**2).sum() > 0):
-        raise GeometryError("found no point in front of its own camera", "most", "keep the rig's focal length")
-    factor = float(np.median(np.linalg.norm(x, axis=1) / np.maximum(np.linalg.norm(p, axis=1), SMALL)))
-    for _ in range(ROUNDS):
-        near = w / np.maximum(np.linalg.norm(x - factor * p, axis=1), 1e-6)
-        factor = float((near[:, None] * x * p).sum() / (near[:, None] * p**2).sum())
-    if not 1 / MOST_FOCAL < factor < MOST_FOCAL:
-        raise GeometryError(f"found focal lengths {factor:.3g} times the rig's", "about 1", "keep the rig's")
-    return factor
 
 
 def registered(source: Floats, target: Floats, weights: Floats) -> Similarity:
@@ -97,9 +68,7 @@ def _least_squares(source: Floats, target: Floats, weights: Floats) -> Similarit
 
 
 def link(pair: PairMaps, rays: Floats) -> Link | None:
-    """Return the second camera's pose from where its points [n, 3] are seen [n, 2]; None where the pair says too
-    little.
-    """
+    """Return the second camera's pose from where its points are seen [n, 2]; None where the pair says too little."""
     points, weights = pair.finite_points, pair.weights
     usable = np.flatnonzero(weights[1] > 0)
     if len(usable) < 6 or weights.mean(axis=1).min() < LEAST_LOG_CONFIDENCE:
@@ -128,9 +97,7 @@ def link(pair: PairMaps, rays: Floats) -> Link | None:
 
 
 def _tree(names: Sequence[str], links: Sequence[Link]) -> list[Link]:
-    """Return the best links that reach every view, each touching an earlier one; GeometryError names views out of
-    reach.
-    """
+    """Return the best links that reach every view, each touching an earlier one; GeometryError names views left over."""
     left = sorted(links, key=lambda x: (-x.score, x.maps.first, x.maps.second))
     best: list[Link] = []
     while left:
@@ -147,7 +114,7 @@ def _tree(names: Sequence[str], links: Sequence[Link]) -> list[Link]:
     lost = [name for v, name in enumerate(names) if v not in reached]
     if lost:
         advice = "leave it out" if len(lost) == 1 else "leave them out"
-        raise GeometryError(f"found no overlap of {', '.join(lost)} with the other views", "some", f"{advice}")
+        raise GeometryError(f"found no overlap of {', '.join(lost)} with the other views", "some", advice)
     return best
 
 

@@ -39,7 +39,7 @@ _SIZES = {  # name in the call: field of the architecture, and what the public c
     "dec_num_heads": ("decoder_heads", 16),
     "patch_size": ("patch_px", 16),
 }
-_ONLY = {  # what else a call may say, and the values we know how to honour
+_ONLY = {  # other names in a call, and the values that can be honoured
     "output_mode": ("pts3d",),
     "depth_mode": (("exp", -math.inf, math.inf),),
     "conf_mode": (("exp", 1, math.inf),),
@@ -48,7 +48,7 @@ _ONLY = {  # what else a call may say, and the values we know how to honour
     "mlp_ratio": (4,),
     "norm_im2_in_dec": (True,),
 }
-_NO_MATTER = ("img_size", "freeze", "landscape_only", "mask_ratio")  # of the training
+_NO_MATTER = ("img_size", "freeze", "landscape_only", "mask_ratio")  # names that concern the training alone
 
 
 def load_network(path: Path) -> Dust3r:
@@ -64,7 +64,7 @@ def load_network(path: Path) -> Dust3r:
             network = Dust3r(architecture)
         _check(state, network.state_dict())
     except BadRunError as error:
-        raise BadRunError(f"{error}", do="give a DUSt3R checkpoint", where=path) from None
+        raise BadRunError(error.found, error.expected, "give a DUSt3R checkpoint", where=path) from None
     network.load_state_dict(state, assign=True)
     return network.requires_grad_(False).eval()
 
@@ -88,9 +88,7 @@ def _dense(tensor: object) -> TypeGuard[Tensor]:
 
 
 def _state(stored: Mapping[object, object]) -> dict[str, Tensor]:
-    """Return the tensors by our names; names that say the same twice are dropped, a missing second decoder is the
-    first.
-    """
+    """Return the tensors by our names, without those that are there twice; a missing second decoder is the first."""
     state: dict[str, Tensor] = {}
     for name, tensor in stored.items():
         if not isinstance(name, str) or not _dense(tensor):
@@ -141,7 +139,7 @@ def _architecture(call: Mapping[str, object], state: Mapping[str, Tensor]) -> Ar
     for name, known in _ONLY.items():
         if name in call and call[name] not in known:
             expected = " or ".join(str(value) for value in known)
-            raise BadRunError(f"found {name}={str(call[name])[:60]} in args.model", f"{expected}")
+            raise BadRunError(f"found {name}={str(call[name])[:60]} in args.model", expected)
     rotary = re.fullmatch(r"RoPE(\d{1,6})", str(call.get("pos_embed", "cosine")))
     if not rotary:
         raise BadRunError(f"found pos_embed={str(call.get('pos_embed', 'cosine'))[:60]}", "RoPE and its base")
@@ -178,7 +176,7 @@ def _check(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
         raise BadRunError(f"found a model {odd}", "the layout of DUSt3R")
     for name, tensor in expected.items():
         if found[name].shape != tensor.shape:
-            shapes = f"{tuple(found[name].shape)}, expected {tuple(tensor.shape)}"
-            raise BadRunError(f"found {name} of shape {shapes} as args.model says")
+            expected = f"{tuple(tensor.shape)} as args.model says"
+            raise BadRunError(f"found {name} of shape {tuple(found[name].shape)}", expected)
         if not bool(torch.isfinite(found[name]).all()):
             raise BadRunError(f"found NaN or infinity in {name}", "finite weights")

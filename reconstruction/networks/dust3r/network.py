@@ -120,8 +120,7 @@ def _head(a: Architecture) -> LinearHead | DptHead:
 
 
 def unfolded(outputs: Tensor) -> PointMap:
-    """Turn a head's channels [b, 4, H, W] into points = direction * expm1(norm) and confidence = 1 + exp (DUSt3R, eq.
-    4).
+    """Turn channels [b, 4, H, W] into points = direction * expm1(norm) and confidence = 1 + exp (DUSt3R, eq. 4).
 
     Both exponents are clamped, so that an odd image cannot overflow.
     """

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from reconstruction.networks.msdi.matching import Matches
-from reconstruction.networks.msdi.views import FARTHEST, LEAST_Z, NEAREST, Views, homogeneous
+from reconstruction.networks.msdi.views import FARTHEST, LEAST_Z, NEAREST, Views, cross_matrices, homogeneous
 
-DEPTH_SD = 30.0  # of an inverse depth, in object distances: keeps points that nothing holds
+DEPTH_SD = 30.0  # deviation of an inverse depth, in object distances: holds free points
 FIT_SD = 3.0  # standard deviations within which a correspondence agrees
-DAMPING = 1e-6  # of the diagonal
+DAMPING = 1e-6  # share of the diagonal that is added to it
 
 
 class Stage(NamedTuple):
@@ -71,7 +71,7 @@ def adjust(nominal: Views, matches: Matches, schedule: tuple[Stage, ...] = SCHED
 def moved(nominal: Views, parameters: Tensor) -> Views:
     """Return the views turned, shifted and refocused by `parameters` [P]."""
     turns, shifts = parameters[:-1].reshape(-1, 2, 3).unbind(dim=1)
-    rotation = torch.linalg.matrix_exp(_cross(turns)) @ nominal.rotation
+    rotation = torch.linalg.matrix_exp(cross_matrices(turns)) @ nominal.rotation
     return Views(
         rotation, nominal.center + shifts, nominal.focal * parameters[-1].exp(), nominal.principal, nominal.distance
     )
@@ -153,14 +153,14 @@ def derivatives(views: Views, pixels: Tensor, inverse_depth: Tensor, seen: Tenso
     flat = torch.eye(2, dtype=seen.dtype).expand(*z.shape, 2, 2)
     project = torch.cat([flat, -slope[..., None]], dim=-1) * (views.focal / z[..., None])[..., None]
     other_from_own = torch.einsum("wab,vcb->vwac", views.rotation, views.rotation)
-    own_turn = torch.einsum("vwab,vnbc->vnwac", other_from_own, _cross(directions))
+    own_turn = torch.einsum("vwab,vnbc->vnwac", other_from_own, cross_matrices(directions))
     shift = (inverse_depth[:, :, None, None, None] * views.rotation).expand(own_turn.shape)
     squeezed = torch.cat([-directions[..., :2], torch.zeros_like(directions[..., :1])], dim=-1)
     refocus = torch.einsum("vwab,vnb->vnwa", other_from_own, squeezed)
     baseline = torch.einsum("wab,vwb->vwa", views.rotation, views.center[:, None] - views.center[None])
     return Slopes(
         own=project @ torch.cat([own_turn, shift], dim=-1),
-        other=project @ torch.cat([-_cross(seen), -shift], dim=-1),
+        other=project @ torch.cat([-cross_matrices(seen), -shift], dim=-1),
         lens=(project @ refocus[..., None])[..., 0] + slope * views.focal,
         along=(project @ baseline[:, None, :, :, None])[..., 0],
     )
@@ -173,10 +173,3 @@ def _prior(count: int, stage: Stage) -> Tensor:
 
 def _square(residual: Tensor, information: Tensor) -> Tensor:
     return torch.einsum("...a,...ab,...b->...", residual, information, residual)
-
-
-def _cross(vectors: Tensor) -> Tensor:
-    """Return matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
-    x, y, z = vectors.unbind(dim=-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))

@@ -49,9 +49,7 @@ class Sweep(nn.Module):
         self.spread = nn.Conv2d(MIDDLE_WIDTH, 9 * CELL * CELL, 3, padding=1)
 
     def forward(self, middle: Tensor, views: Views, view: int) -> Swept:
-        """Sweep one view from `middle` [V, M, h, w] of the encoder and the `views` where the cameras are believed to
-        stand.
-        """
+        """Sweep one view from `middle` [V, M, h, w] of the encoder, with the cameras believed to stand as `views`."""
         features = functional.normalize(self.compare(middle).unflatten(1, (GROUPS, -1)), dim=2)
         steps = inverse_depths(views, STEPS).to(middle.dtype)
         volume = correlations(features, views.to(middle.dtype), view, steps)  # [2 G, K, h, w]
@@ -68,9 +66,7 @@ class Sweep(nn.Module):
         return Swept(logits, inverse_depth[0, 0], confidence[0, 0])
 
     def _spread(self, coarse: Tensor, weights: Tensor) -> Tensor:
-        """Enlarge [1, 1, h, w] to [1, 1, H, W]: each pixel is a mean of the 3x3 cells around it by `weights` [1, 9, 16,
-        h, w].
-        """
+        """Enlarge [1, 1, h, w] to [1, 1, H, W] by means of the 3x3 cells around, with `weights` [1, 9, 16, h, w]."""
         rows, columns = coarse.shape[2:]
         around = functional.unfold(functional.pad(coarse, (1, 1, 1, 1), mode="replicate"), 3)
         around = around.reshape(1, 9, 1, rows, columns)
@@ -88,8 +84,7 @@ def likeliest(logits: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def correlations(features: Tensor, views: Views, view: int, steps: Tensor) -> Tensor:
-    """Return each group's best, then mean correlation over the nearest other views [2 G, K, h, w]; 0 where none sees
-    it.
+    """Return each group's best and mean correlation over the nearest other views [2 G, K, h, w]; 0 where unseen.
 
     `features` [V, G, c, h, w] of unit length along c.
     """

@@ -1,4 +1,4 @@
-"""What the geometry of MSDI looks at: light and its error as channels that brightness and contrast do not change.
+"""The input of MSDI's geometry: light and its error as channels that brightness and contrast do not change.
 
 Letters: V views, H rows and W columns at the working size, N = (H / PATCH) (W / PATCH) patches.
 """
@@ -13,7 +13,7 @@ PATCH, FINE = 8, 2  # px a side at the working size: of a patch, of a cell of th
 WORKING_WIDTH = 200  # px; wider views are shrunk by a whole factor
 CHANNELS = 5
 NEIGHBOURHOOD = 15  # px whose mean and contrast are taken out
-LEAST_CONTRAST = 0.06  # of the square root of the mean light
+LEAST_CONTRAST = 0.06  # least contrast, as a share of the square root of the mean light
 
 
 def working_factor(width: int) -> int:

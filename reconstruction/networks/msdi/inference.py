@@ -24,7 +24,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Inferred:
-    """What the network says of V views: `light` and `sigma` [V, h, w] in spikes per tick, cameras, depth.
+    """The network's answer for V views: `light` and `sigma` [V, h, w] in spikes per tick, cameras, depth.
 
     `views` are the cameras over pixels `factor` times as large, not yet aligned to any rig; `depth` [V, H, W] in m and
     its `confidence` [V, H, W] above 1 belong to them, cut to what the views really see.
@@ -42,9 +42,7 @@ class Inferred:
 def infer_views(
     network: Msdi, streams: Sequence[SpikeStream], nominal: Views, plane: int, progress: Progress = silent
 ) -> Inferred:
-    """Find the images of all `streams` at `plane`, then the cameras, then depth. `nominal` is over pixels of the full
-    size.
-    """
+    """Find the images of all `streams` at `plane`, then cameras, then depth; `nominal` is over full-size pixels."""
     height, width = streams[0].layout.height, streams[0].layout.width
     factor = working_factor(width)
     light, sigma, seen = _observe_all(network, streams, plane, factor, progress)

@@ -43,8 +43,7 @@ class BackboneTrunk(nn.Module):
         self.norm = nn.LayerNorm(TOKEN_WIDTH)
 
     def forward(self, tokens: Tensor, seen: Tensor, gate: Tensor) -> Tensor:
-        """Map tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W] to tokens; the gate is for correlations
-        only.
+        """Map tokens [V, N, D] of the patches of `seen` [V, CHANNELS, H, W] to tokens; the gate is not used here.
 
         The views are enlarged until a patch of ours is one of the backbone's.
         """

@@ -44,9 +44,7 @@ class Matcher(nn.Module):
         self.none = nn.Parameter(torch.zeros(()))
 
     def token_logs(self, tokens: Tensor, gate: Tensor) -> Tensor:
-        """Return log-probabilities [V, N, W, N + 1] of each token of view w, or of none (the last), for each token of
-        view v.
-        """
+        """Return each token's log-probabilities [V, N, W, N + 1] of the tokens of view w, and of none (the last)."""
         unit = functional.normalize(self.coarse(tokens), dim=-1)
         alike = torch.einsum("vnd,wmd->vnwm", unit, unit) * self.sharpness[0].exp()
         alike = alike.masked_fill(~gate, OUTSIDE)
@@ -112,9 +110,7 @@ def around_peak(logits: Tensor, centers: Tensor) -> Tensor:
 
 
 def moments(logits: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean [..., 2] and covariance [..., 2, 2] in px of the softmax of `logits` [..., S] at `centers` [..., S,
-    2].
-    """
+    """Return mean [..., 2] and covariance [..., 2, 2] in px of the softmax of `logits` [..., S] at `centers`."""
     share = logits.softmax(dim=-1)[..., None]
     mean = (share * centers).sum(dim=-2)
     away = centers - mean[..., None, :]

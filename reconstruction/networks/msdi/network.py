@@ -17,15 +17,15 @@ from reconstruction.networks.image_networks import image_network
 from reconstruction.networks.msdi.adjustment import SCHEDULE, Adjusted, Stage, adjust
 from reconstruction.networks.msdi.depth import Sweep
 from reconstruction.networks.msdi.encoder import Encoded, Encoder, Trunk
-from reconstruction.networks.msdi.features import channels, keypoints, patch_centers
+from reconstruction.networks.msdi.features import keypoints, patch_centers
 from reconstruction.networks.msdi.matching import Matcher, Matches
 from reconstruction.networks.msdi.views import GATE, Views, gate
 from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet
 from reconstruction.networks.weights import read_weights
 
 SHIPPED = Path(__file__).parent / "weights"
-IMAGE_SHARE = 0.1  # of the learning rate
-CLOSER_GATE = 0.035  # of the focal length, once the poses have been adjusted
+IMAGE_SHARE = 0.1  # share of the learning rate that the image network learns with
+CLOSER_GATE = 0.035  # gate once the poses have been adjusted, as a share of the focal length
 CLOSER = tuple(Stage(8, robust, 0.02, 0.02) for robust in (5.0, 2.0, 1.0, 0.5))
 
 
@@ -64,8 +64,7 @@ class Msdi(nn.Module):
 
     def solve(self, seen: Tensor, nominal: Views, schedule: tuple[Stage, ...] = SCHEDULE) -> Solved:
         """Find poses from the channels `seen` [V, CHANNELS, H, W]: match inside the nominal gate, then adjust."""
-        centers = patch_centers((seen.shape[3], seen.shape[2])).expand(len(seen), -1, -1)
-        allowed = gate(nominal.to(torch.float32), centers, GATE)
+        allowed = patch_gate(nominal, (seen.shape[3], seen.shape[2]))
         encoded = self.encoder(seen, allowed)
         matches = self.matcher(encoded, keypoints(seen), allowed)
         return Solved(adjust(nominal, matches, schedule), matches, encoded)
@@ -73,8 +72,7 @@ class Msdi(nn.Module):
     def solve_again(self, first: Solved, size: tuple[int, int], nominal: Views) -> Solved:
         """Match once more inside a narrower gate around the poses found, and adjust from the nominal rig."""
         views = first.adjusted.views
-        centers = patch_centers(size).expand(len(views), -1, -1)
-        allowed = gate(views.to(torch.float32), centers, CLOSER_GATE)
+        allowed = patch_gate(views, size, CLOSER_GATE)
         matches = self.matcher(first.encoded, first.matches.pixels, allowed)
         return Solved(adjust(nominal, matches, (*SCHEDULE[:3], *CLOSER)), matches, first.encoded)
 
@@ -92,7 +90,6 @@ def trained_msdi(weights: Path | None = None) -> Msdi:
     return module
 
 
-def prepared(network: Msdi, rates: Tensor, factor: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return light and sigma [V, 1, h, w], and the channels [V, CHANNELS, H, W] that the geometry sees."""
-    light, sigma, level = network.light(rates)
-    return light, sigma, channels(light, sigma, rates, level, factor)
+def patch_gate(views: Views, size: tuple[int, int], radius: float = GATE) -> Tensor:
+    """Return which patches of views of `size` (W, H) may correspond [V, N, V, N]; see `gate`."""
+    return gate(views.to(torch.float32), patch_centers(size).expand(len(views), -1, -1), radius)

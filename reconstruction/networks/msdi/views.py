@@ -16,12 +16,12 @@ from reconstruction.errors import BadRunError
 from rigs.rig import Rig
 from rigs.transform import Transform
 
-NEAREST, FARTHEST = 0.3, 8.0  # object distances between which anything may lie
-GATE = 45 / 350  # of the focal length: how far from its nominal epipolar line a correspondence may lie
-AXIS_SD_RAD = 0.035  # of a nominal axis
-USUAL_DISTANCE, USUAL_SPREAD = 8.0, 0.5  # of the cameras' scatter; relative standard deviation of the distance
+NEAREST, FARTHEST = 0.3, 8.0  # object distances that anything lies between
+GATE = 45 / 350  # distance from the nominal epipolar line, as a share of the focal length
+AXIS_SD_RAD = 0.035  # deviation of a nominal axis
+USUAL_DISTANCE, USUAL_SPREAD = 8.0, 0.5  # usual distance in scatters of the cameras, and its relative deviation
 GATE_STEPS = 3  # inverse depths between which the line is straight
-LEAST_Z = 0.05  # of the depth in its own view: a point's least depth in another, so that none is divided by zero
+LEAST_Z = 0.05  # least depth of a point in another view, as a share of its own: no division by zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +95,7 @@ class Views:
 
 
 def homogeneous(views: Views, other: Views, directions: Tensor, inverse_depth: Tensor) -> Tensor:
-    """Return the points along `directions` [V, N, 3] in the axes of every `other` view, times inverse depth [V, N, W,
-    3].
-    """
+    """Return points along `directions` [V, N, 3] in the axes of `other`, times their inverse depth [V, N, W, 3]."""
     in_rig = torch.einsum("vba,vnb->vna", views.rotation, directions)  # rotation transposed: rig_from_cam
     offset = views.center[:, None] - other.center[None]  # [V, W, 3]
     along = in_rig[:, :, None] + inverse_depth[..., None, None] * offset[:, None]
@@ -162,3 +160,10 @@ def _segment_distance(points: Tensor, start: Tensor, end: Tensor) -> Tensor:
     away = points - start[:, :, None]
     share = ((away * along).sum(-1) / (along * along).sum(-1).clamp_min(1e-9)).clamp(0, 1)
     return (away - share[..., None] * along).norm(dim=-1)
+
+
+def cross_matrices(vectors: Tensor) -> Tensor:
+    """Return matrices [..., 3, 3] that multiply as the cross product with `vectors` [..., 3] does."""
+    x, y, z = vectors.unbind(dim=-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))

@@ -1,1 +1,1 @@
-"""How the networks are trained: random scenes, losses, one resumable loop, scores and curves."""
+"""The training of the networks: random scenes, losses, one resumable loop, scores and curves."""

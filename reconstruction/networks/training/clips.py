@@ -60,7 +60,7 @@ Kind = TypeVar("Kind", bound=ClipSet)
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
+class CameraClip:
     """One camera's planes, and the true light [n, H, W] in spikes per tick at the planes `instants` [n]."""
 
     stream: SpikeStream
@@ -84,7 +84,7 @@ class CameraClips(ClipSet):
         if not 0 <= min(self.instants) <= max(self.instants) < self.planes:
             raise BadRunError(f"found the instants {self.instants}", f"planes inside 0:{self.planes}")
 
-    def make(self, seed: int) -> Clip:
+    def make(self, seed: int) -> CameraClip:
         """Render and expose the clip with `seed`."""
         clock = RigClock(TICK_RATE_HZ)
         camera, layout = random_camera(self.size, self.size), PlaneLayout(self.size, self.size)
@@ -93,18 +93,18 @@ class CameraClips(ClipSet):
         packed = SceneSource(scene, camera, clock, self.planes, sensor, layout).next_planes(self.planes)
         instants_s = np.array([clock.instant_s(k) for k in self.instants])
         truth = scene.raycaster(camera, CLIP_RAYS, 1).intensity(*scene.placements(instants_s))
-        return Clip(SpikeStream(packed, layout, TICK_RATE_HZ), self.instants, truth)
+        return CameraClip(SpikeStream(packed, layout, TICK_RATE_HZ), self.instants, truth)
 
     def arrays(self, seed: int) -> Mapping[str, NDArray]:
         """Make the clip with `seed` and return what its file holds."""
         clip = self.make(seed)
         return {"packed": clip.stream.packed, "truth": clip.truth}
 
-    def read(self, folder: Path, seed: int) -> Clip:
+    def read(self, folder: Path, seed: int) -> CameraClip:
         """Read the clip with `seed` out of `folder`."""
         with np.load(self.path(folder, seed), allow_pickle=False) as archive:
             stream = SpikeStream(archive["packed"], PlaneLayout(self.size, self.size), TICK_RATE_HZ)
-            return Clip(stream, self.instants, archive["truth"].astype(np.float32))
+            return CameraClip(stream, self.instants, archive["truth"].astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)

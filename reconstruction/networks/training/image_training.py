@@ -23,7 +23,7 @@ POOL = 64  # (stream, instant) pairs of a recording that are kept in memory
 
 
 class Pictures(Protocol):
-    """What a network may be shown; `smallest` is the shorter side of the smallest, in pixels."""
+    """Pictures to train on; `smallest` is the shorter side of the smallest, in pixels."""
 
     smallest: int
 

@@ -1,4 +1,4 @@
-"""How good a network is while it learns: random scenes of other seeds, and `fan_and_ball` of the development seeds."""
+"""Scores image networks while they learn: on random scenes of other seeds, and on `fan_and_ball`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.metrics.image import psnr_db
-from reconstruction.networks.training.clips import CameraClips, Clip
+from reconstruction.networks.training.clips import CameraClip, CameraClips
 from rigs.toml import catalog_rig
 
 RANDOM = CameraClips(first_seed=900_000, count=24, instants=(80,))
@@ -26,7 +26,7 @@ PLANES, INSTANT = 161, 80
 class Scored:
     """A clip with one instant, the light of white there, and the pixels [H, W] that see a mover, where known."""
 
-    clip: Clip
+    clip: CameraClip
     white: float
     moving: NDArray[np.bool_] | None = None
 
@@ -67,5 +67,5 @@ def _development_clip(seed: int) -> Scored:
     packed = SceneSource(scene, camera, rig.clock, PLANES, sensor, layout).next_planes(PLANES)
     frames = scene.render(camera, np.array([rig.clock.instant_s(INSTANT)]))
     moving = np.isin(frames.ids[0], list(scene.movers.values()))
-    clip = Clip(SpikeStream(packed, layout, rig.tick_rate_hz), (INSTANT,), frames.intensity)
+    clip = CameraClip(SpikeStream(packed, layout, rig.tick_rate_hz), (INSTANT,), frames.intensity)
     return Scored(clip, scene.white, moving)

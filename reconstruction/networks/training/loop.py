@@ -25,7 +25,7 @@ from reconstruction.networks.training import processes
 from reconstruction.networks.weights import read_state, write_state, write_weights
 
 WARM_UP = 200  # steps
-LAST_RATE = 0.02  # of the learning rate, at the last step
+LAST_RATE = 0.02  # share of the learning rate at the last step
 LARGEST_GRADIENT = 1.0
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -35,7 +35,7 @@ LossOf = Callable[[Network, int], torch.Tensor]
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """What is trained and how long; `averaged` is the share of the running average that a step keeps."""
+    """The name and length of a training; `averaged` is the share of the running average that a step keeps."""
 
     name: str
     steps: int

@@ -1,4 +1,4 @@
-"""What MSDI is told: correspondences, depth, relative poses and light of rendered scenes, which are exact.
+"""The losses of MSDI: correspondences, depth and relative poses of rendered scenes, whose truth is exact.
 
 Letters: V = W views, N tokens a view, S fine cells, K inverse depths.
 """
@@ -14,7 +14,7 @@ from reconstruction.networks.msdi.features import FINE, PATCH
 from reconstruction.networks.msdi.matching import OUTSIDE, WINDOW, Matcher, Matches, moments
 from reconstruction.networks.msdi.views import Views, inverse_depths
 
-SAME_SURFACE = 0.03  # of the depth: what another view may differ by and still see the point
+SAME_SURFACE = 0.03  # largest gap in depth at which another view still sees a point, as a share
 UNSEEN = -1  # token index of a point another view does not see; IGNORED where nobody knows
 IGNORED = -2
 SHORT = (Stage(2, 30.0, 1e-4, 1e-5), Stage(2, 5.0, 0.01, 0.01), Stage(2, 3.0, 0.02, 0.02))
@@ -99,9 +99,7 @@ def _middle(tokens: Tensor, columns: int) -> Tensor:
 
 
 def depth_loss(swept: Swept, depth: Tensor, views: Views) -> Tensor:
-    """Return one view's loss against the true `depth` [H, W]: entropy of the steps, and DUSt3R's confidence-weighted
-    error.
-    """
+    """Return one view's loss against the true `depth` [H, W]: entropy of steps, and DUSt3R's weighted error."""
     steps = inverse_depths(views, STEPS).to(depth.dtype)
     known = torch.isfinite(depth) & (depth > 1 / steps[-1]) & (depth < 1 / steps[0])
     inverse = 1 / torch.where(known, depth, torch.full_like(depth, views.distance))

@@ -1,4 +1,4 @@
-"""What MSDI is trained on: some views of a clip, cropped and mirrored, with a nominal rig drawn for the occasion.
+"""The samples that MSDI learns from: some views of a clip, cropped and mirrored, with a nominal rig drawn anew.
 
 Sample number n is the same whenever it is asked for. Letters: V views, H rows, W columns of the crop.
 """
@@ -15,8 +15,8 @@ from torch import Tensor
 
 from acquisition.scenes.misplaced import misplaced
 from reconstruction.errors import BadRunError
-from reconstruction.networks.msdi.features import PATCH
-from reconstruction.networks.msdi.network import Msdi, prepared
+from reconstruction.networks.msdi.features import PATCH, channels
+from reconstruction.networks.msdi.network import Msdi
 from reconstruction.networks.msdi.views import Views, object_distance
 from reconstruction.networks.rates import rates
 from reconstruction.networks.training.clips import MultiviewClip, MultiviewClips, read_clip_set
@@ -24,7 +24,7 @@ from rigs.rig import Rig
 
 THREE_VIEWS = 0.7  # share of the samples; the others have four, where the clips do
 DISTANCES_M = (1.0, 3.0)  # the object's in any clip
-MISJUDGED = (0.6, 1.6)  # of the true distance: the nominal rig's least and most
+MISJUDGED = (0.6, 1.6)  # least and largest distance by the nominal rig, as shares of the true one
 FIRST_ERROR = 0.5  # degrees, cm and percent of the nominal rigs at the start of the training
 
 
@@ -89,8 +89,9 @@ class Samples:
             clip = self._clips.read(self._folder, seed)
             observed = torch.from_numpy(np.stack([rates(stream, clip.plane) for stream in clip.streams]))
             with torch.no_grad():
-                channels = prepared(self._network, observed, 1)[2]
-            self._kept[seed] = channels.numpy().astype(np.float16), clip
+                light, sigma, level = self._network.light(observed)
+                seen = channels(light, sigma, observed, level, 1)
+            self._kept[seed] = seen.numpy().astype(np.float16), clip
         return self._kept[seed]
 
 

@@ -13,10 +13,9 @@ from torch import Tensor
 
 from reconstruction.errors import BadRunError
 from reconstruction.networks.image_networks import light_loss
-from reconstruction.networks.msdi.features import channels, keypoints, patch_centers
+from reconstruction.networks.msdi.features import channels, keypoints
 from reconstruction.networks.msdi.large import large_msdi
-from reconstruction.networks.msdi.network import Msdi, small_msdi
-from reconstruction.networks.msdi.views import gate
+from reconstruction.networks.msdi.network import Msdi, patch_gate, small_msdi
 from reconstruction.networks.training.loop import Loop, LoopConfig
 from reconstruction.networks.training.msdi_losses import (
     correspondences,
@@ -87,8 +86,7 @@ def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose
     """Return all losses of one sample; `number` seeds what is drawn."""
     image, seen = _seen(network, sample, joint)
     pixels = keypoints(seen.detach())
-    centers = patch_centers((seen.shape[3], seen.shape[2])).expand(len(seen), -1, -1)
-    allowed = gate(sample.nominal.to(torch.float32), centers)
+    allowed = patch_gate(sample.nominal, (seen.shape[3], seen.shape[2]))
     encoded = network.encoder(seen, allowed)
     truth = correspondences(sample.depth, sample.true, pixels)
     total = image + token_loss(network.matcher.token_logs(encoded.tokens, allowed), truth[1], allowed)

@@ -12,7 +12,7 @@ from torch import distributed, nn
 
 
 def start(device: str) -> str:
-    """Join the other processes, if there are any; the device of this one."""
+    """Join the other processes, if there are any, and return the device of this one."""
     if int(os.environ.get("WORLD_SIZE", "1")) < 2:
         return device
     local = int(os.environ.get("LOCAL_RANK", "0"))

@@ -18,7 +18,6 @@ def test_a_charuco_board_is_laid_out_as_opencv_does():
         apart = np.linalg.norm(board.tags.mean(axis=1) - point, axis=1)
         assert set(tags) == set(np.flatnonzero(apart < 0.04))
     assert board.margin_m == pytest.approx(0.0065)
-    assert board.cell_m == pytest.approx(0.027 / 7)
 
 
 def test_a_grid_of_tags_is_laid_out_as_opencv_does():

@@ -5,10 +5,9 @@ from torch.nn import functional
 
 from reconstruction.errors import BadRunError
 from reconstruction.networks.blind_spot import BlindSpotNet, joined
-from reconstruction.networks.deformable import deformed
 from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, loss
 from reconstruction.networks.rates import BINS, EDGES
-from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet
+from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet, deformed
 from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet, window_means
 from reconstruction.networks.weights import read_weights, write_weights
 

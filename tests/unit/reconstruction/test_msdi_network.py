@@ -7,7 +7,7 @@ from reconstruction.networks.msdi.depth import STEPS, likeliest
 from reconstruction.networks.msdi.features import channels, evened, keypoints, patch_centers, sampled
 from reconstruction.networks.msdi.inference import full_size, smaller
 from reconstruction.networks.msdi.matching import FLOOR_PX, moments, window_cells
-from reconstruction.networks.msdi.network import prepared, small_msdi
+from reconstruction.networks.msdi.network import small_msdi
 from reconstruction.networks.msdi.views import Views, inverse_depths
 from reconstruction.networks.rates import BINS
 
@@ -24,6 +24,12 @@ def _one_thread():
 def network():
     torch.manual_seed(0)
     return small_msdi().eval()
+
+
+def prepared(network, rates, factor):
+    """Light, sigma and the channels that the geometry sees."""
+    light, sigma, level = network.light(rates)
+    return light, sigma, channels(light, sigma, rates, level, factor)
 
 
 def seen_by(rig, factor=1, seed=0):
