@@ -108,8 +108,9 @@ def _batches(count: int) -> Iterator[slice]:
 
 
 def padded_images(tones: Sequence[NDArray[np.float32]], patch_px: int) -> tuple[Tensor, tuple[int, int]]:
-    """Pad grey images [H, W] in [0, 1] to whole patches, as [v, 3, H', W'] in [-1, 1]; return the rows and columns
-    before.
+    """Pad grey images [H, W] in [0, 1] to whole patches [v, 3, H', W'] in [-1, 1], by some rows and columns before.
+
+    As many are added behind, or one more.
     """
     height, width = tones[0].shape
     more = [-size % patch_px for size in (height, width)]

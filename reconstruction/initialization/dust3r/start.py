@@ -97,7 +97,7 @@ def link(pair: PairMaps, rays: Floats) -> Link | None:
 
 
 def _tree(names: Sequence[str], links: Sequence[Link]) -> list[Link]:
-    """Return the best links that reach every view, each touching an earlier one; GeometryError names views left over."""
+    """Return the best links that reach every view, each touching an earlier one; GeometryError names the others."""
     left = sorted(links, key=lambda x: (-x.score, x.maps.first, x.maps.second))
     best: list[Link] = []
     while left:
