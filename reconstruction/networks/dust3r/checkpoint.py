@@ -176,7 +176,7 @@ def _check(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
         raise BadRunError(f"found a model {odd}", "the layout of DUSt3R")
     for name, tensor in expected.items():
         if found[name].shape != tensor.shape:
-            expected = f"{tuple(tensor.shape)} as args.model says"
-            raise BadRunError(f"found {name} of shape {tuple(found[name].shape)}", expected)
+            said = f"{tuple(tensor.shape)} as args.model says"
+            raise BadRunError(f"found {name} of shape {tuple(found[name].shape)}", said)
         if not bool(torch.isfinite(found[name]).all()):
             raise BadRunError(f"found NaN or infinity in {name}", "finite weights")
