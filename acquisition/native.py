@@ -3,7 +3,7 @@
 import ctypes
 import functools
 import importlib.metadata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -88,13 +88,17 @@ class Kernel:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel of this thread's build."""
+        return self.bound()(*arguments)
+
+    def bound(self) -> Callable[..., Any]:
+        """Return the function of this thread's build, for a caller who must stay with that build."""
         library = load_library(self.package)
         function = self._functions.get(id(library))
         if function is None:
             function = library[self.name]  # an object of its own, so that no other declaration changes it
             function.argtypes, function.restype = self.argument_types, self.returns
             self._functions[id(library)] = function
-        return function(*arguments)
+        return function
 
 
 @functools.cache

@@ -1,10 +1,29 @@
-"""The native library of this package."""
+"""Calls of this package's native kernels, each declared with its argument types."""
+
+from __future__ import annotations
 
 import ctypes
+from typing import Any
 
-from acquisition.native import load_library
+import torch
+from torch import Tensor
+
+from acquisition.native import Address, Kernel
+
+Int, Long, Float, Double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
+Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type of what `addresses` returns
 
 
-def library() -> ctypes.CDLL:
-    """The native kernels of `reconstruction`, built for this processor."""
-    return load_library("reconstruction")
+def kernel(name: str, *argument_types: Any, returns: Any = None) -> Kernel:
+    """Return the kernel `name`; `Address` stands for an array or tensor, ctypes' types for numbers and structures."""
+    return Kernel("reconstruction", name, *argument_types, returns=returns)
+
+
+def addresses(*tensors: Tensor | None) -> ctypes.Array:
+    """Return the addresses of contiguous tensors, null for None, as a C array."""
+    return (ctypes.c_void_p * len(tensors))(*(Address.from_param(t) for t in tensors))
+
+
+def fits(*tensors: Tensor) -> bool:
+    """Return whether kernels can take all these tensors: float32 on the CPU."""
+    return all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)

@@ -26,7 +26,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.poses import posed
 from reconstruction.pipeline.run import reconstruct
 from reconstruction.pipeline.stages import composite_sources
-from reconstruction.rendering.render import Rendering
+from reconstruction.rendering.result import Rendering
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
@@ -136,7 +136,7 @@ class EveryChannel(ImageTerm):
         """Return the loss of one render against its target image [H, W]."""
         light = rendered.intensity
         losses = [
-            super(EveryChannel, self).against(replace(rendered, intensity=light[..., c : c + 1]), target)
+            super(EveryChannel, self).against(rendered._replace(intensity=light[..., c : c + 1]), target)
             for c in range(light.shape[2])
         ]
         return torch.stack(losses).mean()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -16,7 +15,7 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.gaussians.polynomial import PolynomialMotion
-from reconstruction.losses.ssim import ssim
+from reconstruction.losses.ssim import ssim_map
 from reconstruction.rendering.native import Work, work_of
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.render import Backend, Rendering, render
@@ -186,7 +185,7 @@ def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
 def loss_of(rendering: Rendering, target: Tensor) -> Tensor:
     """Return L1 and SSIM of a render against its target [H, W], weighted as in training."""
     image = rendering.intensity[..., 0]
-    return 0.8 * (image - target).abs().mean() / WHITE + 0.2 * (1 - ssim(image, target, WHITE))
+    return 0.8 * (image - target).abs().mean() / WHITE + 0.2 * (1 - ssim_map(image, target, WHITE).mean())
 
 
 class Step:
@@ -219,7 +218,7 @@ class Step:
         now = timed("motion", lambda: self.cloud.at(INSTANT_S))
         cut = Instantaneous(*(t.detach().requires_grad_(True) for t in now))
         rendering = timed("renderer", lambda: render(cut, self.camera))
-        image = replace(rendering, intensity=rendering.intensity.detach().requires_grad_(True))
+        image = rendering._replace(intensity=rendering.intensity.detach().requires_grad_(True))
         (slope,) = timed(LOSS, lambda: torch.autograd.grad(loss_of(image, self.target), image.intensity))
         slopes = timed("renderer gradient", lambda: torch.autograd.grad(rendering.intensity, cut, slope))
         timed("motion gradient", lambda: torch.autograd.backward(now, slopes))

@@ -55,13 +55,14 @@ def splats_at(scene: Scene, instant_s: float) -> Splats:
     """
     import torch
 
-    from reconstruction.rendering.reference import ALPHA_MIN, unit_quats
+    from reconstruction.quaternions import unit
+    from reconstruction.rendering.reference import ALPHA_MIN
 
     with torch.no_grad():
         now = scene.gaussians.at(instant_s)
         splats = Splats(
             floats(now.means),
-            floats(unit_quats(now.quats_wxyz)),
+            floats(unit(now.quats_wxyz)),
             linear_scales(now.log_scales),
             floats(now.opacities),
             floats(now.intensities[:, 0] / scene.white),

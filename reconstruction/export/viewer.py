@@ -22,7 +22,8 @@ from reconstruction.export.splats import Floats, floats, linear_scales
 from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
-from reconstruction.rendering.reference import ALPHA_MIN, unit_quats
+from reconstruction.quaternions import unit
+from reconstruction.rendering.reference import ALPHA_MIN
 from reconstruction.report.display import depth_span_m
 from rigs.camera import Camera
 
@@ -79,7 +80,7 @@ def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, i
     """The arrays that still and moving Gaussians share."""
     return {
         "means": floats(means),
-        "quats_wxyz": floats(unit_quats(quats)),
+        "quats_wxyz": floats(unit(quats)),
         "scales": linear_scales(log_scales),
         "opacities": floats(opacities),
         "intensities": floats(intensities[:, 0]),
@@ -115,7 +116,7 @@ def _keyframes(cloud: DynamicCloud) -> Arrays:
     arrays = _base(middle.means, middle.quats_wxyz, middle.log_scales, most, middle.intensities)
     tracks = {
         "key_means": floats(torch.stack([key.means for key in keys])),
-        "key_quats": _one_hemisphere(floats(torch.stack([unit_quats(key.quats_wxyz) for key in keys]))),
+        "key_quats": _one_hemisphere(floats(torch.stack([unit(key.quats_wxyz) for key in keys]))),
         "key_opacities": floats(opacities),
     }
     if any(not torch.equal(key.log_scales, middle.log_scales) for key in keys):

@@ -22,6 +22,7 @@ from reconstruction.gaussians.course import Course, evaluated
 from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
 from reconstruction.gaussians.polynomial import WINDOW_RATES
 from reconstruction.gaussians.riding import carried
+from reconstruction.quaternions import unit
 from reconstruction.scene_model import Rate
 
 
@@ -89,12 +90,3 @@ def knot_weights(u: float, knots: int) -> Tensor:
         else:
             weights[knot] += weight / 2
     return weights
-
-
-def unit(quats_wxyz: Tensor) -> Tensor:
-    """Quaternions [K, 4] of any length made unit; no turn where all four numbers are zero."""
-    largest = quats_wxyz.detach().abs().amax(dim=-1, keepdim=True)
-    some = largest != 0  # NaN stays NaN, which the renderer refuses
-    # Scaled first, so that 1e20 and 1e-20 survive the squares.
-    scaled = torch.where(some, quats_wxyz / torch.where(some, largest, 1), quats_wxyz.new_tensor([1.0, 0, 0, 0]))
-    return scaled / scaled.norm(dim=-1, keepdim=True)

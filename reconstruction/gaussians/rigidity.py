@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from reconstruction.gaussians.riding import product, rotated
+from reconstruction.quaternions import product, rotated
 
 NEIGHBOURS = 8  # published: 20, of ten times as many Gaussians
 SHARPNESS = 1.0

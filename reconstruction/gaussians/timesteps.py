@@ -19,8 +19,8 @@ from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
-from reconstruction.gaussians.rigid import unit
 from reconstruction.gaussians.rigidity import Neighbourhood, neighbourhood, rigidity
+from reconstruction.quaternions import unit
 from reconstruction.scene_model import Rate
 
 TIMESTEPS = 13

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.native import Address
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, back_project
-from reconstruction.native import library
+from reconstruction.native import Double, Int, kernel
 
 AGREEING = 2  # other views that must confirm a depth
+_confirm_depths = kernel("confirm_depths", Address, Int, Int, Address, Address, Address, Int, Int, Double, Address)
 AGREEMENT_PX = 1.0  # how far, in inverse-depth steps, a confirming depth may lie
 
 
@@ -39,10 +40,7 @@ def confirmations(reference: DepthMap, others: Sequence[DepthMap], tolerance: fl
         numbers = np.concatenate([rows.ravel(), other_from_reference.translation])
         pinhole = np.array([seen_by.fx, seen_by.fy, seen_by.cx, seen_by.cy])
         there = np.ascontiguousarray(other.depth, dtype=np.float32)
-        library().confirm_depths(
-            _pointer(depth), *depth.shape, _pointer(numbers), _pointer(pinhole), _pointer(there), *there.shape,
-            ctypes.c_double(tolerance), _pointer(votes),
-        )  # fmt: skip
+        _confirm_depths(depth, *depth.shape, numbers, pinhole, there, *there.shape, tolerance, votes)
     return votes
 
 
@@ -61,7 +59,3 @@ def confirmations_reference(reference: DepthMap, others: Sequence[DepthMap], tol
         with np.errstate(divide="ignore"):
             votes += inside & (np.abs(1 / other.depth[row, column].astype(np.float64) - 1 / z) <= tolerance)
     return votes
-
-
-def _pointer(array: NDArray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)

@@ -7,17 +7,19 @@ PAMI 1991 (the fit).
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.native import library
+from acquisition.native import Address
+from reconstruction.native import Double, Int, kernel
 from rigs.transform import Transform
 
 MOST_UNLIKE = 40.0  # exponent beyond which a match is none
 ALIKE = 0.04  # spikes per tick: brightness of one surface point seen at two instants
+_POINTS = (Address, Address, Int)
+_soft_matches = kernel("soft_matches", *_POINTS, *_POINTS, Address, *[Double] * 4, Address)
 
 Cloud = tuple[NDArray[np.float32], NDArray[np.float32]]  # positions [n, 3] in m, intensities [n] in spikes per tick
 
@@ -44,11 +46,8 @@ def soft_matches(model: Cloud, target: Cloud, pose: Transform, width: float, str
     points = [np.ascontiguousarray(a, dtype=np.float32) for a in (*model, *target)]
     numbers = np.concatenate([pose.rotation.ravel(), pose.translation]).astype(np.float64)
     sums = np.empty(17)
-    model_at, model_light, target_at, target_light = map(_pointer, points)
-    library().soft_matches(
-        model_at, model_light, len(points[0]), target_at, target_light, len(points[2]), _pointer(numbers),
-        *map(ctypes.c_double, (width, ALIKE, MOST_UNLIKE, stray)), _pointer(sums),
-    )  # fmt: skip
+    sizes = (len(points[0]), len(points[2]))
+    _soft_matches(*points[:2], sizes[0], *points[2:], sizes[1], numbers, width, ALIKE, MOST_UNLIKE, stray, sums)
     return Matches(float(sums[0]), float(sums[1]), sums[2:5], sums[5:8], sums[8:].reshape(3, 3))
 
 
@@ -68,7 +67,3 @@ def rigid_fit(matches: Matches) -> Transform:
     mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     turn = left @ (mirror[:, None] * right)
     return Transform(turn, middle_target - turn @ middle_model)
-
-
-def _pointer(array: NDArray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)

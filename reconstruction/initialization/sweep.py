@@ -6,19 +6,22 @@ bad points.
 Source: Collins, CVPR 1996 (plane sweep); Hirschmueller, PAMI 2008 (semi-global matching); ZNCC and best-k by design.
 """
 
-import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.native import library
+from acquisition.native import Address
+from reconstruction.native import Float, Int, kernel
 from rigs.camera import Camera
 from rigs.rig import object_distance_m
 
 Image = NDArray[np.float32]
 SOURCES = 4  # nearest views matched against each reference
+
+_IMAGES = (Address, Int, Int, Address, Int, Int, Int)
+_plane_sweep = kernel("plane_sweep", *_IMAGES, *[Address] * 3, Int, Int, Float, Float, Float, Address, Address)
 
 
 @dataclass(frozen=True)
@@ -77,11 +80,8 @@ def sweep_view(
     height, width = image.shape
     depth, cost = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     flat = np.ascontiguousarray(image, dtype=np.float32)
-    library().plane_sweep(
-        _pointer(flat), height, width, _pointer(stack), len(stack), stack.shape[1], stack.shape[2],
-        *(_pointer(a) for a in arrays), options.planes, options.radius_px, ctypes.c_float(options.noise),
-        ctypes.c_float(options.penalty_step), ctypes.c_float(options.penalty_jump), _pointer(depth), _pointer(cost),
-    )  # fmt: skip
+    numbers = (options.planes, options.radius_px, options.noise, options.penalty_step, options.penalty_jump)
+    _plane_sweep(flat, height, width, stack, *stack.shape, *arrays, *numbers, depth, cost)
     return DepthMap(camera, depth, cost)
 
 
@@ -99,7 +99,3 @@ def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64
     source_from_reference = source.cam_from_rig @ reference.cam_from_rig.inverse()
     homography = source.K @ source_from_reference.rotation @ np.linalg.inv(reference.K)
     return homography.ravel(), source.K @ source_from_reference.translation
-
-
-def _pointer(array: NDArray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)

@@ -1,8 +1,8 @@
-"""Rendered light against what the camera measured: spike counts, not an image made of them.
+"""Losses of rendered light against spike counts.
 
-Letters: Q parts of a window, H rows, W columns. A pixel's count over a window is the light it gathered within one
-spike: with a random phase it errs by a variance of 1/6, and shot noise and uneven pixels add to it. All losses are
-means over the pixels in spikes per tick, so that windows of any length pull alike.
+Letters: Q parts of a window, H rows, W columns. A pixel's count over a window is the light it gathered to within one
+spike: with a random phase its variance is 1/6, and shot noise and uneven pixels add to it. Losses are in spikes per
+tick, so that windows of any length pull alike.
 """
 
 import torch
@@ -12,11 +12,14 @@ from reconstruction.errors import ReconstructionError
 
 PHASE_VARIANCE = 1 / 6  # spikes^2; the count of an integrate-and-fire pixel whose phase is random
 ELECTRONS_PER_SPIKE = 5e4
-GAIN_SPREAD = 0.01  # what a flat-field correction leaves
+GAIN_SPREAD = 0.01  # relative deviation of pixels after a flat-field correction
 
 
 def rate_deviation(rate: Tensor, planes: int) -> Tensor:
-    """Standard deviation of a rate [H, W] in spikes per tick that was counted over so many planes."""
+    """Return the standard deviation [H, W] of a `rate` [H, W] in spikes per tick that was counted over `planes` planes.
+
+    Raises ReconstructionError for less than one plane.
+    """
     if planes < 1:
         raise ReconstructionError(f"found a window of {planes} planes", "at least 1")
     shot = rate / (ELECTRONS_PER_SPIKE * planes)
@@ -24,29 +27,31 @@ def rate_deviation(rate: Tensor, planes: int) -> Tensor:
 
 
 def absolute_loss(light: Tensor, rate: Tensor, planes: int) -> Tensor:
-    """Return the mean absolute difference of light [H, W] and a rate [H, W] counted over any number of planes."""
-    return (light - rate).abs().mean()
+    """Return |light - rate| [H, W] of light and a counted rate [H, W], in spikes per tick."""
+    return (light - rate).abs()
 
 
 def square_loss(light: Tensor, rate: Tensor, planes: int) -> Tensor:
-    """Return the mean squared difference of light [H, W] and a rate [H, W] counted over any number of planes."""
-    return (light - rate).square().mean()
+    """Return (light - rate)^2 [H, W] of light and a counted rate [H, W], in spikes per tick."""
+    return (light - rate).square()
 
 
 def robust_loss(light: Tensor, rate: Tensor, planes: int, *, reach: float = 3.0) -> Tensor:
-    """Charbonnier loss of light [H, W] against a counted rate [H, W].
+    """Return the Charbonnier loss [H, W] of light against a rate [H, W] counted over `planes`, in spikes per tick.
 
-    A square within `reach` standard deviations, so that coarse counts pull to their mean, an absolute value beyond.
+    It is a square within `reach` standard deviations of the rate, so that coarse counts pull to their mean, and an
+    absolute value beyond.
     """
     width = reach * rate_deviation(rate, planes)
-    return (torch.sqrt(width * width + (light - rate) ** 2) - width).mean()
+    return torch.sqrt(width * width + (light - rate) ** 2) - width
 
 
 def cumulative_loss(light: Tensor, counts: Tensor, planes: int) -> Tensor:
-    """Running totals of light and spikes over Q equal parts of `planes` each, whatever the phase at the start.
+    """Return the scalar loss of the running totals of light and spikes, whatever the phase at the start.
 
-    light [Q, H, W] in spikes per tick, counts [Q, H, W] in spikes. The phase is an unknown shift of a pixel's total,
-    so the mean gap of its Q totals is taken out; within the half spike that phases explain nothing pulls.
+    `light` [Q, H, W] in spikes per tick and `counts` [Q, H, W] in spikes are of Q equal parts of `planes` planes. The
+    phase is an unknown shift of a pixel's totals, so the mean gap of its Q totals is taken out; a gap within the half
+    spike that the phase explains does not pull.
     """
     gaps = (light * planes - counts).cumsum(dim=0)
     beyond = ((gaps - gaps.mean(dim=0)).abs() - 0.5).clamp_min(0)

@@ -1,13 +1,12 @@
 """Structural similarity of two images, as a loss: the native kernels and their reference in torch.
 
-Source: Wang et al., "Image quality assessment", IEEE TIP 2004: Gaussian window of 1.5 px cut to 11 taps, population
-covariance. At the border the window is cut and normalised again, so the map has the image's size; 5 px inside it is the
-map that scikit-image computes.
+Source: Wang et al., "Image quality assessment", IEEE TIP 2004, with a Gaussian window of 1.5 px cut to 11 taps and the
+population covariance. At the border the window is cut and normalised again, so that the map has the image's size; from
+5 px inside on it is the map that scikit-image computes.
 """
 
 from __future__ import annotations
 
-import ctypes
 import math
 from typing import Any
 
@@ -16,23 +15,19 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
+from acquisition.native import Address
 from reconstruction.errors import ReconstructionError
-from reconstruction.native import library
+from reconstruction.native import Float, Int, fits, kernel
 
 SIGMA_PX = 1.5
 REACH_PX = 5
 
 
-def ssim(image: Tensor, target: Tensor, data_range: float) -> Tensor:
-    """Mean of `ssim_map`: 1 where the images agree."""
-    return ssim_map(image, target, data_range).mean()
-
-
 def ssim_map(image: Tensor, target: Tensor, data_range: float) -> Tensor:
-    """Similarity [H, W] of images [H, W] around each pixel; differentiable in `image` alone.
+    """Return the similarity [H, W] of `image` and `target` [H, W] around each pixel: 1 where they agree.
 
-    Native for float32 on the CPU, the reference elsewhere. Raises ReconstructionError for shapes that differ or a data
-    range that is not positive.
+    `data_range` is in the images' own unit. Differentiable in `image` alone; native for float32 on the CPU, else the
+    reference. Raises ReconstructionError for shapes that differ or a data range that is not positive.
     """
     if image.ndim != 2 or image.shape != target.shape or image.numel() == 0:
         raise ReconstructionError(
@@ -40,9 +35,13 @@ def ssim_map(image: Tensor, target: Tensor, data_range: float) -> Tensor:
         )
     if not (math.isfinite(data_range) and data_range > 0):
         raise ReconstructionError(f"found the data range {data_range}", "a positive number")
-    if image.dtype != target.dtype or image.dtype != torch.float32 or image.device.type != "cpu":
+    if not fits(image, target):
         return ssim_map_reference(image, target, data_range)
     return _Similarity.apply(image, target, data_range)
+
+
+def _constants(data_range: float) -> tuple[float, float]:
+    return (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
 
 
 def _window(like: Tensor) -> Tensor:
@@ -52,7 +51,7 @@ def _window(like: Tensor) -> Tensor:
 
 
 def windowed_means(images: Tensor) -> Tensor:
-    """Gaussian-weighted means [B, H, W] around each pixel of images [B, H, W]."""
+    """Return the Gaussian-weighted means [B, H, W] around each pixel of images [B, H, W]."""
     window = _window(images)
 
     def filtered(x: Tensor) -> Tensor:
@@ -63,18 +62,19 @@ def windowed_means(images: Tensor) -> Tensor:
 
 
 def ssim_map_reference(image: Tensor, target: Tensor, data_range: float) -> Tensor:
-    """`ssim_map` in torch, for any float type."""
+    """Compute `ssim_map` in torch, for any float type."""
     x, y = image, target.detach()
     mean_x, mean_y, mean_squares, mean_product = windowed_means(torch.stack([x, y, x * x + y * y, x * y]))
-    c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
+    c1, c2 = _constants(data_range)
     squares, product = mean_x * mean_x + mean_y * mean_y, mean_x * mean_y
     variances = mean_squares - squares
     covariance = mean_product - product
     return (2 * product + c1) * (2 * covariance + c2) / ((squares + c1) * (variances + c2))
 
 
-def _pointer(tensor: Tensor) -> ctypes.c_void_p:
-    return ctypes.c_void_p(tensor.data_ptr())
+_IMAGE, _SIZE = (Address, Address), (Int, Int)
+_forward = kernel("ssim_forward", *_IMAGE, *_SIZE, Float, Float, Address, Address, Address, Int)
+_backward = kernel("ssim_backward", *_IMAGE, Address, Address, *_SIZE, Address, Address, Int)
 
 
 class _Similarity(Function):
@@ -82,23 +82,10 @@ class _Similarity(Function):
     def forward(ctx: Any, image: Tensor, target: Tensor, data_range: float) -> Tensor:
         image, target = image.contiguous(), target.contiguous()
         height, width = image.shape
-        similarity, slopes, scratch = (
-            torch.empty_like(image),
-            image.new_empty(3, *image.shape),
-            image.new_empty(4, *image.shape),
-        )
-        library().ssim_forward(
-            _pointer(image),
-            _pointer(target),
-            width,
-            height,
-            ctypes.c_float((0.01 * data_range) ** 2),
-            ctypes.c_float((0.03 * data_range) ** 2),
-            _pointer(similarity),
-            _pointer(slopes),
-            _pointer(scratch),
-            torch.get_num_threads(),
-        )
+        similarity, slopes = torch.empty_like(image), image.new_empty(3, height, width)
+        constants, scratch = _constants(data_range), image.new_empty(4, height, width)
+        threads = torch.get_num_threads()
+        _forward(image, target, width, height, *constants, similarity, slopes, scratch, threads)
         ctx.save_for_backward(image, target, slopes)
         return similarity
 
@@ -106,9 +93,8 @@ class _Similarity(Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         image, target, slopes = ctx.saved_tensors
-        gradient = gradient.contiguous()
         height, width = image.shape
         out, scratch = torch.empty_like(image), image.new_empty(3, height, width)
-        tensors = (_pointer(t) for t in (image, target, gradient, slopes))
-        library().ssim_backward(*tensors, width, height, _pointer(out), _pointer(scratch), torch.get_num_threads())
+        given = (image, target, gradient.contiguous(), slopes, width, height)
+        _backward(*given, out, scratch, torch.get_num_threads())
         return out, None, None

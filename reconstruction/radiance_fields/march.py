@@ -1,14 +1,15 @@
 """Volume rendering along rays: light, alpha and the layer of half the light, in C++ and as its readable torch twin.
 
-A sample at a place reads eight cells: what `softplus` makes of their interpolated raw densities is the optical depth of
-a layer (activated after interpolation, so that edges are sharper than cells: Sun et al., "DVGO", CVPR 2022); cells a
-grid does not hold are EMPTY and have no intensity. Two grids overlap: one stands still, one is read where `offsets`
-lead (its densities add). Letters: R rays, S samples, D layers, H rows, W columns, C cells.
+A sample reads the eight cells around its place. Their raw densities are interpolated, and `softplus` makes the optical
+depth of a layer of them; activated after interpolation, edges are sharper than cells (Sun et al., "DVGO", CVPR 2022).
+Cells that a grid does not hold are EMPTY and have no intensity. Two grids may overlap: one stands still, the other is
+read where `offsets` lead, and their densities add. Letters: R rays, S samples, D layers, H rows, W columns, C cells.
 """
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
@@ -19,25 +20,29 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import softplus
 
-from reconstruction.native import library
+from acquisition.native import Address
+from reconstruction.native import Addresses, Int, Long, addresses, kernel
 
 BLOCK = (8, 8, 4)  # nodes of a block of `near`
 KNOT = (16, 16, 8)  # nodes between knots of the offsets
-EMPTY = -6.0  # raw density
-MOST = 1e18  # optical depth of a layer
+EMPTY = -6.0  # raw density where there is no cell
+MOST = 1e18  # largest optical depth of a layer
 STEP = 1.0  # layers between samples
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """`lookup` [H, W, D] int32: the cell at a node, -1 where none; `near`, by blocks, where samples can meet any."""
+    """The cells of a grid: `lookup` [H, W, D] int32 has the cell at each node, or -1.
+
+    `near`, uint8 by blocks, says whether samples in a block can meet any.
+    """
 
     lookup: Tensor
     near: Tensor
 
 
 class Marched(NamedTuple):
-    """`light` [R] in spikes per tick, `alpha` [R]; `middle` [R]: the layer where half is taken, NaN where less is."""
+    """Light [R] in spikes per tick, alpha [R], and the layer [R] where half of the light is taken, else NaN."""
 
     light: Tensor
     alpha: Tensor
@@ -47,11 +52,8 @@ class Marched(NamedTuple):
 class _Field(ctypes.Structure):
     _fields_ = (
         ("grids", ctypes.c_void_p * 4),
-        ("raws", ctypes.c_void_p),
-        ("intensities", ctypes.c_void_p),
-        ("offsets", ctypes.c_void_p),
-        ("cells", ctypes.c_int64),
-        ("offset_count", ctypes.c_int64),
+        ("tensors", ctypes.c_void_p * 3),  # raw densities, intensities, offsets
+        ("sizes", ctypes.c_int64 * 2),  # cells, numbers of the offsets
         ("shape", ctypes.c_int32 * 3),
         ("knots", ctypes.c_int32 * 3),
         ("parts", ctypes.c_int32),
@@ -59,25 +61,22 @@ class _Field(ctypes.Structure):
     )
 
 
-def _field(grids: tuple[Grid, ...], tensors: tuple[Tensor, Tensor, Tensor], step: float) -> _Field:
-    raws, intensities, offsets = tensors
-    pointers = [t.data_ptr() for grid in grids for t in (grid.lookup, grid.near)]
+_MARCH = (ctypes.POINTER(_Field), Address, Address, Long)  # the field, lines, jitter, and how many of them
+_forward = kernel("march_forward", *_MARCH, Addresses, Int)
+_backward = kernel("march_backward", *_MARCH, Addresses, Addresses, Addresses, Int)
+
+
+def _field(grids: tuple[Grid, ...], tensors: Sequence[Tensor], step: float) -> _Field:
+    raws, _, offsets = tensors
     return _Field(
-        (ctypes.c_void_p * 4)(*pointers),
-        raws.data_ptr(),
-        intensities.data_ptr(),
-        offsets.data_ptr(),
-        len(raws),
-        offsets.numel(),
+        addresses(*(t for grid in grids for t in (grid.lookup, grid.near)), *[None] * (4 - 2 * len(grids))),
+        addresses(*tensors),
+        (ctypes.c_int64 * 2)(len(raws), offsets.numel()),
         (ctypes.c_int32 * 3)(*grids[0].lookup.shape),
         (ctypes.c_int32 * 3)(*offsets.shape[:3]),
         len(grids),
         step,
     )
-
-
-def _pointers(*tensors: Tensor) -> ctypes.Array:
-    return (ctypes.c_void_p * len(tensors))(*(t.data_ptr() for t in tensors))
 
 
 class _March(Function):
@@ -87,13 +86,8 @@ class _March(Function):
     ) -> tuple[Tensor, Tensor, Tensor]:
         raws, intensities, offsets = (t.contiguous() for t in tensors)
         out = tuple(torch.empty(len(lines)) for _ in range(3))
-        library().march_forward(
-            ctypes.byref(_field(grids, (raws, intensities, offsets), step)),
-            *(ctypes.c_void_p(t.data_ptr()) for t in (lines, jitter)),
-            ctypes.c_int64(len(lines)),
-            _pointers(*out),
-            torch.get_num_threads(),
-        )
+        field = _field(grids, (raws, intensities, offsets), step)
+        _forward(field, lines, jitter, len(lines), addresses(*out), torch.get_num_threads())
         ctx.grids, ctx.step = grids, step
         ctx.save_for_backward(lines, jitter, raws, intensities, offsets, *out[:2])
         ctx.mark_non_differentiable(out[2])
@@ -105,25 +99,20 @@ class _March(Function):
         lines, jitter, raws, intensities, offsets, light, alpha = ctx.saved_tensors
         wanted = [g.contiguous() for g in gradients[:2]]
         out = tuple(torch.zeros_like(t) for t in (raws, intensities, offsets))
-        library().march_backward(
-            ctypes.byref(_field(ctx.grids, (raws, intensities, offsets), ctx.step)),
-            *(ctypes.c_void_p(t.data_ptr()) for t in (lines, jitter)),
-            ctypes.c_int64(len(lines)),
-            _pointers(light, alpha),
-            _pointers(*wanted),
-            _pointers(*out),
-            torch.get_num_threads(),
-        )
+        field = _field(ctx.grids, (raws, intensities, offsets), ctx.step)
+        seen = (addresses(light, alpha), addresses(*wanted), addresses(*out))
+        _backward(field, lines, jitter, len(lines), *seen, torch.get_num_threads())
         return (None, None, None, None, *out)
 
 
 def march(
     grids: tuple[Grid, ...], lines: Tensor, jitter: Tensor, step: float, tensors: tuple[Tensor, Tensor, Tensor]
 ) -> Marched:
-    """What rays `lines` [R, 6] (see `frustum.Rays`) meet, sampled every `step` layers from `jitter` [R] of a step on.
+    """Return what rays meet that are sampled every `step` layers, the first time `jitter` [R] of a step on.
 
-    `tensors`: raw densities [C], intensities [C], and offsets [h, w, d, 3] in nodes (y, x, w) at knots every KNOT
-    nodes, of any size where `grids` has no second one. Differentiable in all three; float32 on the CPU.
+    `lines` [R, 6] as in `frustum.Rays`. `tensors`: raw densities [C], intensities [C] in spikes per tick, and offsets
+    [h, w, d, 3] in nodes (y, x, w) at knots every KNOT nodes, of any size where `grids` has no second one.
+    Differentiable in all three; float32 on the CPU.
     """
     return Marched(*_March.apply(grids, lines.contiguous(), jitter.contiguous(), step, *tensors))
 
@@ -131,7 +120,7 @@ def march(
 def march_reference(
     grids: tuple[Grid, ...], lines: Tensor, jitter: Tensor, step: float, tensors: tuple[Tensor, Tensor, Tensor]
 ) -> Marched:
-    """Twin of `march` in torch: any floating type, any device; every sample is read, so it takes much memory."""
+    """Compute `march` in torch, in any float type on any device; every sample is read, which takes much memory."""
     raws, intensities, offsets = tensors
     x, y, dx, dy, stretch, first = lines.to(raws).unbind(1)
     shape = grids[0].lookup.shape
@@ -157,13 +146,13 @@ def march_reference(
 
 
 def _within(places: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Which of `places` [..., 3] have eight nodes of a grid around them."""
+    """Return which of `places` [..., 3], in nodes, have eight nodes of a grid of this shape around them."""
     last = torch.tensor(shape, device=places.device) - 1
     return ((places >= 0) & (places < last)).all(-1)
 
 
 def _near(grid: Grid, places: Tensor) -> Tensor:
-    """Which of `places` [..., 3] lie in a block near to cells."""
+    """Return which of `places` [..., 3], in nodes, lie in a block near to cells."""
     inside = _within(places, grid.lookup.shape)
     at = torch.where(inside[..., None], places, torch.zeros_like(places)).long()
     blocks = [at[..., axis] // BLOCK[axis] for axis in range(3)]
@@ -171,7 +160,7 @@ def _near(grid: Grid, places: Tensor) -> Tensor:
 
 
 def _corners(places: Tensor) -> tuple[Tensor, Tensor]:
-    """Nodes [..., 8, 3] around `places` [..., 3], and their trilinear weights [..., 8]."""
+    """Return the nodes [..., 8, 3] around `places` [..., 3], and their trilinear weights [..., 8]."""
     low = places.detach().floor()
     up = torch.tensor(list(product((0, 1), repeat=3)), device=places.device)
     share = (places - low)[..., None, :]
@@ -180,7 +169,7 @@ def _corners(places: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _shifts(offsets: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-    """What `offsets` [h, w, d, 3] add to `places` [R, S, 3], and where they cover it [R, S]."""
+    """Return what `offsets` [h, w, d, 3] add to `places` [R, S, 3], and where they cover them [R, S]."""
     knots = places / torch.tensor(KNOT, device=places.device)
     inside = _within(knots, offsets.shape[:3])
     nodes, weights = _corners(torch.where(inside[..., None], knots, torch.zeros_like(knots)))
@@ -188,7 +177,7 @@ def _shifts(offsets: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _read(grid: Grid, places: Tensor, reached: Tensor, raws: Tensor, intensities: Tensor) -> tuple[Tensor, Tensor]:
-    """Optical depth of a layer and intensity [R, S] at `places` [R, S, 3], nothing where not `reached` [R, S]."""
+    """Return optical depths of a layer and intensities [R, S] at `places` [R, S, 3]; zero unless `reached` [R, S]."""
     if not len(raws):
         return (nothing := torch.zeros_like(places[..., 0]) + raws.sum()), nothing
     reached = reached & _within(places, grid.lookup.shape)

@@ -1,7 +1,7 @@
-"""The renderer on a CUDA device, by gsplat (1.5 or later), which is imported when it is first asked for.
+"""The renderer on a CUDA device, by gsplat (1.5 or later), which is imported when it is first used.
 
-gsplat's "antialiased" mode and "RGB+D" are this package's compensation and accumulated depth. Two things differ: its
-alpha ends at 0.999 where ours ends at 0.99, and it leaves out the splat that would take the transmittance below 1e-4.
+gsplat's modes "antialiased" and "RGB+D" are this package's compensated opacity and accumulated depth. Two things
+differ: its alpha ends at 0.999, ours at 0.99, and it leaves out the splat that takes the transmittance below 1e-4.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.quaternions import unit
 from reconstruction.rendering.pinhole import Pinhole
-from reconstruction.rendering.reference import DILATION_PX2, LOG_SCALE_MAX, LOG_SCALE_MIN, unit_quats
+from reconstruction.rendering.reference import DILATION_PX2, LOG_SCALE_MAX, LOG_SCALE_MIN
+from reconstruction.rendering.result import Rendering
 
 DEVICE = "cuda"
 
 
 def why_unavailable() -> str | None:
-    """What gsplat lacks on this machine, or None where it can render."""
+    """Say what gsplat lacks on this machine; None where it can render."""
     if importlib.util.find_spec("gsplat") is None:
         return "gsplat is not installed; pip install 'spike4dgs[gpu]'"
     if not torch.cuda.is_available():
@@ -48,8 +50,8 @@ def render_gsplat(
     camera: Pinhole,
     *,
     median: bool = False,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, None]:
-    """Twin of `render_reference` for float32 on a CUDA device, any number of channels.
+) -> Rendering:
+    """Render as `render_reference` does, by gsplat: float32 on a CUDA device.
 
     Raises ReconstructionError where gsplat or a CUDA device is missing, the tensors are elsewhere, or the median depth
     is asked for, which gsplat does not have.
@@ -62,14 +64,14 @@ def render_gsplat(
     if len(means) == 0:
         nothing = intensities.new_zeros(camera.height, camera.width)
         dark = nothing[..., None].expand(-1, -1, intensities.shape[1]) + intensities.sum()
-        return dark, nothing, nothing, torch.zeros(0, dtype=torch.int32, device=means.device), None
+        return Rendering(dark, nothing, nothing, torch.zeros(0, dtype=torch.int32, device=means.device))
     cam_from_world = torch.eye(4, device=means.device)
     cam_from_world[:3, :3] = means.new_tensor(camera.rotation).reshape(3, 3)
     cam_from_world[:3, 3] = means.new_tensor(camera.translation)
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     colours, alphas, meta = rasterization(
         means=means,
-        quats=unit_quats(quats_wxyz),
+        quats=unit(quats_wxyz),
         scales=log_scales.clamp(LOG_SCALE_MIN, LOG_SCALE_MAX).exp(),
         opacities=opacities,
         colors=intensities,
@@ -86,4 +88,4 @@ def render_gsplat(
     radii = meta["radii"][0]  # [N, 2] since 1.5, [N] before
     if radii.ndim == 2:
         radii = radii.amax(-1)
-    return colours[0, ..., :-1], colours[0, ..., -1], alphas[0, ..., 0], radii.int(), None
+    return Rendering(colours[0, ..., :-1], colours[0, ..., -1], alphas[0, ..., 0], radii.int())

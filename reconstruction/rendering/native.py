@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 from typing import Any, NamedTuple
 
 import torch
@@ -11,9 +10,11 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
+from acquisition.native import Address
 from reconstruction.errors import ReconstructionError
-from reconstruction.native import library
+from reconstruction.native import Addresses, Int, addresses, fits, kernel
 from reconstruction.rendering.pinhole import Pinhole
+from reconstruction.rendering.result import Rendering
 
 
 class _Camera(ctypes.Structure):
@@ -24,68 +25,55 @@ class _Cloud(ctypes.Structure):
     _fields_ = (("tensors", ctypes.c_void_p * 5), ("count", ctypes.c_int64))
 
 
-def _kernels() -> ctypes.CDLL:
-    return _declared(library())
-
-
-@functools.cache
-def _declared(kernels: ctypes.CDLL) -> ctypes.CDLL:
-    kernels.render_forward.restype = ctypes.c_void_p
-    kernels.render_release.argtypes = (ctypes.c_void_p,)
-    return kernels
+_Handle, _CloudPointer = ctypes.c_void_p, ctypes.POINTER(_Cloud)
+_forward = kernel(
+    "render_forward", ctypes.POINTER(_Camera), _CloudPointer, Addresses, Address, Int, returns=ctypes.c_void_p
+)
+_backward = kernel("render_backward", _Handle, _CloudPointer, Addresses, Addresses, Int)
+_release = kernel("render_release", _Handle)
+_work = kernel("render_work", _Handle, ctypes.POINTER(ctypes.c_int64))
 
 
 class _Frame:
-    """Holds what the kernels keep between forward and backward; gives it back when nobody can ask for it."""
+    """Holds what the kernels keep between forward and backward, and gives it back to the same build in the end."""
 
-    def __init__(self, kernels: ctypes.CDLL, pointer: int) -> None:
-        self.kernels, self.pointer = kernels, pointer
+    def __init__(self, handle: int) -> None:
+        self.handle, self.backward, self.release = handle, _backward.bound(), _release.bound()
 
     def __del__(self) -> None:
-        self.kernels.render_release(self.pointer)
-
-
-def _pointers(*tensors: Tensor | None) -> ctypes.Array:
-    return (ctypes.c_void_p * len(tensors))(*(None if t is None else t.data_ptr() for t in tensors))
+        self.release(self.handle)
 
 
 def _cloud(tensors: tuple[Tensor, ...]) -> _Cloud:
-    return _Cloud(_pointers(*tensors), len(tensors[0]))
+    return _Cloud(addresses(*tensors), len(tensors[0]))
 
 
-def _forward(
-    camera: Pinhole, cloud: tuple[Tensor, ...], *, median: bool = False
-) -> tuple[_Frame, tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]]:
-    """The frame, and intensity, depth, alpha, radii and, if asked for, the median depth."""
+def _rendered(camera: Pinhole, cloud: tuple[Tensor, ...], *, median: bool = False) -> tuple[_Frame, Rendering]:
+    """Return the frame and the images of five contiguous tensors, the last of them intensities [N]."""
     intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
     middle = torch.empty(camera.height, camera.width) if median else None
     radii = torch.empty(len(cloud[0]), dtype=torch.int32)
     numbers = (*camera.rotation, *camera.translation, *camera.focal, *camera.principal, camera.near_m)
-    kernels = _kernels()
-    pointer = kernels.render_forward(
-        ctypes.byref(_Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)),
-        ctypes.byref(_cloud(cloud)),
-        _pointers(intensity, depth, alpha, middle),
-        ctypes.c_void_p(radii.data_ptr()),
-        torch.get_num_threads(),
-    )
-    return _Frame(kernels, pointer), (intensity, depth, alpha, radii, middle)
+    seen_by = _Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)
+    images = addresses(intensity, depth, alpha, middle)
+    frame = _Frame(_forward(seen_by, _cloud(cloud), images, radii, torch.get_num_threads()))
+    return frame, Rendering(intensity, depth, alpha, radii, middle)
 
 
 class Work(NamedTuple):
-    """How much a rendering was: `pixels` counts every pixel of every splat that took something of its light."""
+    """The amount of work in a rendering: splats seen, their pairs with tiles, blocks and pixels that they touch."""
 
     splats: int
     in_tiles: int
     in_blocks: int  # of 4x4 pixels
-    pixels: int
+    pixels: int  # that lost some of their light to the splat
 
 
 def work_of(cloud: tuple[Tensor, ...], camera: Pinhole) -> Work:
-    """Renders a cloud as `render_native` takes it, intensities [N], and counts."""
-    frame, _ = _forward(camera, cloud)
+    """Render a cloud as `render_native` takes it, with intensities [N], and return how much work that was."""
+    frame, _ = _rendered(camera, cloud)
     counts = (ctypes.c_int64 * 4)()
-    frame.kernels.render_work(ctypes.c_void_p(frame.pointer), counts)
+    _work(frame.handle, counts)
     return Work(*counts)
 
 
@@ -93,11 +81,11 @@ class _Render(Function):
     @staticmethod
     def forward(ctx: Any, camera: Pinhole, median: bool, *cloud: Tensor) -> tuple[Tensor | None, ...]:
         cloud = tuple(t.contiguous() for t in cloud)
-        ctx.frame, images = _forward(camera, cloud, median=median)
+        ctx.frame, images = _rendered(camera, cloud, median=median)
         ctx.save_for_backward(*cloud)
         ctx.mark_non_differentiable(*(image for image in images[3:] if image is not None))
         ctx.set_materialize_grads(False)
-        return images
+        return tuple(images)
 
     @staticmethod
     @once_differentiable
@@ -105,13 +93,8 @@ class _Render(Function):
         cloud = ctx.saved_tensors
         wanted = [None if g is None else g.contiguous() for g in gradients[:3]]
         out = tuple(torch.zeros_like(t) for t in cloud)
-        ctx.frame.kernels.render_backward(
-            ctypes.c_void_p(ctx.frame.pointer),
-            ctypes.byref(_cloud(cloud)),
-            _pointers(*wanted),
-            _pointers(*out),
-            torch.get_num_threads(),
-        )
+        given = (_cloud(cloud), addresses(*wanted), addresses(*out), torch.get_num_threads())
+        ctx.frame.backward(ctx.frame.handle, *given)
         return (None, None, *out)
 
 
@@ -124,12 +107,12 @@ def render_native(
     camera: Pinhole,
     *,
     median: bool = False,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
-    """Native twin of `render_reference` for float32 on the CPU; each channel beyond the first is another pass.
+) -> Rendering:
+    """Render as `render_reference` does, in C++; each channel beyond the first costs another pass.
 
-    Raises ReconstructionError for tensors of another type or elsewhere.
+    Raises ReconstructionError for tensors that are not float32 on the CPU, or without a channel.
     """
-    if means.dtype != torch.float32 or means.device.type != "cpu" or intensities.shape[1] == 0:
+    if not fits(means) or intensities.shape[1] == 0:
         raise ReconstructionError(
             f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}",
             "float32 on the CPU",
@@ -138,6 +121,6 @@ def render_native(
     geometry = (camera, median, means, quats_wxyz, log_scales, opacities)
     if intensities.shape[1] == 1:
         intensity, *others = _Render.apply(*geometry, intensities.squeeze(-1))
-        return intensity[..., None], *others
+        return Rendering(intensity[..., None], *others)
     passes = [_Render.apply(*geometry, channel) for channel in intensities.unbind(-1)]
-    return torch.stack([intensity for intensity, *_ in passes], -1), *passes[0][1:]
+    return Rendering(torch.stack([intensity for intensity, *_ in passes], -1), *passes[0][1:])

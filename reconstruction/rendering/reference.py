@@ -1,9 +1,10 @@
-"""The renderer in plain torch: any float type, autograd only. The truth the fast backends are tested against.
+"""The renderer in plain torch, for any float type: the truth that the fast backends are tested against.
 
-Letters: N Gaussians, H rows, W columns, C channels, P pixels of a block of rows.
-EWA splatting (Zwicker 2001; Kerbl 2023) with gsplat's guards: near plane, clamped Jacobian, covariance + 0.3 px^2 with
-the opacity scaled by sqrt(det / det_blurred) (gsplat's "antialiased"), alpha <= 0.99, nothing below 1/255, and nothing
-more where the transmittance is below 1e-4.
+Letters: N Gaussians, M splats that are seen, H rows, W columns, C channels, P pixels of a block of rows.
+EWA splatting (Zwicker et al., "EWA volume splatting", 2001; Kerbl et al., "3D Gaussian splatting", 2023) with gsplat's
+guards: a near plane, a clamped Jacobian, 0.3 px^2 added to the covariance and the opacity scaled by
+sqrt(det / det_blurred) (gsplat's "antialiased"), alpha at most 0.99 and at least 1/255, and an end where the
+transmittance is below 1e-4.
 """
 
 from __future__ import annotations
@@ -13,51 +14,36 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from reconstruction.quaternions import matrices
 from reconstruction.rendering.pinhole import Pinhole
+from reconstruction.rendering.result import Rendering
 
-LOG_SCALE_MIN, LOG_SCALE_MAX = -30.0, 15.0
+LOG_SCALE_MIN, LOG_SCALE_MAX = -30.0, 15.0  # log m
 DILATION_PX2 = 0.3
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 TRANSMITTANCE_MIN = 1e-4
-HALF = 0.5  # of the light: what takes it there is where a pixel's median depth lies
-PAIRS_AT_ONCE = 4_000_000
+HALF = 0.5  # share of the light left at the median depth of a pixel
+PAIRS_AT_ONCE = 4_000_000  # pixels times splats of a block of rows
 
 
 @dataclass(frozen=True)
 class Splats:
-    """Projected Gaussians, nearest first; `source` says which ones they were."""
+    """Projected Gaussians, nearest first."""
 
     means2d: Tensor  # [M, 2] px
     factors: Tensor  # [M, 3] p, q, r: sigma = (p dx + q dy)^2 + (r dy)^2
     opacities: Tensor  # [M]
     depths: Tensor  # [M] m
     radii: Tensor  # [M] px
-    source: Tensor  # [M]
-
-
-def unit_quats(quats_wxyz: Tensor) -> Tensor:
-    """Quaternions [N, 4] of any length at length one; no rotation where all four numbers are zero."""
-    largest = quats_wxyz.abs().amax(-1, keepdim=True).detach()
-    some = largest > 0
-    # Scaled first, so that 1e20 and 1e-20 survive the squares.
-    scaled = torch.where(some, quats_wxyz / torch.where(some, largest, 1), quats_wxyz.new_tensor([1.0, 0, 0, 0]))
-    return scaled / scaled.norm(dim=-1, keepdim=True)
-
-
-def rotations_of(quats_wxyz: Tensor) -> Tensor:
-    """Rotation matrices [N, 3, 3] of quaternions [N, 4] of any length; the identity where all four are zero."""
-    w, x, y, z = unit_quats(quats_wxyz).unbind(-1)
-    rows = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    source: Tensor  # [M] index of the Gaussian
 
 
 def clamped_slopes(in_cam: Tensor, camera: Pinhole) -> tuple[Tensor, Tensor]:
-    """x/z and y/z, held within 15% of the image's size around it, where the projection is still nearly linear."""
+    """Return x/z and y/z [N] of points [N, 3] m in the camera's frame, held within 15% of the image's size around it.
+
+    So far out the projection is still nearly linear.
+    """
     slopes = []
     for axis, size in enumerate((camera.width, camera.height)):
         focal, principal = camera.focal[axis], camera.principal[axis]
@@ -67,7 +53,10 @@ def clamped_slopes(in_cam: Tensor, camera: Pinhole) -> tuple[Tensor, Tensor]:
 
 
 def projected_axes(in_cam: Tensor, quats_wxyz: Tensor, log_scales: Tensor, camera: Pinhole) -> Tensor:
-    """[N, 2, 3]: the image of each Gaussian's scaled axes; times its transpose, the covariance in px^2."""
+    """Return the images [N, 2, 3] in px of each Gaussian's scaled axes; times its transpose, the covariance in px^2.
+
+    `in_cam` [N, 3] m in the camera's frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m.
+    """
     z = in_cam[:, 2]
     slope_x, slope_y = clamped_slopes(in_cam, camera)
     zero = torch.zeros_like(z)
@@ -75,17 +64,21 @@ def projected_axes(in_cam: Tensor, quats_wxyz: Tensor, log_scales: Tensor, camer
     jacobian = torch.stack([fx / z, zero, -fx * slope_x / z, zero, fy / z, -fy * slope_y / z], -1).unflatten(-1, (2, 3))
     rotation = in_cam.new_tensor(camera.rotation).reshape(3, 3)
     scales = log_scales.clamp(LOG_SCALE_MIN, LOG_SCALE_MAX).exp()
-    return jacobian @ rotation @ (rotations_of(quats_wxyz) * scales[:, None, :])
+    return jacobian @ rotation @ (matrices(quats_wxyz) * scales[:, None, :])
 
 
 def in_camera(means: Tensor, camera: Pinhole) -> Tensor:
-    """World points [N, 3] in the camera's frame."""
+    """Return points [N, 3] of the rig frame in the camera's frame, in m."""
     rotation = means.new_tensor(camera.rotation).reshape(3, 3)
     return means @ rotation.T + means.new_tensor(camera.translation)
 
 
 def project(means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, camera: Pinhole) -> Splats:
-    """The Gaussians that reach at least one pixel, in order of depth (equal depths keep their order)."""
+    """Return the Gaussians that reach at least one pixel, in order of depth (equal depths keep their order).
+
+    `means` [N, 3] m in the rig frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m, `opacities` [N] 0
+    to 1. The covariance is J W V W^T J^T as in Zwicker et al., with the guards of this module.
+    """
     in_front = (in_camera(means.detach(), camera)[:, 2] >= camera.near_m).nonzero()[:, 0]
     in_cam = in_camera(means[in_front], camera)
     axes = projected_axes(in_cam, quats_wxyz[in_front], log_scales[in_front], camera)
@@ -111,7 +104,7 @@ def project(means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Te
 
 
 def alphas_of(splats: Splats, pixels: Tensor) -> Tensor:
-    """Opacity [P, M] of every splat at pixel centres [P, 2]."""
+    """Return the alpha [P, M] of every splat at pixel centres [P, 2] in px."""
     offset = pixels[:, None] - splats.means2d
     p, q, r = splats.factors.unbind(-1)
     sigma = (p * offset[..., 0] + q * offset[..., 1]) ** 2 + (r * offset[..., 1]) ** 2
@@ -120,12 +113,15 @@ def alphas_of(splats: Splats, pixels: Tensor) -> Tensor:
 
 
 def transmittance_before(alphas: Tensor) -> Tensor:
-    """Light [P, M + 1] left before each splat and after the last."""
+    """Return the share of light [P, M + 1] left before each splat and after the last, of `alphas` [P, M]."""
     return torch.cat([torch.ones_like(alphas[:, :1]), (1 - alphas).cumprod(-1)], -1)
 
 
 def composite(splats: Splats, intensities: Tensor, pixels: Tensor) -> Tensor:
-    """[P, C + 2]: intensity, depth and alpha at pixel centres [P, 2], front to back."""
+    """Return intensity, depth and alpha [P, C + 2] at pixel centres [P, 2] in px, blended front to back.
+
+    `intensities` [M, C] are those of the splats.
+    """
     alphas = alphas_of(splats, pixels)
     live = transmittance_before(alphas.detach())[:, :-1] >= TRANSMITTANCE_MIN
     alphas = torch.where(live, alphas, 0)
@@ -136,7 +132,7 @@ def composite(splats: Splats, intensities: Tensor, pixels: Tensor) -> Tensor:
 
 @torch.no_grad()
 def median_depths(splats: Splats, pixels: Tensor) -> Tensor:
-    """Depth [P] of the splat that takes the light at pixel centres [P, 2] to a half or below; NaN where none does."""
+    """Return the depth [P] m of the splat that takes the light at pixel centres [P, 2] to a half or below, else NaN."""
     before = transmittance_before(alphas_of(splats, pixels))
     falls = (before[:, :-1] > HALF) & (before[:, 1:] <= HALF)
     return torch.where(falls, splats.depths, 0).sum(-1).where(falls.any(-1), torch.nan)
@@ -151,10 +147,11 @@ def render_reference(
     camera: Pinhole,
     *,
     median: bool = False,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
-    """Intensity [H, W, C], accumulated depth [H, W], alpha [H, W] and radii [N] (int32 px, 0 where culled).
+) -> Rendering:
+    """Render N Gaussians in C channels, in the float type and on the device of `means`.
 
-    Last the median depth [H, W] if it is asked for, else None.
+    `means` [N, 3] m in the rig frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m, `opacities` [N] 0
+    to 1, `intensities` [N, C] spikes per tick. Differentiable in all five. `median` asks for the median depth too.
     """
     splats = project(means, quats_wxyz, log_scales, opacities, camera)
     rows = max(1, PAIRS_AT_ONCE // max(1, len(splats.source) * camera.width))
@@ -170,4 +167,4 @@ def render_reference(
     radii = torch.zeros(len(means), dtype=torch.int32, device=means.device)
     radii[splats.source] = splats.radii.clamp_max(1e9).int()
     middle = torch.cat(medians).reshape(camera.height, camera.width) if median else None
-    return image[..., :-2], image[..., -2], image[..., -1], radii, middle
+    return Rendering(image[..., :-2], image[..., -2], image[..., -1], radii, middle)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -14,28 +13,12 @@ from reconstruction.rendering.gsplat_backend import render_gsplat
 from reconstruction.rendering.native import render_native
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import render_reference
+from reconstruction.rendering.result import Rendering
 from rigs.camera import Camera
 
 Backend = Literal["native", "reference", "gsplat"]
 RENDERERS = {"native": render_native, "reference": render_reference, "gsplat": render_gsplat}
-NEAR_M = 0.01
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """What a camera sees. The mean depth of what covers a pixel is `depth / alpha`.
-
-    `median` is the depth of the Gaussian that takes a pixel's light to a half or below, NaN where none does: that of a
-    surface, where the mean lies between it and what shines through. It has no gradient; None unless asked for.
-    """
-
-    intensity: Tensor  # [H, W, C] spikes per tick
-    depth: Tensor  # [H, W] sum of weight times z, m
-    alpha: Tensor  # [H, W] in [0, 1]
-    radii: Tensor  # [N] int32 px, 0 where the Gaussian is not seen
-    median: Tensor | None = None  # [H, W] m
-
-
+NEAR_M = 0.01  # depth of the near plane in m
 NAMES = ("means", "quats_wxyz", "log_scales", "opacities", "intensities")
 
 
@@ -71,12 +54,13 @@ def render(
 
     `gaussians`: means [N, 3] m in the rig frame, quats_wxyz [N, 4] of any length, log_scales [N, 3] (log m), opacities
     [N] in [0, 1], intensities [N, C] in spikes per tick. `backend`: native (float32 on the CPU), reference (float32 or
-    float64, anywhere), gsplat (float32 on a CUDA device). `near_m`: nothing nearer is seen. `background`: the intensity
-    behind everything, one number or [H, W, C]; none is black. `median`: the median depth too, not with gsplat.
-    Raises ReconstructionError for shapes that do not fit, NaN or infinity, or a camera with lens distortion.
+    float64, anywhere), gsplat (float32 on a CUDA device). `near_m`: the least depth that is seen, m. `background`: the
+    intensity behind everything, one number or [H, W, C], black if None. `median` asks for the median depth too, which
+    gsplat does not have. Raises ReconstructionError for shapes that do not fit, NaN or infinity, or a lens that
+    distorts.
     """
     _check(gaussians)
-    intensity, depth, alpha, radii, middle = RENDERERS[backend](*gaussians, pinhole_of(camera, near_m), median=median)
-    if background is not None:
-        intensity = intensity + (1 - alpha)[..., None] * background
-    return Rendering(intensity, depth, alpha, radii, middle)
+    seen = RENDERERS[backend](*gaussians, pinhole_of(camera, near_m), median=median)
+    if background is None:
+        return seen
+    return seen._replace(intensity=seen.intensity + (1 - seen.alpha)[..., None] * background)

@@ -7,7 +7,8 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.losses.ssim import ssim_map
 from reconstruction.losses.variation import variation_loss
-from reconstruction.rendering.render import NAMES, Rendering, render
+from reconstruction.rendering.render import NAMES, render
+from reconstruction.rendering.result import Rendering
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import CAMERA, apart, gaussians_of, renderers, running
 from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold

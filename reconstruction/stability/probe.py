@@ -13,7 +13,8 @@ from torch import Tensor
 
 from acquisition.native import code_path, code_paths
 from reconstruction.rendering.gsplat_backend import why_unavailable
-from reconstruction.rendering.render import Backend, Rendering, render
+from reconstruction.rendering.render import Backend, render
+from reconstruction.rendering.result import Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.native import library
+from reconstruction.native import Double, Int, addresses, fits, kernel
 
 BETAS, EPS = (0.9, 0.99), 1e-15
 
@@ -27,6 +27,9 @@ class _Leaf(ctypes.Structure):
     )
 
 
+_step = kernel("adam_step", ctypes.POINTER(_Leaf), Int, Double, Double, Double, Int)
+
+
 class Adam(torch.optim.Optimizer):
     """`torch.optim.Adam` for contiguous float32 leaves on the CPU; `groups` as torch takes them, each with its `lr`.
 
@@ -38,7 +41,7 @@ class Adam(torch.optim.Optimizer):
         self.betas, self.eps = betas, eps
         for group in self.param_groups:
             for leaf in group["params"]:
-                if leaf.dtype != torch.float32 or leaf.device.type != "cpu" or not leaf.is_contiguous():
+                if not (fits(leaf) and leaf.is_contiguous()):
                     raise ReconstructionError(
                         f"found a leaf of {leaf.dtype} on {leaf.device}",
                         "contiguous float32 on the CPU",
@@ -56,12 +59,7 @@ class Adam(torch.optim.Optimizer):
                     gradient = leaf.grad.contiguous()
                     kept.append(gradient)
                     leaves.append(self._leaf(leaf, gradient, group["lr"]))
-        library().adam_step(
-            (_Leaf * len(leaves))(*leaves),
-            len(leaves),
-            *(ctypes.c_double(x) for x in (*self.betas, self.eps)),
-            torch.get_num_threads(),
-        )
+        _step((_Leaf * len(leaves))(*leaves), len(leaves), *self.betas, self.eps, torch.get_num_threads())
 
     def _leaf(self, leaf: Tensor, gradient: Tensor, rate: float) -> _Leaf:
         state = self.state[leaf]
@@ -70,9 +68,8 @@ class Adam(torch.optim.Optimizer):
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(leaf), torch.zeros_like(leaf)
         state["step"] += 1
         steps = int(state["step"])
-        pointers = (t.data_ptr() for t in (leaf, state["exp_avg"], state["exp_avg_sq"], gradient))
         return _Leaf(
-            (ctypes.c_void_p * 4)(*pointers),
+            addresses(leaf, state["exp_avg"], state["exp_avg_sq"], gradient),
             leaf.numel(),
             rate / (1 - self.betas[0] ** steps),
             1 / math.sqrt(1 - self.betas[1] ** steps),

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.rendering.render import Rendering
+from reconstruction.rendering.result import Rendering
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,12 @@ a texture; the mean of two renders, at the Gauss-Legendre instants, is blurred a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from reconstruction.rendering.render import Rendering
+from reconstruction.rendering.result import Rendering
 from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.clock import RigClock
@@ -59,7 +58,7 @@ def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
         name: torch.stack([weight * getattr(rendered, name) for weight, rendered in renders]).sum(dim=0)
         for name in ("intensity", "depth", "alpha")
     }
-    return replace(renders[-1][1], median=None, **means)
+    return renders[-1][1]._replace(median=None, **means)
 
 
 def passed_px(cloud: SceneModel, cameras: Sequence[Camera], span_s: float) -> float:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.losses.ssim import ssim
-from reconstruction.rendering.render import Backend, Rendering, render
+from reconstruction.losses.ssim import ssim_map
+from reconstruction.rendering.render import Backend, render
+from reconstruction.rendering.result import Rendering
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.depth_hold import DepthHold
 from reconstruction.training.exposure import Exposure, mean_of
@@ -74,7 +75,7 @@ class ImageTerm:
         if self.closeness:
             self.closeness.see(image.detach(), target)
         pixels = (image - target).abs().mean() / self.white
-        alike = 1 - ssim(image, target, self.white)
+        alike = 1 - ssim_map(image, target, self.white).mean()
         return (1 - self.ssim) * pixels + self.ssim * alike + self.solid * (1 - rendered.alpha).mean()
 
 

@@ -90,9 +90,10 @@ class RayTerm:
         if moving.any():
             counts = source.stream.counts(first, first + window).ravel()[pixels]
             rates = torch.where(moving, torch.from_numpy(counts.astype(np.float32) / window), rates)
-            loss = robust_loss(light[moving], rates[moving], window) * moving.float().mean()
+            loss = robust_loss(light[moving], rates[moving], window).mean() * moving.float().mean()
         if not moving.all():
-            loss = loss + robust_loss(light[~moving], rates[~moving], len(source.stream)) * (~moving).float().mean()
+            still = robust_loss(light[~moving], rates[~moving], len(source.stream)).mean()
+            loss = loss + still * (~moving).float().mean()
         return loss, rates
 
     def _integral(

@@ -51,7 +51,7 @@ class SpikeTerm:
         seen = self.image.over(cloud, view, part.camera, (first, window, nodes))
         rate = torch.from_numpy(part.counts(view, first, first + window) / np.float32(window))
         good = torch.from_numpy(part.good)
-        spikes = self.loss(seen.intensity[..., 0][good], rate[good], window)
+        spikes = self.loss(seen.intensity[..., 0][good], rate[good], window).mean()
         return spikes / self.image.white + self.image.solid * (1 - seen.alpha).mean()
 
     def _running_totals(

@@ -190,7 +190,9 @@ def test_an_export_format_is_one_file_and_a_line(copy):
         ''',
     )
     readme = copy / "reconstruction/README.md"
-    readme.write_text(readme.read_text().replace("| `ply` |", "| `xyz` | where the Gaussians are | `--at` |\n| `ply` |", 1))
+    readme.write_text(
+        readme.read_text().replace("| `ply` |", "| `xyz` | where the Gaussians are | `--at` |\n| `ply` |", 1)
+    )
     assert "xyz" in command(copy, "export", "--help")
     code = "from server.schemas.job_types import ExportRequest; print(ExportRequest.model_json_schema())"
     assert "xyz" in python(copy, code)

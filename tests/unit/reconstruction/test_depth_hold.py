@@ -5,7 +5,8 @@ import torch
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
-from reconstruction.rendering.render import Rendering, render
+from reconstruction.rendering.render import render
+from reconstruction.rendering.result import Rendering
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
 from rigs.camera import Camera

@@ -5,7 +5,7 @@ import torch
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
-from reconstruction.rendering.render import Rendering
+from reconstruction.rendering.result import Rendering
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.exposure import FAR_PX, FROM, Exposure, mean_of, passed_px
 from rigs.camera import Camera

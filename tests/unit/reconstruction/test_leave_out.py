@@ -34,7 +34,7 @@ from reconstruction.bench.leave_out import (
 from reconstruction.bench.leave_out_run import EveryChannel, Memory
 from reconstruction.images.flicker import Light
 from reconstruction.images.moving_pixels import moving_pixels
-from reconstruction.rendering.render import Rendering
+from reconstruction.rendering.result import Rendering
 from reconstruction.run.plan import STILL_SHARE
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.watch import changed_pixels

@@ -1,6 +1,5 @@
 """The native renderer against the torch reference in float64: values, gradients, order, threads."""
 
-import ctypes
 import gc
 
 import pytest
@@ -8,12 +7,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.native import _builds, load_library
+from acquisition.native import code_path, code_paths
 from reconstruction.errors import ReconstructionError
 from reconstruction.rendering.native import work_of
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import TRANSMITTANCE_MIN, alphas_of, project, transmittance_before
-from reconstruction.rendering.render import NAMES, Rendering, render
+from reconstruction.rendering.render import NAMES, render
+from reconstruction.rendering.result import Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -109,16 +109,12 @@ def test_opaque_layers_end_where_no_light_is_left():
 
 
 @pytest.mark.parametrize("level", ["v2", "v3", "v4", "plain"])
-def test_every_build_this_processor_runs_agrees(level, monkeypatch):
-    builds, best = _builds("reconstruction"), load_library("reconstruction")._name
-    if level not in builds or str(builds[level]) > best:
+def test_every_build_this_processor_runs_agrees(level):
+    if level not in code_paths():
         pytest.skip(f"this processor runs no {level} build")
-    kernels = ctypes.CDLL(str(builds[level]))
-    kernels.render_forward.restype = ctypes.c_void_p
-    kernels.render_release.argtypes = (ctypes.c_void_p,)
-    monkeypatch.setattr("reconstruction.rendering.native._kernels", lambda: kernels)
-    assert_alike(cloud_of(300, 4), camera_of(57, 43))
-    assert_alike(cloud_of(90, 5, -0.5), camera_of(33, 21))
+    with code_path(level):
+        assert_alike(cloud_of(300, 4), camera_of(57, 43))
+        assert_alike(cloud_of(90, 5, -0.5), camera_of(33, 21))
 
 
 def test_three_channels_are_three_images_of_one_cloud():

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.quaternions import matrices
 from reconstruction.rendering.pinhole import pinhole_of
-from reconstruction.rendering.reference import project, render_reference, rotations_of
+from reconstruction.rendering.reference import project, render_reference
 from reconstruction.rendering.render import render
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -91,7 +92,7 @@ def test_moving_camera_and_world_together_changes_nothing():
 
 def test_rotations_are_those_of_the_rig():
     quats = cloud_of(10)[1]
-    for quat, rotation in zip(quats.numpy(), rotations_of(quats).numpy(), strict=True):
+    for quat, rotation in zip(quats.numpy(), matrices(quats).numpy(), strict=True):
         np.testing.assert_allclose(rotation, Transform.from_quat_wxyz(quat, [0, 0, 0]).rotation, atol=1e-12)
 
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.riding import carried, carried_reference, product, rotated
+from reconstruction.gaussians.riding import carried, carried_reference
 from reconstruction.gaussians.rigid import RigidMotion, knot_weights
-from reconstruction.rendering.reference import rotations_of
+from reconstruction.quaternions import matrices, product, rotated
 
 
 def turning(bodies: int = 2, knots: int = 5, attached: int = 4, free: int = 3) -> tuple[GaussianCloud, RigidMotion]:
@@ -63,7 +63,7 @@ def test_what_rides_on_a_body_keeps_its_shape_and_turns_with_it():
     torch.testing.assert_close(
         torch.cdist(after.means[at], after.means[at]), torch.cdist(cloud.means[at], cloud.means[at])
     )
-    turned = rotations_of(after.quats_wxyz[at]) @ rotations_of(before.quats_wxyz[at]).mT
+    turned = matrices(after.quats_wxyz[at]) @ matrices(before.quats_wxyz[at]).mT
     c, s = math.cos(1), math.sin(1)
     expected = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
     torch.testing.assert_close(turned, expected.expand(4, 3, 3), atol=1e-12, rtol=0)
@@ -88,8 +88,8 @@ def test_any_share_may_be_empty(bodies, attached, free):
 def test_quaternions_turn_vectors_as_their_matrices_do():
     left, right = (torch.nn.functional.normalize(torch.randn(6, 4, dtype=torch.float64), dim=-1) for _ in range(2))
     vectors = torch.randn(6, 3, dtype=torch.float64)
-    torch.testing.assert_close(rotated(left, vectors), (rotations_of(left) @ vectors[..., None])[..., 0])
-    torch.testing.assert_close(rotations_of(product(left, right)), rotations_of(left) @ rotations_of(right))
+    torch.testing.assert_close(rotated(left, vectors), (matrices(left) @ vectors[..., None])[..., 0])
+    torch.testing.assert_close(matrices(product(left, right)), matrices(left) @ matrices(right))
 
 
 @pytest.mark.parametrize("u", [0.0, 0.31, 0.98])

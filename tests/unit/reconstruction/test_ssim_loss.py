@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.losses.ssim import ssim, ssim_map, ssim_map_reference
+from reconstruction.losses.ssim import ssim_map, ssim_map_reference
 
 SIZES = [(1, 1), (1, 40), (7, 3), (11, 11), (29, 37), (48, 64)]
 
@@ -106,11 +106,13 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
 
 def test_images_that_do_not_share_memory_order_are_read_as_they_are():
     image, target, _ = images(20, 31)
-    torch.testing.assert_close(ssim(image.T, target.T, 1.0), ssim(image.T.contiguous(), target.T.contiguous(), 1.0))
+    torch.testing.assert_close(
+        ssim_map(image.T, target.T, 1.0), ssim_map(image.T.contiguous(), target.T.contiguous(), 1.0)
+    )
 
 
 def test_bad_input_is_refused():
     with pytest.raises(ReconstructionError, match="shapes"):
-        ssim(torch.zeros(3, 4), torch.zeros(4, 3), 1.0)
+        ssim_map(torch.zeros(3, 4), torch.zeros(4, 3), 1.0)
     with pytest.raises(ReconstructionError, match="data range"):
-        ssim(torch.zeros(3, 4), torch.zeros(3, 4), 0.0)
+        ssim_map(torch.zeros(3, 4), torch.zeros(3, 4), 0.0)

@@ -7,11 +7,9 @@ import pytest
 import torch
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.riding import product, rotated
-from reconstruction.gaussians.rigid import unit
 from reconstruction.gaussians.rigidity import ISOMETRY, RIGID, ROTATION, neighbourhood, rigidity, weights_of
 from reconstruction.gaussians.timesteps import FIRST, TIMESTEPS, TimestepMotion
-from reconstruction.rendering.reference import rotations_of
+from reconstruction.quaternions import matrices, product, rotated, unit
 
 STEPS = TIMESTEPS - 1
 
@@ -127,7 +125,7 @@ def test_rigidity_is_that_of_the_paper():
     before, after = (cloud.means, unit(cloud.quats_wxyz)), cloud_of(12)
     now = cloud.means + 0.3 * after.log_scales, unit(cloud.quats_wxyz + 0.2 * after.quats_wxyz)
     near = neighbourhood(cloud.means)
-    first, then = (rotations_of(q).numpy() for q in (before[1], now[1]))
+    first, then = (matrices(q).numpy() for q in (before[1], now[1]))
     gap, total = float(near.distances.mean()), 0.0
     turns = product(now[1], before[1] * torch.tensor([1.0, -1, -1, -1])).numpy()
     for i in range(12):

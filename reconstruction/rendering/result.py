@@ -1,0 +1,22 @@
+"""What every renderer returns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class Rendering(NamedTuple):
+    """What a camera of H rows and W columns sees of N Gaussians; the mean depth of a pixel is `depth / alpha`.
+
+    `median` is the depth of the Gaussian that takes a pixel's light to a half or below, NaN where none does. It is the
+    depth of a surface, where the mean lies between the surface and what shines through it. `radii` and `median` have
+    no gradient.
+    """
+
+    intensity: Tensor  # [H, W, C] spikes per tick
+    depth: Tensor  # [H, W] sum of weight times z, m
+    alpha: Tensor  # [H, W] 0 to 1
+    radii: Tensor  # [N] int32 px, 0 where the Gaussian is not seen
+    median: Tensor | None = None  # [H, W] m, where it was asked for
