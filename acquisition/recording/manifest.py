@@ -1,11 +1,11 @@
-"""`recording.json`: what a recording holds, and the digests that prove it."""
+"""`recording.json`: the contents of a recording, and the digests that prove them."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes.layout import PlaneLayout
@@ -14,9 +14,9 @@ SCHEMA_VERSION = 1
 MANIFEST_FILE = "recording.json"
 RIG_FILE = "rig.toml"
 TRUTH_FOLDER = "truth"
-BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000
-MAX_BLOCK_BYTES = 1 << 30
-_MAX_SIDE = (1 << 16) - 1
+BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000  # most planes and bytes of a block that are written
+MAX_BLOCK_BYTES = 1 << 30  # most bytes of a block that are read, where it is more than one plane
+MAX_SIDE = (1 << 16) - 1  # most pixels a side
 
 Layer = Literal["device", "link", "ring", "disk"]
 Trigger = Literal["line", "software", "import", "box"]
@@ -25,7 +25,7 @@ UNFINISHED: tuple[Status, ...] = ("armed", "recording")
 
 
 def block_planes_of(layout: PlaneLayout) -> int:
-    """How many planes share one digest: 80, or as many as make a megabyte."""
+    """Return how many planes share one digest: 80, or as many as make a megabyte."""
     return max(1, min(BLOCK_PLANES, BLOCK_BYTES // layout.plane_bytes))
 
 
@@ -49,7 +49,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Conversion:
-    """A file that could not be kept bit for bit: its `source_format`, what of it is gone, and its SHA-256.
+    """A file that could not be kept bit for bit: its format, its SHA-256, and what of it is gone.
 
     `skipped_bytes` lay before the first whole plane; `missing_segments` lists (plane, segments lost from it), whose
     pixels are zero.
@@ -65,12 +65,13 @@ class Conversion:
 class CameraFile:
     """One camera's `.dat`: pure planes in the camera's own `layout`, or in ours where it was converted.
 
-    `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes, `sha256` is of
-    the file (None while it is being recorded). `skew_s` is how far its first plane was from the trigger (None where
-    nothing measured it), `skew_sd_s` its standard deviation where that was estimated, and `clock` all that was told of
-    the camera's clock from sync pulses. `device` is what the camera said of itself: serial, firmware, sensitivity, what
-    its link counted, its clock against the host's, and where it came back after it was lost. `partial_bytes` is what an
-    imported file held beyond its last whole plane.
+    `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes; `sha256` is of
+    the file (None while it is being recorded). `skew_s` is the time from the trigger to its first plane (None where
+    nothing measured it), `skew_sd_s` its standard deviation where that was estimated. `clock` holds all that sync
+    pulses told of the camera's clock. `device` holds what the camera said of itself: serial, firmware, sensitivity, the
+    counters of its link, its clock against the host's, and where it came back after it was lost. `partial_bytes`
+    counts the bytes of an imported file beyond its last whole plane.
+    Raises BadRecordingError, naming the camera, for a name, layout, digests or gaps that do not fit.
     """
 
     id: str
@@ -90,15 +91,19 @@ class CameraFile:
     device: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        whole = type(self.planes) is type(self.block_planes) is int
-        if not whole or self.planes < 0 or self.block_planes < 1:
+        if not (self.id.isprintable() and self.file.isprintable()) or "/" in self.file or self.file in ("", ".", ".."):
+            raise BadRecordingError(f"found camera {self.id!r}, file {self.file!r}", "names inside the recording")
+        if self.planes < 0 or self.block_planes < 1:
             found = f"found {self.planes} planes, {self.block_planes} a block"
-            raise BadRecordingError(f"{found}", "none or more, and at least one a block", where=self.id)
+            raise BadRecordingError(found, "none or more, and at least one a block", where=self.id)
+        block_bytes = self.block_planes * self.layout.plane_bytes
+        side = max(self.layout.stored_width, self.layout.height)
+        if (self.block_planes > 1 and block_bytes > MAX_BLOCK_BYTES) or side > MAX_SIDE:
+            found = f"found {block_bytes} bytes a block, a side of {side} pixels"
+            raise BadRecordingError(found, f"at most {MAX_BLOCK_BYTES} and {MAX_SIDE}", where=self.id)
         blocks = -(-self.planes // self.block_planes)
         if len(self.block_digests) != blocks:
-            raise BadRecordingError(f"found {len(self.block_digests)} block digests", f"{blocks}", where=self.id)
-        if not set("/\0").isdisjoint(self.file) or self.file in ("", ".", ".."):
-            raise BadRecordingError(f"found the file {self.file!r}", "a name inside the recording", where=self.id)
+            raise BadRecordingError(f"found {len(self.block_digests)} block digests", str(blocks), where=self.id)
         known = 0
         for gap in self.gaps:
             if gap.first_plane < known or gap.first_plane + gap.planes > self.planes:
@@ -143,13 +148,15 @@ class Manifest:
             raise BadRecordingError(f"found the trigger {self.trigger!r}", f"one of {get_args(Trigger)}")
         if self.status not in get_args(Status) or (self.reason is None) != (self.status != "incomplete"):
             found = f"found the status {self.status!r} with the reason {self.reason!r}"
-            raise BadRecordingError(f"{found}", f"one of {get_args(Status)}, and a reason where incomplete")
+            raise BadRecordingError(found, f"one of {get_args(Status)}, and a reason where incomplete")
         ids = [camera.id for camera in self.cameras]
         if not ids or len(set(ids)) < len(ids):
             raise BadRecordingError(f"found the cameras {ids}", "at least one, each once")
+        if any("/" in name or "\0" in name for name in self.pixels_sha256):
+            raise BadRecordingError(f"found the pixels {list(self.pixels_sha256)}", "files inside the recording")
 
     def camera(self, camera_id: str) -> CameraFile:
-        """The entry of one camera; raises BadRecordingError listing the known ones."""
+        """Return the entry of one camera; raises BadRecordingError listing the known ones."""
         for camera in self.cameras:
             if camera.id == camera_id:
                 return camera
@@ -158,7 +165,7 @@ class Manifest:
 
 
 def dump_manifest(manifest: Manifest) -> str:
-    """The manifest as JSON text."""
+    """Return the manifest as JSON text."""
     document = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(manifest)}
     for table, camera in zip(document["cameras"], manifest.cameras, strict=True):
         table.update(offered=camera.planes, written=camera.written, drops=camera.drops)
@@ -166,70 +173,47 @@ def dump_manifest(manifest: Manifest) -> str:
 
 
 def load_manifest(text: str | bytes) -> Manifest:
-    """Read `dump_manifest`'s text; raises BadRecordingError for anything else."""
+    """Read the text of `dump_manifest`; raises BadRecordingError for anything else."""
     try:
         document = json.loads(text)
         version = document.pop("schema_version")
         if version != SCHEMA_VERSION:
-            expected = f"expected {SCHEMA_VERSION}; update spike4dgs"
-            raise BadRecordingError(f"found schema {version}, {expected}", where=MANIFEST_FILE)
-        cameras = tuple(_camera(table) for table in document.pop("cameras"))
-        manifest = Manifest(cameras=cameras, **document)
-        digests = manifest.pixels_sha256.items()
-        texts = (
-            manifest.writer,
-            manifest.rig_sha256,
-            manifest.reason or "",
-            *(text for pair in digests for text in pair),
-        )
-        if not all(isinstance(text, str) for text in texts):
-            raise TypeError("found values of another kind")
-        if not all(set("/\0").isdisjoint(name) for name in manifest.pixels_sha256):
-            raise ValueError("found a pixel calibration outside the recording")
-        return manifest
+            found = f"found schema {version!r}"
+            raise BadRecordingError(found, str(SCHEMA_VERSION), "update spike4dgs", where=MANIFEST_FILE)
+        stated = [
+            (typed(dict[str, int], table.pop("drops")), table.pop("offered", None), table.pop("written", None))
+            for table in document["cameras"]
+        ]
+        manifest = typed(Manifest, document)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadRecordingError(f"found no manifest ({error})", "what spike4dgs writes", where=MANIFEST_FILE) from error
+    for camera, (drops, offered, written) in zip(manifest.cameras, stated, strict=True):
+        if drops != {layer: lost for layer, lost in camera.drops.items() if lost or layer in drops}:
+            raise BadRecordingError(f"found the drops {drops}", f"{camera.drops} as the gaps say", where=camera.id)
+        if (offered, written) not in ((None, None), (camera.planes, camera.written)):
+            found = f"found {offered!r} planes offered, {written!r} written"
+            raise BadRecordingError(found, f"{camera.planes} and {camera.written} as the gaps say", where=camera.id)
+    return manifest
 
 
-def _camera(table: dict[str, Any]) -> CameraFile:
-    table = dict(table)
-    drops = table.pop("drops")
-    offered, written = table.pop("offered", None), table.pop("written", None)
-    layout = PlaneLayout(**table.pop("layout"))
-    gaps = tuple(Gap(**gap) for gap in table.pop("gaps"))
-    digests = tuple(table.pop("block_digests"))
-    conversion = _conversion(table.pop("conversion", None))
-    camera = CameraFile(layout=layout, gaps=gaps, block_digests=digests, conversion=conversion, **table)
-    _check_kinds(camera)
-    if drops != {layer: lost for layer, lost in camera.drops.items() if lost or layer in drops}:
-        raise BadRecordingError(f"found the drops {drops}", f"{camera.drops} as the gaps say", where=camera.id)
-    if (offered, written) not in ((None, None), (camera.planes, camera.written)):
-        found = f"found {offered} planes offered, {written} written"
-        raise BadRecordingError(f"{found}", f"{camera.planes} and {camera.written} as the gaps say", where=camera.id)
-    return camera
+def typed(kind: Any, value: Any) -> Any:
+    """Return a value out of JSON as `kind`: a dataclass, tuple, dict, Literal, `X | None` or plain type.
 
-
-def _conversion(table: dict[str, Any] | None) -> Conversion | None:
-    if table is None:
-        return None
-    missing = tuple((int(plane), int(segments)) for plane, segments in table.pop("missing_segments"))
-    return Conversion(missing_segments=missing, **table)
-
-
-def _check_kinds(camera: CameraFile) -> None:
-    """Raise TypeError for what JSON can hold and a camera's entry cannot."""
-    texts = (camera.id, camera.file, *camera.block_digests, *([] if camera.sha256 is None else [camera.sha256]))
-    layout = camera.layout
-    numbers = (camera.first_tick, camera.partial_bytes, layout.width, layout.height, layout.trailing_columns)
-    if not all(isinstance(text, str) for text in texts) or not all(type(number) is int for number in numbers):
-        raise TypeError("found values of another kind")
-    if not all(table is None or isinstance(table, dict) for table in (camera.clock, camera.device)):
-        raise TypeError("found a clock or a device of another kind")
-    if not all(text.isprintable() for text in (camera.id, camera.file)):
-        raise ValueError("found a name that cannot be printed")
-    numbers_or_none = (camera.skew_s, camera.skew_sd_s)
-    if not all(number is None or isinstance(number, float | int) for number in numbers_or_none):
-        raise TypeError("found values of another kind")
-    too_many = camera.block_planes > 1 and camera.block_planes * layout.plane_bytes > MAX_BLOCK_BYTES
-    if too_many or max(layout.stored_width, layout.height) > _MAX_SIDE:
-        raise ValueError(f"found {camera.block_planes} planes of {layout.width}x{layout.height} in a block")
+    Raises TypeError where it is of another type.
+    """
+    origin, parts = get_origin(kind), get_args(kind)
+    if kind is Any or (value is None and type(None) in parts):
+        return value
+    if type(None) in parts:
+        return typed(parts[0], value)
+    if dataclasses.is_dataclass(kind):
+        kinds = get_type_hints(kind)
+        return kind(**{name: typed(kinds[name], part) for name, part in value.items()})  # type: ignore[operator]
+    if origin is tuple and isinstance(value, list):
+        kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
+        return tuple(typed(one, part) for one, part in zip(kinds, value, strict=True))
+    if origin is dict and isinstance(value, dict):
+        return {typed(parts[0], key): typed(parts[1], part) for key, part in value.items()}
+    if value in parts or type(value) is kind or (kind is float and type(value) is int):
+        return value
+    raise TypeError(f"found {str(value)[:40]!r}, expected {kind}")

@@ -25,9 +25,8 @@ class Recording:
         known = {camera.id for camera in self.manifest.cameras}
         missing = [camera_id for camera_id in self.rig.ids if camera_id not in known]
         if missing:
-            raise BadRecordingError(
-                f"found no stream of {', '.join(missing)}", "one for each camera of its rig", where=self.path
-            )
+            found = f"found no stream of {', '.join(missing)}"
+            raise BadRecordingError(found, "one for each camera of its rig", where=self.path)
 
     @classmethod
     def open(cls, path: Path) -> Recording:
@@ -57,42 +56,37 @@ class Recording:
         return folder if folder.is_dir() else None
 
     def layout(self, camera_id: str) -> PlaneLayout:
-        """How the planes of one camera lie in bytes."""
+        """Return how the planes of one camera lie in bytes."""
         return self.manifest.camera(camera_id).layout
 
     def stream(self, camera_id: str) -> SpikeStream:
-        """The memory-mapped planes of one camera; raises BadRecordingError where the file is not what was recorded."""
+        """Map the planes of one camera; raises BadRecordingError where the file is not what was recorded."""
         entry = self.manifest.camera(camera_id)
         if not entry.planes:
-            found = f"found no plane of {camera_id}, expected at least one"
-            raise BadRecordingError(f"{found}", do="mend or leave it out, and record again", where=self.path)
+            do = "mend or leave it out, and record again"
+            raise BadRecordingError(f"found no plane of {camera_id}", "at least one", do, where=self.path)
         stream = SpikeStream.open(self.path / entry.file, entry.layout, self.tick_rate_hz)
         if len(stream) != entry.planes:
-            found = f"found {len(stream)} planes, expected {entry.planes}"
-            raise BadRecordingError(f"{found}", do="verify the recording", where=self.path / entry.file)
+            found, expected = f"found {len(stream)} planes", str(entry.planes)
+            raise BadRecordingError(found, expected, "verify the recording", where=self.path / entry.file)
         return stream
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The manifest of the finished recording in `path`; raises BadRecordingError naming the folder."""
+    """Read the manifest of the finished recording in `path`; raises BadRecordingError naming the folder."""
     manifest = read_any_manifest(path)
     if manifest.status in UNFINISHED:
-        found = f"found it {manifest.status}, expected a finished recording"
-        raise BadRecordingError(
-            f"{found}", do=f"if nothing records it any more, run `spike4dgs finalise {path}`", where=path
-        )
+        do = f"if nothing records it any more, run `spike4dgs finalise {path}`"
+        raise BadRecordingError(f"found it {manifest.status}", "a finished recording", do, where=path)
     return manifest
 
 
 def read_any_manifest(path: Path) -> Manifest:
-    """The manifest in `path`, of a recording that may still be made; raises BadRecordingError naming the folder."""
+    """Read the manifest in `path`, even of an unfinished recording; raises BadRecordingError naming the folder."""
     try:
         text = (path / MANIFEST_FILE).read_bytes()
     except OSError as error:
-        raise BadRecordingError(
-            f"found no readable {MANIFEST_FILE} ({error.strerror})", "a recording folder", where=path
-        ) from error
-    try:
+        found = f"found no readable {MANIFEST_FILE} ({error.strerror})"
+        raise BadRecordingError(found, "a recording folder", where=path) from error
+    with BadRecordingError.located(path):
         return load_manifest(text)
-    except BadRecordingError as error:
-        raise BadRecordingError(f"{path}: {' '.join(str(error).split())}") from error  # it may quote the file
