@@ -14,9 +14,9 @@ from acquisition.revision import code_revision
 
 @dataclass
 class BenchDocument:
-    """`rows`: one a measurement; `omissions`: what failed or was not run, and why; `summary`: named numbers.
+    """The result of a bench: `rows`, one a measurement, and a `summary` of named numbers.
 
-    `scenes` is the digest of the evaluation scenes that this code has.
+    `omissions` says what failed or was not run, and why. `scenes` is the digest of this code's evaluation scenes.
     """
 
     bench: str
@@ -26,7 +26,7 @@ class BenchDocument:
     scenes: str = ""
 
     def to_json(self) -> dict:
-        """The whole document, with the machine and the code it was measured on."""
+        """Return the whole document, with the machine and the code it was measured on."""
         return {
             "bench": self.bench,
             "device": {**device(), "accelerator": None},
@@ -39,24 +39,24 @@ class BenchDocument:
 
 
 def device() -> dict[str, str | int]:
-    """The machine: its processor's name, and the threads this process may use."""
+    """Return the processor's name and the threads that this process may use."""
     return {"processor": _processor(), "threads": len(os.sched_getaffinity(0))}
 
 
 class Stolen:
-    """How much of the processors' time the machine's other guests have taken since this was made."""
+    """The processors' time that other guests of the machine have taken since this object was made."""
 
     def __init__(self, source: Path = Path("/proc/stat")) -> None:
         self._source = source
         self._before = self._times()
 
     def share(self) -> float:
-        """Of the time of all processors, in 0..1; 0 where the system does not tell."""
+        """Return the share of the time of all processors, in 0..1; 0 where the system does not tell."""
         spent = [after - before for after, before in zip(self._times(), self._before, strict=True)]
         return spent[-1] / sum(spent) if any(spent) else 0.0
 
     def _times(self) -> list[int]:
-        """Ticks of user, nice, system, idle, waiting, two kinds of interrupts, stolen."""
+        """Read the ticks of user, nice, system, idle, waiting, two kinds of interrupts, stolen."""
         try:
             return [int(word) for word in self._source.read_text().split("\n", 1)[0].split()[1:9]]
         except OSError:
@@ -64,7 +64,7 @@ class Stolen:
 
 
 def fastest_s(work: Callable[[], object], repeats: int = 7) -> float:
-    """Seconds of the fastest of `repeats` calls after one that warms up: the least disturbed on a shared machine."""
+    """Time `repeats` calls after one that warms up; return the seconds of the fastest, which was disturbed least."""
     work()
     times = []
     for _ in range(repeats):
@@ -75,7 +75,7 @@ def fastest_s(work: Callable[[], object], repeats: int = 7) -> float:
 
 
 def _processor() -> str:
-    """The processor's own name, where the system tells it."""
+    """Return the processor's own name, where the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written aside, flushed to disk, renamed."""
+"""Writes files that are whole or absent: written aside, flushed to disk, renamed."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from acquisition.errors import DiskError
 
 
 def write_durably(path: Path, data: bytes | str) -> None:
-    """Put `data` (text as UTF-8) under `path`; raises DiskError, and leaves `path` as it was, when the disk refuses."""
+    """Write `data` (text as UTF-8) to `path`; raises DiskError, and leaves `path` as it was, when the disk refuses."""
     raw = data.encode() if isinstance(data, str) else data
     aside = path.with_name(f".{path.name}.{os.getpid()}.partial")  # two processes may write the same name
     try:
@@ -26,18 +26,17 @@ def write_durably(path: Path, data: bytes | str) -> None:
         aside.replace(path)
     except OSError as error:
         aside.unlink(missing_ok=True)
-        raise DiskError(
-            f"cannot be written ({error.strerror})", f"room and permission for {len(raw)} bytes", where=path
-        ) from error
+        found = f"cannot be written ({error.strerror})"
+        raise DiskError(found, f"room and permission for {len(raw)} bytes", where=path) from error
 
 
 def write_json(path: Path, document: object) -> None:
-    """`document` as indented JSON under `path`, durably."""
+    """Write `document` to `path` as indented JSON."""
     write_durably(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def write_array(path: Path, array: NDArray) -> None:
-    """`array` as .npy under `path`, durably."""
+    """Write `array` to `path` as .npy."""
     buffer = io.BytesIO()
     np.save(buffer, array)
     write_durably(path, buffer.getvalue())
@@ -45,10 +44,10 @@ def write_array(path: Path, array: NDArray) -> None:
 
 @contextmanager
 def made_aside(path: Path) -> Iterator[Path]:
-    """A name to make a file or a folder under; when the block ends well, that is flushed to disk and takes `path`.
+    """Yield a name to make a file or a folder under, which is flushed to disk and renamed `path` when the block ends.
 
-    What was at `path` is replaced then, a folder whole; it stays as it was when the block raises. Raises DiskError when
-    the disk refuses.
+    It replaces the file or the whole folder that was at `path`, which stays as it was when the block raises. Raises
+    DiskError when the disk refuses.
     """
     path = path.resolve()
     aside, old = (path.with_name(f".{path.name}.{os.getpid()}.{kind}") for kind in ("partial", "old"))

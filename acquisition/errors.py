@@ -18,13 +18,13 @@ class DeviceError(AcquisitionError):
 
 
 class DiskError(AcquisitionError):
-    """The disk refused what a recording needs; nothing was left under its final name."""
+    """A disk that refused what a recording needs; nothing was left under its final name."""
 
     exit_code = 2
 
 
 class RigBusyError(DeviceError):
-    """Somebody else records with the rig."""
+    """A rig that somebody else records with."""
 
     exit_code = 2
 

@@ -26,7 +26,10 @@ def _builds(package: str) -> dict[str, Path]:
 
 @functools.cache
 def code_paths() -> tuple[str, ...]:
-    """The builds this processor runs, the best last: `v2` to `v4` on x86-64, `plain` elsewhere; none uninstalled."""
+    """List the builds that this processor runs, the best last; none where the package is not installed.
+
+    They are `v2` to `v4` on x86-64, `plain` elsewhere.
+    """
     builds = _builds("acquisition")
     if "plain" in builds or "v2" not in builds:
         return ("plain",) if "plain" in builds else ()
@@ -36,7 +39,7 @@ def code_paths() -> tuple[str, ...]:
 
 @contextmanager
 def code_path(name: str) -> Iterator[None]:
-    """Inside the block, this thread's kernels are those of the build `name`, one of `code_paths`."""
+    """Use the kernels of the build `name`, one of `code_paths`, in this thread inside the block."""
     if name not in code_paths():
         raise AcquisitionError(f"found the code path {name}", f"one of {', '.join(code_paths())}")
     token = _chosen.set(name)
@@ -47,7 +50,7 @@ def code_path(name: str) -> Iterator[None]:
 
 
 def load_library(package: str) -> ctypes.CDLL:
-    """The shared library of `package`, built for the highest x86-64 level this processor has or for `code_path`'s.
+    """Load the shared library of `package` in the build that `code_path` chose, or the best this processor runs.
 
     Raises AcquisitionError where the package was imported without having been installed.
     """

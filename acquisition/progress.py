@@ -7,7 +7,7 @@ class Progress(Protocol):
     """Called with the fraction done in [0, 1] and a short message; must return at once."""
 
     def __call__(self, fraction: float, message: str, /) -> None:
-        """Report."""
+        """Report the fraction done and a message."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Which code made a result."""
+"""Names the code that made a result."""
 
 import subprocess
 from importlib.metadata import version
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def code_revision() -> str:
-    """The commit the code stands at, or the installed version outside a checkout."""
+    """Return the commit the code stands at, or the installed version outside a checkout."""
     here = Path(__file__).resolve().parent
     command = ["git", "-C", str(here), "describe", "--always", "--dirty"]
     try:

@@ -1,1 +1,1 @@
-"""What a camera array is: transforms, cameras, the rig, its clock, and the files that describe it."""
+"""A camera array: transforms, cameras, the rig, its clock, and the files that describe it."""

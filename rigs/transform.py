@@ -96,7 +96,7 @@ class Transform:
 
     @property
     def center(self) -> Floats:
-        """Where the target frame's origin lies in the source frame [3]; for `cam_from_world`, the camera centre."""
+        """The target frame's origin in the source frame [3], metres; for `cam_from_world`, the camera centre."""
         return -self.rotation.T @ self.translation
 
     @property

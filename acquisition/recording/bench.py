@@ -1,7 +1,8 @@
-"""What the recorder does with a disk: its rings and writers fed by blocks that cost nothing to make.
+"""Measures the recorder on a disk: its rings and writers are fed by blocks that cost nothing to make.
 
-Nine streams of 400x250 planes in blocks of a megabyte, as nine cameras send them. Long runs go round a bounded set of
-files. Rates are in MB/s (10^6 bytes), of the disk's own figure, measured before and after: the lower one counts.
+Nine streams of 400x250 planes come in blocks of a megabyte, as nine cameras send them. Long runs go round a bounded set
+of files. Rates are in MB/s (10^6 bytes). They are compared with the disk's own rate, the lower of one measured before
+and one measured after.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.bench_document import BenchDocument
+from acquisition.bench_document import BenchDocument, fastest_s
 from acquisition.errors import DiskError
 from acquisition.progress import Progress, silent
 from acquisition.recording.chunk_writer import StreamSpace
@@ -30,7 +31,7 @@ STREAMS = 9
 LAYOUT = PlaneLayout(400, 250)
 BLOCK_PLANES = 80
 BLOCK_BYTES = BLOCK_PLANES * LAYOUT.plane_bytes
-LAP_BYTES = 800 << 20  # of each file: 7.5 GB in all
+LAP_BYTES = 800 << 20  # size of each file: 7.5 GB in all
 RING_BYTES = 64 << 20
 FRACTIONS = (0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 RAM_FOLDER = Path("/dev/shm")
@@ -39,7 +40,7 @@ _WRITE_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Schedule:
-    """Seconds of each part."""
+    """The duration of each part, or the bytes that it writes."""
 
     disk_s: float = 8.0
     steady_s: float = 60.0
@@ -52,7 +53,7 @@ QUICK = Schedule(1.0, 3.0, 1.0, 900_000_000, 450_000_000)
 
 
 class LapFile(DirectFile):
-    """Written round and round inside LAP_BYTES, and removed at the end."""
+    """A file that is written round and round inside LAP_BYTES, and removed at the end."""
 
     def __init__(self, path: Path):
         super().__init__(path)
@@ -69,7 +70,7 @@ class LapFile(DirectFile):
 
 
 class _Feed:
-    """Blocks for one stream at a steady pace, each stamped with its number; what the ring does not take is lost.
+    """Feeds one stream blocks at a steady pace, each stamped with its number; what the ring does not take is lost.
 
     Without a period it waits for room instead.
     """
@@ -97,7 +98,7 @@ class _Feed:
 
 
 def bench_recorder(folder: Path, schedule: Schedule, progress: Progress = silent) -> BenchDocument:
-    """The recorder on the disk of the new `folder`, which is removed afterwards.
+    """Measure the recorder on the disk of the new `folder`, which is removed afterwards.
 
     Raises DiskError where 9 GB are not free.
     """
@@ -149,7 +150,7 @@ def _measure(folder: Path, schedule: Schedule, progress: Progress) -> tuple[list
 
 
 def disk_mb_s(folder: Path, seconds: float) -> float:
-    """MB/s of plain direct writes of a mebibyte, a thread a file, nothing else done."""
+    """Return the MB/s of plain direct writes of a mebibyte, a thread a file, with nothing else done."""
     data = memoryview(mmap.mmap(-1, _WRITE_BYTES))
     start_s = time.perf_counter()
 
@@ -168,7 +169,7 @@ def disk_mb_s(folder: Path, seconds: float) -> float:
 
 
 def paced_row(folder: Path, case: str, mb_s: float, seconds: float) -> dict:
-    """One run of all streams at `mb_s` together, round the bounded files, hashed and journalled."""
+    """Run all streams at `mb_s` together, round the bounded files, hashed and journalled."""
     space = StreamSpace(RING_BYTES, allows=lambda size: False, open_file=LapFile)
     blocks = max(1, round(mb_s * 1e6 * seconds / BLOCK_BYTES / STREAMS))
     feeds = _feeds(folder / case.strip(" %"), space, blocks, seconds / blocks)
@@ -177,18 +178,12 @@ def paced_row(folder: Path, case: str, mb_s: float, seconds: float) -> dict:
         feed.writer.close()
     lost = sum(gap.planes for feed in feeds for gap in feed.writer.gaps)
     shutil.rmtree(folder / case.strip(" %"))
-    return {
-        "case": case,
-        "mb_s": mb_s,
-        "offered_blocks": blocks * STREAMS,
-        "dropped_blocks": lost // BLOCK_PLANES,
-        "cores": cpu_s / elapsed_s,
-        "seconds": elapsed_s,
-    }
+    found = {"offered_blocks": blocks * STREAMS, "dropped_blocks": lost // BLOCK_PLANES}
+    return {"case": case, "mb_s": mb_s, **found, "cores": cpu_s / elapsed_s, "seconds": elapsed_s}
 
 
 def overload_row(folder: Path, mb_s: float, total_bytes: int) -> dict:
-    """More than the disk takes, into whole files; then every block is looked up: there, or zeros and listed."""
+    """Write more than the disk takes into whole files, then look up every block: there, or zeros and listed."""
     blocks = total_bytes // BLOCK_BYTES // STREAMS
     period_s = BLOCK_BYTES * STREAMS / (mb_s * 1e6)
     feeds = _feeds(folder / "over", StreamSpace(4 << 20, blocks * BLOCK_PLANES), blocks, period_s)
@@ -205,19 +200,12 @@ def overload_row(folder: Path, mb_s: float, total_bytes: int) -> dict:
         unreported += abs(feed.writer.planes - blocks * BLOCK_PLANES)
         dropped += int(lost.sum())
     shutil.rmtree(folder / "over")
-    return {
-        "case": "120 %",
-        "mb_s": mb_s,
-        "offered_blocks": blocks * STREAMS,
-        "dropped_blocks": dropped,
-        "unreported_blocks": unreported,
-        "cores": cpu_s / elapsed_s,
-        "seconds": elapsed_s,
-    }
+    found = {"offered_blocks": blocks * STREAMS, "dropped_blocks": dropped, "unreported_blocks": unreported}
+    return {"case": "120 %", "mb_s": mb_s, **found, "cores": cpu_s / elapsed_s, "seconds": elapsed_s}
 
 
 def ram_row(total_bytes: int) -> dict:
-    """As fast as it goes into files in memory: what the recorder itself can carry, all streams waiting for room."""
+    """Write into files in memory as fast as it goes, all streams waiting for room: the limit of the recorder itself."""
     folder = RAM_FOLDER / f"spike4dgs-bench-{time.monotonic_ns()}"
     blocks = total_bytes // BLOCK_BYTES // STREAMS
     try:
@@ -234,14 +222,9 @@ def ram_row(total_bytes: int) -> dict:
 
 
 def memcpy_gb_s() -> float:
-    """GB/s at which one thread copies 256 MB, the best of five."""
+    """Return the GB/s at which one thread copies 256 MB, the best of five."""
     source, target = np.ones(256_000_000, np.uint8), np.zeros(256_000_000, np.uint8)
-    times = []
-    for _ in range(5):
-        start_s = time.perf_counter()
-        np.copyto(target, source)
-        times.append(time.perf_counter() - start_s)
-    return source.nbytes / min(times) / 1e9
+    return source.nbytes / fastest_s(lambda: np.copyto(target, source), 5) / 1e9
 
 
 def _feeds(folder: Path, space: StreamSpace, blocks: int, period_s: float) -> list[_Feed]:
@@ -251,7 +234,7 @@ def _feeds(folder: Path, space: StreamSpace, blocks: int, period_s: float) -> li
 
 
 def _run(feeds: Sequence[_Feed]) -> tuple[float, float]:
-    """Processor seconds and seconds until all blocks were offered; the streams begin one after another."""
+    """Run the feeds, which begin one after another; return processor seconds and seconds until all was offered."""
     start_s, cpu_s = time.perf_counter(), time.process_time()
     offset_s = feeds[0].period_s / len(feeds)
     threads = [threading.Thread(target=f.run, args=(start_s + n * offset_s,)) for n, f in enumerate(feeds)]

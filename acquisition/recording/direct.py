@@ -16,7 +16,7 @@ _NOT_DIRECT = (errno.EINVAL, errno.EOPNOTSUPP)
 
 
 class DirectFile:
-    """A new file for one writer. `direct` turns false where the file system refuses O_DIRECT, and writes go on."""
+    """A new file for one writer; `direct` turns false where the file system refuses O_DIRECT, and writes go on."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -43,7 +43,7 @@ class DirectFile:
             data, offset = data[done:], offset + done
 
     def reserve(self, size: int) -> None:
-        """Take blocks for the first `size` bytes while the file keeps its own size: a crash leaves no zeros.
+        """Take disk blocks for the first `size` bytes; the file keeps its own size, so that a crash leaves no zeros.
 
         Raises OSError where there is no room; a file system that cannot reserve just fills up as it goes.
         """

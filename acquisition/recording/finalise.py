@@ -6,8 +6,8 @@ import dataclasses
 import hashlib
 import os
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import xxhash
 
@@ -31,9 +31,8 @@ from acquisition.recording.writer import disk_errors, lock_folder, partial_of, p
 _REASON = "the recorder was killed; its journal proves what is kept"
 
 
-@dataclass(frozen=True)
-class Finalised:
-    """What `finalise` made of a recording: where it lies, its manifest, and whether anything had to be changed."""
+class Finalised(NamedTuple):
+    """A finished recording: where it lies, its manifest, and whether anything had to be changed."""
 
     path: Path
     manifest: Manifest
@@ -43,8 +42,8 @@ class Finalised:
 def finalise(path: Path, progress: Progress = silent) -> Finalised:
     """Finish the recording `path` (or the `.partial` folder beside it); a finished one is left as it is.
 
-    What a crash left is cut to whole blocks that the journal lists and whose bytes are the listed ones, gets its
-    SHA-256, is marked incomplete, and takes its name. A finished recording without SHA-256 gets them.
+    What a crash left is cut to the whole blocks that the journal lists and whose bytes have the listed digests. It gets
+    its SHA-256, is marked incomplete, and takes its name. A finished recording without SHA-256 gets them.
     Raises BadRecordingError where there is no recording, no whole block in it, or it is being recorded now.
     """
     if path.suffix == ".partial":
@@ -70,9 +69,8 @@ def finalise(path: Path, progress: Progress = silent) -> Finalised:
 def _complete(path: Path, progress: Progress) -> Finalised:
     manifest = read_any_manifest(path)
     if manifest.status in UNFINISHED:
-        raise BadRecordingError(
-            f"found it {manifest.status}", f"that only in {partial_of(path).name}", "move it there", where=path
-        )
+        expected = f"that only in {partial_of(path).name}"
+        raise BadRecordingError(f"found it {manifest.status}", expected, "move it there", where=path)
     bare = [camera for camera in manifest.cameras if camera.sha256 is None]
     if not bare:
         return Finalised(path, manifest, changed=False)
@@ -82,9 +80,8 @@ def _complete(path: Path, progress: Progress) -> Finalised:
         if camera in bare:
             sha256, digests = digests_of(path / camera.file, camera.block_planes * camera.layout.plane_bytes)
             if digests != camera.block_digests:
-                raise BadRecordingError(
-                    "found other bytes than were recorded", do="verify it", where=path / camera.file
-                )
+                found = "found other bytes than were recorded"
+                raise BadRecordingError(found, do="verify it", where=path / camera.file)
             camera = dataclasses.replace(camera, sha256=sha256)
         cameras.append(camera)
     manifest = dataclasses.replace(manifest, cameras=tuple(cameras))
@@ -93,7 +90,7 @@ def _complete(path: Path, progress: Progress) -> Finalised:
 
 
 def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
-    """The manifest of what the journals prove, written into `folder`, whose files are cut to it."""
+    """Write the manifest of what the journals prove into `folder`, and cut its files to it."""
     cameras = []
     for number, camera in enumerate(manifest.cameras):
         progress(number / len(manifest.cameras), camera.file)
@@ -113,27 +110,24 @@ def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
 
 
 def _prove(folder: Path, camera: CameraFile) -> CameraFile:
-    """The entry of the longest run of whole blocks from the first on that are on the disk as the journal says."""
+    """Return the entry of the blocks from the first on that are whole and are on the disk as the journal says."""
     path = folder / camera.file
     journalled = read_journal(path.with_suffix(SUFFIX), camera.block_planes)
     plane_bytes = camera.layout.plane_bytes
     sha256, sound, planes = hashlib.sha256(), 0, 0
-    try:
-        with path.open("rb") as file:
-            for digest in journalled.digests:
-                wanted = min(camera.block_planes, journalled.planes - planes)
-                data = file.read(wanted * plane_bytes)
-                if len(data) < wanted * plane_bytes or xxhash.xxh3_64_hexdigest(data) != digest:
-                    break
-                sha256.update(data)
-                sound, planes = sound + 1, planes + wanted
-    except OSError as error:
-        raise BadRecordingError(f"cannot be read ({error.strerror})", "a camera's planes", where=path) from error
+    with BadRecordingError.reading(path), path.open("rb") as file:
+        for digest in journalled.digests:
+            wanted = min(camera.block_planes, journalled.planes - planes)
+            data = file.read(wanted * plane_bytes)
+            if len(data) < wanted * plane_bytes or xxhash.xxh3_64_hexdigest(data) != digest:
+                break
+            sha256.update(data)
+            sound, planes = sound + 1, planes + wanted
     return dataclasses.replace(
         camera,
         planes=planes,
         block_digests=journalled.digests[:sound],
         sha256=sha256.hexdigest(),
-        gaps=clip_gaps(list(journalled.gaps), planes),
+        gaps=clip_gaps(journalled.gaps, planes),
         skew_s=journalled.skew_s,
     )

@@ -1,8 +1,9 @@
 """Suspects that the cameras of a rig were read upside down, from what they see of one another's view.
 
-One picture upside down has no trace of it, several have: where the rows of all cameras are reversed, a surface seems to
-move the wrong way between cameras that stand above each other, and no depth fits those beside and those above at once.
-A plane sweep of the mean images over the rig's own cameras measures how well the best depths fit, read both ways.
+A single picture does not show that it is upside down; several do. Where the rows of all cameras are reversed, a surface
+seems to move the wrong way between cameras that stand above each other, and no depth fits those beside and those above
+at once. A plane sweep of the mean images over the rig's own cameras measures how well the best depths fit, read both
+ways.
 
 Letters: H rows, W columns of the reduced pictures, C cameras, D depths.
 """
@@ -20,14 +21,14 @@ from rigs.rig import Rig
 Floats = NDArray[np.float64]
 ACROSS = 100  # columns of a reduced picture
 DEPTHS = 32
-NEAREST, FARTHEST = 1.2, 40.0  # times the width of the rig
-BETTER, LEAST = 0.1, 0.4  # of correlation: than as read, and at all
-_WINDOW = 9  # pixels a side
-_LEAST_CONTRAST = 1e-3  # spikes per tick
+NEAREST, FARTHEST = 1.2, 40.0  # depths in widths of the rig
+BETTER, LEAST = 0.1, 0.4  # least gain of correlation by reversing the rows, least correlation then
+_WINDOW = 9  # side of the window of a correlation, in pixels
+_LEAST_CONTRAST = 1e-3  # least standard deviation in a window, in spikes per tick
 
 
 def suspected_flip(rig: Rig, means: Mapping[str, Floats]) -> str | None:
-    """One line that says why rows seem reversed, or None; `means` are images [height, width] in spikes per tick."""
+    """Return a line that says why rows seem reversed, or None; `means` are images [H, W] in spikes per tick."""
     centers = np.array([camera.center for camera in rig.cameras])
     width = float(np.linalg.norm(np.ptp(centers, axis=0)))
     if len(rig.cameras) < 3 or width == 0:
@@ -42,7 +43,7 @@ def suspected_flip(rig: Rig, means: Mapping[str, Floats]) -> str | None:
 
 
 def _fit(rig: Rig, means: Mapping[str, Floats], width: float, flipped: bool) -> float:
-    """The mean correlation [-1, 1] of the other cameras with the middle one, each patch at the depth that fits best."""
+    """Return the mean correlation in [-1, 1] of the other cameras with the middle one, each patch at its best depth."""
     cameras, pictures = [], []
     for camera in rig.cameras:
         image = means[camera.id][::-1] if flipped else means[camera.id]
@@ -64,13 +65,13 @@ def _fit(rig: Rig, means: Mapping[str, Floats], width: float, flipped: bool) -> 
 
 
 def _reduced(image: Floats, step: int) -> Floats:
-    """Means over step x step pixels."""
+    """Average over step x step pixels."""
     rows, columns = image.shape[0] // step, image.shape[1] // step
     return image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean(axis=(1, 3))
 
 
 def _seen(reference: Camera, other: Camera, picture: Floats, depth: float) -> Floats:
-    """What `other` sees where each pixel of `reference` [H, W] looks, at `depth` along its axis; NaN outside."""
+    """Return what `other` sees at `depth` metres along the axis of `reference`, by its pixels [H, W]; NaN outside."""
     v, u = np.mgrid[0.5 : reference.height, 0.5 : reference.width]
     x, y = (u - reference.cx) / reference.fx * depth, (v - reference.cy) / reference.fy * depth
     in_reference = np.stack([x, y, np.full_like(x, depth)], axis=-1)
@@ -85,7 +86,7 @@ def _seen(reference: Camera, other: Camera, picture: Floats, depth: float) -> Fl
 
 
 def _correlation(a: Floats, b: Floats) -> Floats:
-    """Correlation of two pictures in a window around each pixel [H, W]; NaN where either is even or not known."""
+    """Correlate two pictures in a window around each pixel [H, W]; NaN where either is even or not known."""
     mean_a, mean_b = _box(a), _box(b)
     spread_a, spread_b = _box(a * a) - mean_a**2, _box(b * b) - mean_b**2
     told = (spread_a > _LEAST_CONTRAST**2) & (spread_b > _LEAST_CONTRAST**2)
@@ -94,7 +95,7 @@ def _correlation(a: Floats, b: Floats) -> Floats:
 
 
 def _box(a: Floats) -> Floats:
-    """Means over a window around each pixel [H, W]; NaN at the border and wherever the window holds one."""
+    """Average over a window around each pixel [H, W]; NaN at the border and wherever the window holds one."""
     half, out = _WINDOW // 2, np.full(a.shape, np.nan)
     if min(a.shape) < _WINDOW:
         return out
@@ -106,7 +107,7 @@ def _box(a: Floats) -> Floats:
 
 
 def _window_sums(a: Floats) -> Floats:
-    """Sums over every whole window [H - 8, W - 8]."""
+    """Sum over every whole window [H - 8, W - 8]."""
     total = np.pad(a.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     high, low = slice(_WINDOW, None), slice(None, -_WINDOW)
     return total[high, high] - total[low, high] - total[high, low] + total[low, low]

@@ -35,12 +35,12 @@ _NAMED = re.compile(r"([A-Za-z0-9_-]+)=(.+)")
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What a `.dat` does not say of itself.
+    """The facts that a `.dat` does not state itself.
 
-    `size` (width, height) is needed where the cameras' file has none; `poses` None keeps a RIG.toml's own flag and
-    means calibrated elsewhere; `allow_partial` drops what lies beyond the last whole plane, and the manifest says so.
-    `format`: `vidar` rows of pixels alone, `vidar416` with 16 bits behind each row, `m1k40` segments with trailers,
-    which fix size and orders. Orders that are None are lsb and bottom.
+    `size` (width, height) is needed where the cameras' file has none. With `poses` None a RIG.toml keeps its own flag
+    and other poses count as calibrated. `allow_partial` drops the bytes beyond the last whole plane; the manifest says
+    so. The `format` is `vidar` (rows of pixels alone), `vidar416` (16 bits behind each row) or `m1k40` (segments with
+    trailers, which fix size and orders). Orders that are None are lsb and bottom.
     """
 
     tick_rate_hz: float
@@ -59,7 +59,7 @@ class ImportOptions:
 
     @property
     def camera_size(self) -> tuple[int, int] | None:
-        """The size (width, height) all cameras must have, where it is known before their file is read."""
+        """The size (width, height) that all cameras must have, where it is known before their file is read."""
         return (m1k40.SIDE, m1k40.SIDE) if self.format == "m1k40" and not self.size else self.size
 
 
@@ -79,9 +79,9 @@ def import_recording(
 ) -> Manifest:
     """Copy `dats` (`FILE` in the rig's order, or `camRC=FILE`) into the recording `out`.
 
-    Planes are kept bit for bit, those of M1K40 streams decoded to plain ones, as the manifest says. `warn` takes a
-    line for each doubt: a bit or row order that fits worse than the other, segments that are missing. `align` says how
-    far each camera's first plane began after the rig clock's zero.
+    Planes are kept bit for bit; those of M1K40 streams are decoded to plain ones, and the manifest says so. `warn` is
+    called with a line for each doubt: a bit or row order that fits worse than the other, segments that are missing.
+    `align` returns how far each camera's first plane began after the rig clock's zero.
     Raises BadRecordingError or RigError naming the camera that does not fit; then nothing is left behind.
     """
     named = _named(dats)
@@ -126,49 +126,37 @@ def _named(dats: Sequence[str]) -> dict[str, Path] | None:
 
 
 def _match(dats: Sequence[str], named: dict[str, Path] | None, rig: Rig) -> dict[str, Path]:
-    """The file of each camera, in the rig's order."""
+    """Return the file of each camera, in the rig's order."""
     files = named or dict(zip(rig.ids, map(Path, dats), strict=False))
-    found = f"found {len(dats)} streams for {len(rig.ids)} cameras, expected one each"
     missing = [camera_id for camera_id in rig.ids if camera_id not in files]
-    if missing:
-        raise BadRecordingError(f"{found}", do=f"none for {', '.join(missing)}")
     surplus = [camera_id for camera_id in files if camera_id not in rig.ids] or list(dats[len(rig.ids) :])
-    if surplus:
-        raise BadRecordingError(f"{found}", do=f"no camera for {', '.join(surplus)}")
+    if missing or surplus:
+        amiss = f"none for {', '.join(missing)}" if missing else f"no camera for {', '.join(surplus)}"
+        raise BadRecordingError(f"found {len(dats)} streams for {len(rig.ids)} cameras", "one each", amiss)
     return {camera_id: files[camera_id] for camera_id in rig.ids}
 
 
 def _open(camera_id: str, path: Path, rig: Rig, options: ImportOptions) -> Stream:
     camera = rig.camera(camera_id)
-    try:
+    with BadRecordingError.located(camera_id):
         if options.format == "m1k40":
             return _open_m1k40(path, (camera.width, camera.height), options.allow_partial)
         trailing = TRAILING_COLUMNS[options.format]
         orders = options.bit_order or "lsb", options.row_order or "bottom"
         layout = PlaneLayout(camera.width, camera.height, *orders, trailing)
         return SpikeStream.open(path, layout, rig.tick_rate_hz, allow_partial=options.allow_partial)
-    except BadRecordingError as error:
-        raise BadRecordingError(f"{camera_id}: {error}") from error
 
 
 def _open_m1k40(path: Path, size: tuple[int, int], allow_partial: bool) -> m1k40.M1K40Stream:
     if size != (m1k40.SIDE, m1k40.SIDE):
         raise BadRecordingError(f"found a camera of {size[0]}x{size[1]}", f"{m1k40.SIDE}x{m1k40.SIDE} of an M1K40")
-    try:
+    with BadRecordingError.reading(path, "give an existing .dat"):
         data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.empty(0, dtype=np.uint8)
-    except OSError as error:
-        raise BadRecordingError(f"cannot be read ({error.strerror})", do="give an existing .dat", where=path) from error
-    try:
+    with BadRecordingError.located(path):
         stream = m1k40.locate(data)
-    except BadRecordingError as error:
-        raise BadRecordingError(f"{path}: {error}") from error
     if stream.partial_bytes and not allow_partial:
-        raise BadRecordingError(
-            f"found {stream.partial_bytes} bytes behind the last of {len(stream)} whole planes",
-            "none",
-            "allow a partial last plane",
-            where=path,
-        )
+        found = f"found {stream.partial_bytes} bytes behind the last of {len(stream)} whole planes"
+        raise BadRecordingError(found, "none", "allow a partial last plane", where=path)
     return stream
 
 
@@ -180,8 +168,7 @@ def _doubts(rig: Rig, streams: Mapping[str, Stream]) -> Iterator[str]:
             yield f"{camera_id}: {doubt}"
         packed = middle_window(stream)
         means[camera_id] = counts(packed, stream.layout) / len(packed)
-    flip = suspected_flip(rig, means)
-    if flip:
+    if flip := suspected_flip(rig, means):
         yield flip
 
 

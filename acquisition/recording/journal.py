@@ -1,12 +1,12 @@
-"""What of a stream is on the disk, a line a block: it says after a crash how far a file can be trusted.
+"""Notes which blocks of a stream are on the disk, a line a block, so that a crash leaves no doubt about the file.
 
 A line is JSON: `{"block": 3, "planes": 80, "xxh3": "..."}` once all bytes of the block were written,
 `{"gap": [first plane, planes, layer]}` before the block in which the gap ends, `{"skew_s": ...}` once.
 
-Neither the journal nor a `.dat` is brought to the disk (fsync) while it grows: that would stall all writers, and a
-recorder that is killed loses nothing of it. When the machine itself goes down, lines may be there without their bytes,
-or bytes without their lines; so `finalise` trusts no line, and reads every block back against the line's digest. The
-manifest is flushed at arm and start, and everything once at the end, before the recording takes its name.
+Neither the journal nor a `.dat` is flushed (fsync) while it grows: that would stall all writers, and a recorder that is
+killed loses nothing by it. When the machine itself goes down, lines may be there without their bytes, or bytes without
+their lines; so `finalise` reads every block back and compares it with the line's digest. The manifest is flushed when
+the cameras are armed and started, and everything once at the end, before the recording takes its name.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from __future__ import annotations
 import json
 import os
 from collections import deque
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from acquisition.errors import BadRecordingError
 from acquisition.recording.losses import clip_gaps
@@ -25,7 +25,7 @@ SUFFIX = ".journal"
 
 
 class Journal:
-    """Lines that wait until the file holds what they promise."""
+    """The lines of a stream; each waits until the file holds what it promises."""
 
     def __init__(self, path: Path):
         self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
@@ -44,15 +44,14 @@ class Journal:
             os.write(self._handle, "".join(lines).encode())
 
     def close(self) -> None:
-        """Forget what was not kept."""
+        """Close the file; lines that were not kept are forgotten."""
         handle, self._handle = self._handle, -1
         if handle >= 0:
             os.close(handle)
 
 
-@dataclass(frozen=True)
-class Journalled:
-    """What a journal proves: whole blocks from the first on, the gaps among them."""
+class Journalled(NamedTuple):
+    """The contents that a journal proves: whole blocks from the first on, and the gaps among them."""
 
     digests: tuple[str, ...]
     planes: int
@@ -61,7 +60,7 @@ class Journalled:
 
 
 def read_journal(path: Path, block_planes: int) -> Journalled:
-    """The journal up to its first line that is torn or makes no sense; one that is missing proves nothing."""
+    """Read a journal up to its first line that is torn or makes no sense; a missing one proves nothing."""
     digests: list[str] = []
     gaps: list[Gap] = []
     planes, skew_s = 0, None

@@ -46,7 +46,7 @@ class Recording:
 
     @property
     def planes(self) -> int:
-        """How many planes every camera has."""
+        """The number of planes that every camera has."""
         return min(camera.planes for camera in self.manifest.cameras)
 
     @property

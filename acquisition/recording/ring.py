@@ -1,7 +1,7 @@
 """The bounded memory between a camera and its file: aligned chunks, filled by one thread and written by another.
 
-The memory is an anonymous mapping, page-aligned as direct writes want it, and private: `bench recorder` shows one
-process feeding nine files at the disk's own rate on less than a core, so nothing has to be shared between processes.
+The memory is an anonymous mapping, aligned to pages as direct writes want it. It is private to the process: `bench
+recorder` shows that one process feeds nine files at the disk's own rate on less than a core.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class ChunkRing:
     """A file's bytes on their way, in slots of `chunk_bytes` (a multiple of the page) of one anonymous mapping.
 
     One thread puts, one takes. Bytes that were lost are skipped, not stored: whole chunks of them never reach the
-    writer, and the file has a hole there, which reads as zeros.
+    writer, so that the file has a hole there, which reads as zeros.
     """
 
     def __init__(self, slots: int, chunk_bytes: int):
@@ -47,7 +47,7 @@ class ChunkRing:
         return 1 - len(self._free) / self.slots
 
     def offer(self, data: NDArray[np.uint8]) -> bool:
-        """Put bytes [n], all of them or, where there is no room, none. Never waits."""
+        """Put bytes [n], all of them or, where there is no room, none; returns which. Never waits."""
         touched = (self.position + len(data) - 1) // self.chunk_bytes - self.position // self.chunk_bytes + 1
         if self._closed or touched - (self._filling >= 0) > len(self._free):
             return False
@@ -55,7 +55,7 @@ class ChunkRing:
         return True
 
     def put(self, data: NDArray[np.uint8]) -> bool:
-        """Put bytes [n], waiting for room as often as needed; False once the ring is closed."""
+        """Put bytes [n], waiting for room as often as needed; returns False once the ring is closed."""
         while len(data):
             room = self.chunk_bytes - self.position % self.chunk_bytes
             if self._filling < 0:
@@ -68,7 +68,7 @@ class ChunkRing:
         return True
 
     def skip(self, count: int) -> None:
-        """Leave out `count` bytes: zeros in the file. Never waits."""
+        """Leave out `count` bytes, which become zeros in the file. Never waits."""
         if self._filling >= 0:
             start = self.position % self.chunk_bytes
             inside = min(count, self.chunk_bytes - start)
@@ -78,32 +78,32 @@ class ChunkRing:
         self.position += count
 
     def close(self) -> None:
-        """Nothing more will be put; the taker gets the rest."""
+        """Promise that nothing more will be put; the taker gets the rest."""
         if self._filling >= 0:
             self._hand_over(self.position % self.chunk_bytes)
         self.refuse()
 
     def refuse(self) -> None:
-        """Take nothing more; for the thread that writes, when it cannot."""
+        """Take nothing more: the thread that writes calls this when it cannot."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def take(self) -> Chunk | None:
-        """The next chunk to write, None when there will be no more; waits."""
+        """Wait for the next chunk to write; returns None when there will be no more."""
         with self._changed:
             self._changed.wait_for(lambda: self._ready or self._closed)
             return self._ready.popleft() if self._ready else None
 
     def data(self, chunk: Chunk, alignment: int = 1) -> memoryview:
-        """The chunk's bytes, with zeros behind them up to a multiple of `alignment`."""
+        """Return the chunk's bytes, with zeros behind them up to a multiple of `alignment`."""
         padded = -(-chunk.used // alignment) * alignment
         slot = self._slot(chunk.slot)
         slot[chunk.used : padded] = 0
         return slot[:padded].data
 
     def give_back(self, chunk: Chunk) -> None:
-        """The chunk is on the disk; its slot may be filled again."""
+        """Give back a chunk that is on the disk; its slot may be filled again."""
         with self._changed:
             self._free.append(chunk.slot)
             self._changed.notify_all()

@@ -1,7 +1,8 @@
-"""SpikeCV's `config.yaml`, the sidecar of its `.dat` files: read for the size, written beside a recording."""
+"""Reads and writes SpikeCV's `config.yaml`, the sidecar of its `.dat` files, which holds their size."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ _RAW = 0  # SpikeCV's number for spikes without labels
 
 @dataclass(frozen=True)
 class SpikeCVConfig:
-    """What a `config.yaml` says; `spike_w` counts stored columns, the `labeled_data_type` are SpikeCV's numbers."""
+    """The fields of a `config.yaml`; `spike_w` counts stored columns, `labeled_data_type` holds SpikeCV's numbers."""
 
     filename: str
     spike_w: int
@@ -36,20 +37,17 @@ class SpikeCVConfig:
 
 
 def read_config(path: Path) -> SpikeCVConfig:
-    """The `config.yaml` at `path`; raises BadRecordingError naming the file and the field that is missing or wrong."""
+    """Read the `config.yaml` at `path`; raises BadRecordingError naming the file and the missing or wrong field."""
     try:
-        document = yaml.safe_load(path.read_bytes())
-    except OSError as error:
-        raise BadRecordingError(
-            f"cannot be read ({error.strerror})", do="give SpikeCV's config.yaml", where=path
-        ) from error
+        with BadRecordingError.reading(path, "give SpikeCV's config.yaml"):
+            document = yaml.safe_load(path.read_bytes())
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise BadRecordingError("found text that is not YAML", "SpikeCV's config.yaml", where=path) from error
     if not isinstance(document, dict) or not {"spike_w", "spike_h"} <= document.keys():
         raise BadRecordingError("found no spike_w and spike_h", "SpikeCV's config.yaml", where=path)
     kinds = document.get("labeled_data_type", [_RAW])
     suffix = document.get("labeled_data_suffix")
-    try:
+    with BadRecordingError.located(path):
         return SpikeCVConfig(
             str(document.get("filename", "")),
             document["spike_w"],
@@ -58,20 +56,13 @@ def read_config(path: Path) -> SpikeCVConfig:
             tuple(kinds) if isinstance(kinds, list) else (kinds,),
             None if suffix in (None, "None") else str(suffix),
         )
-    except BadRecordingError as error:
-        raise BadRecordingError(f"{path}: {error}") from error
 
 
 def dump_config(config: SpikeCVConfig) -> str:
-    """The config as SpikeCV reads it; `read_config` of it gives the same."""
-    document = {
-        "filename": config.filename,
-        "spike_w": config.spike_w,
-        "spike_h": config.spike_h,
-        "is_labeled": config.is_labeled,
-        "labeled_data_type": list(config.labeled_data_type),
-        "labeled_data_suffix": config.labeled_data_suffix or "None",
-    }
+    """Return the config as SpikeCV reads it; `read_config` of it gives the same."""
+    document = dataclasses.asdict(config)
+    document["labeled_data_type"] = list(config.labeled_data_type)
+    document["labeled_data_suffix"] = config.labeled_data_suffix or "None"
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=False)
 
 

@@ -45,12 +45,12 @@ class StreamWriter:
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
-        """What was lost so far."""
+        """The planes lost so far."""
         return tuple(self._losses.gaps)
 
     @property
     def failure(self) -> OSError | None:
-        """What the disk refused."""
+        """The error with which the disk refused a write."""
         return self.disk.failure
 
     @property

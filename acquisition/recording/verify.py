@@ -15,7 +15,7 @@ from acquisition.recording.reader import read_manifest
 
 @dataclass(frozen=True)
 class Damaged:
-    """What is wrong with `file`; `block` counts digest blocks from 0, None where the whole file is meant."""
+    """Damage of `file`; `block` counts digest blocks from 0, None where the whole file is meant."""
 
     file: str
     block: int | None
@@ -27,7 +27,7 @@ class Damaged:
 
 
 def verify(path: Path, progress: Progress = silent) -> list[Damaged]:
-    """Every damage of the recording in `path`, none when sound; raises BadRecordingError when it is no recording."""
+    """Find every damage of the recording in `path`; raises BadRecordingError when it is no recording."""
     manifest = read_manifest(path)
     damages = _verify_whole(path / RIG_FILE, manifest.rig_sha256)
     for name, sha256 in sorted(manifest.pixels_sha256.items()):

@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Literal
 
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError, DiskError
@@ -31,10 +32,10 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @dataclasses.dataclass(frozen=True)
 class DiskUse:
-    """What a recording may take of the disk and of the memory before it.
+    """Limits on the disk and the memory that a recording may take.
 
-    `needed_bytes` must be free at the start, beside the `keep_free_bytes` that are left free at the end; `ring_bytes`
-    is the memory between each camera and its file; `replace_left_over` lets go of what a killed writer left behind.
+    `needed_bytes` must be free at the start, beside the `keep_free_bytes` that are left free at the end. `ring_bytes`
+    is the memory between each camera and its file. `replace_left_over` deletes what a killed writer left behind.
     """
 
     needed_bytes: int = 0
@@ -44,10 +45,11 @@ class DiskUse:
 
 
 class RecordingWriter:
-    """A recording in the making; use as a context: what is not committed when it ends is removed.
+    """A recording in the making; use it as a context, which removes what is not committed when it ends.
 
-    Raises BadRecordingError where `path` is taken, DiskError where `use` does not fit the disk. `full` says that the
-    disk guard took no more of the disk; with `problems` the recording is committed as incomplete, for these reasons.
+    Raises BadRecordingError where `path` is taken, DiskError where `use` does not fit the disk. `full` is the reason
+    why the disk guard took no more of the disk. With `problems` the recording is committed as incomplete, for these
+    reasons.
     """
 
     def __init__(self, path: Path, rig: Rig, use: DiskUse | int = 0):
@@ -67,12 +69,8 @@ class RecordingWriter:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         free, needed = free_bytes(self.path.parent), self._use.needed_bytes + self._use.keep_free_bytes
         if free < needed:
-            raise DiskError(
-                f"found {free} bytes free",
-                f"at least {needed}",
-                "free some space or record fewer ticks",
-                where=self.path,
-            )
+            do = "free some space or record fewer ticks"
+            raise DiskError(f"found {free} bytes free", f"at least {needed}", do, where=self.path)
         self.folder.mkdir(exist_ok=True)
         self._lock = lock_folder(self.folder)
         self._refuse_left_over()
@@ -88,19 +86,16 @@ class RecordingWriter:
         os.close(self._lock)
 
     def stream(self, camera_id: str, layout: PlaneLayout, planes: int | None = None) -> StreamWriter:
-        """The writer of one camera's file, which gets room for `planes` planes where that is known."""
+        """Return the writer of one camera's file, with room for `planes` planes where their number is known."""
         space = StreamSpace(self._use.ring_bytes, planes, self._allows)
         with disk_errors(self.folder):
             self._streams.append(StreamWriter(self.folder, camera_id, layout, space))
         return self._streams[-1]
 
-    def mark_armed(self, trigger: Trigger) -> None:
-        """Write the rig, and a manifest that says the cameras are armed."""
-        self._mark(Manifest(**self._fields(trigger), cameras=self._drafts(), status="armed"))
-
-    def mark_recording(self, trigger: Trigger) -> None:
-        """Write a manifest that says planes are being recorded."""
-        self._mark(Manifest(**self._fields(trigger), cameras=self._drafts(), status="recording"))
+    def mark(self, status: Literal["armed", "recording"], trigger: Trigger) -> None:
+        """Write the rig, and a manifest that says the cameras are armed or planes are being recorded."""
+        drafts = tuple(stream.draft() for stream in self._streams)
+        self._write(Manifest(**self._fields(trigger), cameras=drafts, status=status))
 
     def commit(self, cameras: list[CameraFile], trigger: Trigger) -> Manifest:
         """Write manifest and rig, bring everything to the disk, and give the recording its name."""
@@ -112,12 +107,12 @@ class RecordingWriter:
             reason="; ".join(self.problems) or None,
             trigger_plane=self.trigger_plane,
         )
-        self._mark(manifest)
+        self._write(manifest)
         publish(self.folder, self.path)
         return manifest
 
     def entries(self) -> list[CameraFile]:
-        """The entries of all streams, which are closed; their files are read back side by side."""
+        """Return the entries of all streams, which are closed; their files are read back side by side."""
         with ThreadPoolExecutor(min(len(self._streams), len(os.sched_getaffinity(0)))) as pool:
             return list(pool.map(StreamWriter.entry, self._streams))
 
@@ -136,18 +131,11 @@ class RecordingWriter:
         """The SHA-256 of each pixel calibration the rig names; raises BadRecordingError for one that is not there."""
         found = {}
         for pixels in {camera.pixels for camera in self.rig.cameras if camera.pixels}:
-            try:
+            with BadRecordingError.reading(pixels, "calibrate again"):
                 found[pixels] = hashlib.sha256(pixels.read_bytes()).hexdigest()
-            except OSError as error:
-                raise BadRecordingError(
-                    f"cannot be read ({error.strerror})", do="calibrate again", where=pixels
-                ) from error
         return found
 
-    def _drafts(self) -> tuple[CameraFile, ...]:
-        return tuple(stream.draft() for stream in self._streams)
-
-    def _mark(self, manifest: Manifest) -> None:
+    def _write(self, manifest: Manifest) -> None:
         with disk_errors(self.folder):
             for pixels in self._pixels:
                 shutil.copyfile(pixels, self.folder / pixels.name)
@@ -155,7 +143,7 @@ class RecordingWriter:
         write_durably(self.folder / MANIFEST_FILE, dump_manifest(manifest))
 
     def _allows(self, size: int) -> bool:
-        """The disk guard: whether `size` more bytes leave free what is to be kept free."""
+        """Return whether `size` more bytes leave free what is to be kept free: the disk guard."""
         free = free_bytes(self.folder)
         if free - size < self._use.keep_free_bytes and not self.full:
             self.full = f"the disk had {free} bytes free, {self._use.keep_free_bytes} are kept free"
@@ -165,21 +153,17 @@ class RecordingWriter:
         kept = [path for path in self.folder.glob(f"*{SUFFIX}") if path.stat().st_size]
         if kept and not self._use.replace_left_over:
             os.close(self._lock)
-            raise BadRecordingError(
-                "found what a killed recorder left",
-                "nothing",
-                f"save it by `spike4dgs finalise {self.path}`, or remove it",
-                where=self.folder,
-            )
+            do = f"save it by `spike4dgs finalise {self.path}`, or remove it"
+            raise BadRecordingError("found what a killed recorder left", "nothing", do, where=self.folder)
 
 
 def partial_of(path: Path) -> Path:
-    """Where the recording `path` lies until it is whole."""
+    """Return where the recording `path` lies until it is whole."""
     return path.parent / f"{path.name}.partial"
 
 
 def lock_folder(folder: Path) -> int:
-    """A handle that holds `folder` for one writer until it is closed; raises BadRecordingError where another does."""
+    """Return a handle that holds `folder` for one writer until it is closed; raises BadRecordingError if it is held."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -208,21 +192,20 @@ def refuse_taken(path: Path) -> None:
 
 
 def free_bytes(folder: Path) -> int:
-    """What the disk of `folder` has left for this user."""
+    """Return the bytes that the disk of `folder` has left for this user."""
     return shutil.disk_usage(folder).free
 
 
 @contextlib.contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """A full disk becomes a DiskError that names `path`."""
+    """Turn the error of a full disk into a DiskError that names `path`."""
     try:
         yield
     except OSError as error:
         if error.errno not in _DISK_FULL:
             raise
-        raise DiskError(
-            f"the disk is full ({error.strerror})", do="free some space and record again", where=path
-        ) from error
+        found = f"the disk is full ({error.strerror})"
+        raise DiskError(found, do="free some space and record again", where=path) from error
 
 
 def _sync(path: Path) -> None:

@@ -78,7 +78,7 @@ def record_session(
     run = _Run(captures, extent, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:
         try:
-            recording.mark_armed(trigger.kind)
+            recording.mark("armed", trigger.kind)
             for capture in captures:
                 if capture.contact:
                     capture.contact.begin()
@@ -86,7 +86,7 @@ def record_session(
             run.steer()
             tasks = [pool.submit(capture.run, run.abort) for capture in captures]
             trigger.fire()
-            recording.mark_recording(trigger.kind)
+            recording.mark("recording", trigger.kind)
             run.watch(tasks, progress)
         finally:
             run.abort.set()

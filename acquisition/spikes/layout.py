@@ -1,4 +1,4 @@
-"""How one spike plane lies in bytes: nothing of it is in a `.dat`, so all of it is named here."""
+"""The layout of a spike plane in bytes, which a `.dat` does not state itself."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ RowOrder = Literal["bottom", "top"]
 class PlaneLayout:
     """One bit a pixel, row-major, each plane padded with zero bits to whole bytes.
 
-    `bit_order`: which bit of a byte is the first pixel; `row_order`: which row is stored first; `trailing_columns`:
-    bits behind the pixels of every stored row that are no light.
+    `bit_order` states which bit of a byte is the first pixel, `row_order` which row is stored first. `trailing_columns`
+    counts the bits behind the pixels of every stored row that are no light.
     """
 
     width: int
@@ -31,9 +31,8 @@ class PlaneLayout:
         if self.trailing_columns < 0:
             raise BadRecordingError(f"found {self.trailing_columns} trailing columns", "0 or more")
         if self.bit_order not in ("lsb", "msb") or self.row_order not in ("bottom", "top"):
-            raise BadRecordingError(
-                f"found bit order {self.bit_order!r}, row order {self.row_order!r}", "lsb or msb, bottom or top"
-            )
+            found = f"found bit order {self.bit_order!r}, row order {self.row_order!r}"
+            raise BadRecordingError(found, "lsb or msb, bottom or top")
 
     @property
     def stored_width(self) -> int:

@@ -1,4 +1,4 @@
-"""Raw streams of the 1000x1000 M1K40 camera: row segments with trailers, which may begin in the middle of a plane.
+"""Decodes raw streams of the 1000x1000 M1K40 camera: row segments with trailers, which may begin within a plane.
 
 A plane is 1000 rows of two 64-byte segments: 500 pixel bits and a trailer of 12, least significant bit first, top row
 first. The last two bytes of a segment are a little-endian word v: line = (v >> 4) & 0x3FF (1 to 500), channel =
@@ -20,15 +20,15 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 
 SIDE, SEGMENT_BYTES, SEGMENT_PIXELS, SEGMENTS = 1000, 64, 500, 2000
-LAYOUT = PlaneLayout(SIDE, SIDE, "lsb", "top")  # of the planes that come out
-_NAMES = 1 << 12  # of 10 bits of line and 2 of channel
-_FIRST, _LAST = 500, 500 | 3 << 10
-_SEARCHED_BYTES = 1 << 24  # for the alignment: 131 planes
+LAYOUT = PlaneLayout(SIDE, SIDE, "lsb", "top")  # layout of the decoded planes
+_NAMES = 1 << 12  # number of names: 10 bits of line and 2 of channel
+_FIRST, _LAST = 500, 500 | 3 << 10  # names of the segments that begin and end a plane
+_SEARCHED_BYTES = 1 << 24  # bytes searched for the alignment: 131 planes
 
 
 @dataclass(frozen=True, eq=False)
 class M1K40Stream:
-    """Where every segment of a raw stream belongs; `window` decodes planes. Build with `locate`.
+    """The place of every segment of a raw stream; `window` decodes planes. Build with `locate`.
 
     `data` [n] is the whole file. Segment `index[i]` of `segments` [N, 64] goes to `place[i]` of plane `plane[i]`, in
     rising order. `skipped_bytes` lie before the first plane and `partial_bytes` behind the last; `missing` counts the
@@ -53,7 +53,7 @@ class M1K40Stream:
         return int(self.plane[-1]) + 1
 
     def window(self, first: int, last: int) -> NDArray[np.uint8]:
-        """Plain packed planes [last - first, 125000] of `LAYOUT`."""
+        """Decode plain packed planes [last - first, 125000] of `LAYOUT`."""
         bounds = np.searchsorted(self.plane, (first, last))
         part = slice(int(bounds[0]), int(bounds[1]))
         stored = np.zeros((last - first, SEGMENTS, SEGMENT_BYTES), dtype=np.uint8)
@@ -87,52 +87,48 @@ def locate(data: NDArray[np.uint8]) -> M1K40Stream:
 
 
 def _cut(data: NDArray[np.uint8], start: int) -> NDArray[np.uint8]:
-    """The whole segments [N, 64] from byte `start` on."""
+    """Return the whole segments [N, 64] from byte `start` on."""
     count = max(0, len(data) - start) // SEGMENT_BYTES
     return data[start : start + count * SEGMENT_BYTES].reshape(count, SEGMENT_BYTES)
 
 
 def _names(segments: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """line | channel << 10 of every segment [N]."""
+    """Return line | channel << 10 of every segment [N]."""
     return (segments[:, 62].astype(np.int64) | segments[:, 63].astype(np.int64) << 8) >> 4
 
 
 def _alignment(data: NDArray[np.uint8]) -> int:
-    """Where segments begin: the byte offset below 64 at which most planes follow one another."""
+    """Find where segments begin: the byte offset below 64 at which most planes follow one another."""
     counts = []
     for start in range(SEGMENT_BYTES):
         names = _names(_cut(data[:_SEARCHED_BYTES], start))
         counts.append(int(((names[:-1] == _LAST) & (names[1:] == _FIRST)).sum()))
     if not max(counts):
-        raise BadRecordingError(
-            f"found no end of a plane followed by the start of one in {len(data)} bytes",
-            "an M1K40 stream of at least two planes",
-            "give the right --format",
-        )
+        found = f"found no end of a plane followed by the start of one in {len(data)} bytes"
+        raise BadRecordingError(found, "an M1K40 stream of at least two planes", "give the right --format")
     return counts.index(max(counts))
 
 
 def _places_by_name(names: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The place 0 to S - 1 in a plane of each name [_NAMES], -1 for unknown, as the first whole plane has it."""
+    """Return the place 0 to S - 1 in a plane of each name [_NAMES], -1 for unknown, as the first whole plane has it."""
     for start in np.flatnonzero(names == _FIRST):
         inside = names[start : start + SEGMENTS]
         if len(inside) == SEGMENTS and inside[-1] == _LAST and len(np.unique(inside)) == SEGMENTS:
             places = np.full(_NAMES, -1)
             places[inside] = np.arange(SEGMENTS)
             return places
-    raise BadRecordingError(
-        f"found no plane with all its {SEGMENTS} segments", "at least one", "the file is damaged throughout"
-    )
+    found = f"found no plane with all its {SEGMENTS} segments"
+    raise BadRecordingError(found, "at least one", "the file is damaged throughout")
 
 
 def _trusted(places: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Segments [N] that follow the one before or lead to the one behind; a trailer alone can be damaged."""
+    """Tell which segments [N] follow the one before or lead to the next; the trailers of the others may be damaged."""
     follows = (places[:-1] >= 0) & (places[1:] == (places[:-1] + 1) % SEGMENTS)
     return np.r_[False, follows] | np.r_[follows, False]
 
 
 def _planes(index: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The plane of each segment, -1 before the first whole start; as many pass as the bytes between have room for."""
+    """Return the plane of each segment [N], -1 before the first start, counting planes by the bytes between."""
     steps, bytes_between = np.diff(place), np.diff(index)
     passed = np.maximum(steps <= 0, np.rint((bytes_between - steps) / SEGMENTS)).astype(np.int64)
     return np.cumsum(np.r_[-1 if place[0] else 0, passed])

@@ -20,7 +20,7 @@ from acquisition.native import Address, Kernel
 SensorKind = Literal["ideal", "real"]
 SENSOR_KINDS: tuple[SensorKind, ...] = ("ideal", "real")
 
-FRACTION_BITS = 40
+FRACTION_BITS = 40  # bits of a spike in units of charge
 # SCSim (Hu et al., "SCSim: a realistic spike cameras simulator", ICME 2021) draws 5e4 electrons at full grey, which
 # is about one spike a tick, and spreads the dark current by 39 %. Its gain spread of 5.8 % is that of an uncorrected
 # sensor, and its threshold spread 4.5 % of the swing of 1.1 V; 1 % for both together is what a flat-field correction
@@ -30,7 +30,7 @@ ELECTRONS_PER_SPIKE = 5e4
 GAIN_SPREAD, THRESHOLD_SPREAD = 0.008, 0.006  # 0.01 together
 THERMAL_NOISE = 8.9e-4  # of the threshold, standard deviation
 DARK_LEVEL, DARK_SPREAD = 5e-4, 0.39  # spikes per tick, relative
-DEFECT_SHARE = 1e-4  # of the pixels dead, and as many hot
+DEFECT_SHARE = 1e-4  # share of the pixels that are dead, and of those that are hot
 HOT_LEVELS = (0.2, 0.6)  # spikes per tick in the dark
 
 _TICK_STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -51,11 +51,11 @@ def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 class Sensor:
-    """One camera's pixels; `expose` carries their charge on from call to call.
+    """The pixels of one camera, whose charge `expose` carries on from call to call.
 
     The same `seed` and `camera_index` give the same planes for any `threads` (0: every core) and any cut into calls.
-    `real` adds to `ideal` gain, dark current and threshold of each pixel, shot noise, thermal noise of each reset, and
-    a few dead and hot pixels.
+    The `ideal` sensor only integrates. The `real` one adds gain, dark current and threshold of each pixel, shot noise,
+    thermal noise of each reset, and a few dead and hot pixels.
     """
 
     def __init__(
@@ -64,9 +64,8 @@ class Sensor:
         if kind not in SENSOR_KINDS:
             raise BadRecordingError(f"found the sensor {kind!r}", f"one of {', '.join(SENSOR_KINDS)}")
         if width < 1 or height < 1 or seed < 0 or camera_index < 0:
-            raise BadRecordingError(
-                f"found a sensor of {width}x{height}, seed {seed}, camera {camera_index}", "1x1 or more, from 0"
-            )
+            found = f"found a sensor of {width}x{height}, seed {seed}, camera {camera_index}"
+            raise BadRecordingError(found, "1x1 or more, from 0")
         self.kind: SensorKind = kind
         self.shape = (height, width)
         self.tick = 0  # of the next plane

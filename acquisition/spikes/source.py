@@ -1,4 +1,4 @@
-"""Where a camera's planes come from when no hardware stands behind it."""
+"""Sources of a camera's planes that need no hardware."""
 
 from typing import Protocol, runtime_checkable
 
@@ -14,7 +14,7 @@ class PlaneSource(Protocol):
     layout: PlaneLayout
 
     def next_planes(self, count: int) -> NDArray[np.uint8]:
-        """The next packed planes [n, B] with n <= count."""
+        """Return the next packed planes [n, B] with n <= count."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""A `.dat` on disk, memory-mapped; only the window asked for is ever unpacked."""
+"""A memory-mapped `.dat`, of which only the window asked for is ever unpacked."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from acquisition.spikes.layout import PlaneLayout
 
 
 class SpikeStream:
-    """Planes [first, last) of one camera, by index from 0; `tick_rate_hz` turns counts into light.
+    """The planes of one camera, by index from 0; `tick_rate_hz` turns counts into light.
 
-    Build with `open`. `partial_bytes` is what a tolerated truncated file held beyond its last whole plane.
+    Build with `open`. `partial_bytes` counts the bytes of a truncated file beyond its last whole plane.
     """
 
     def __init__(self, packed: NDArray[np.uint8], layout: PlaneLayout, tick_rate_hz: float, partial_bytes: int = 0):
@@ -30,21 +30,13 @@ class SpikeStream:
         """Map `path`; raises BadRecordingError when it is missing, empty, or (unless allowed) ends inside a plane."""
         if not tick_rate_hz > 0:
             raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz", "a positive number")
-        try:
-            with path.open("rb") as file:
-                size = file.seek(0, os.SEEK_END)
-        except OSError as error:
-            raise BadRecordingError(
-                f"cannot be read ({error.strerror})", do="give an existing .dat", where=path
-            ) from error
+        with BadRecordingError.reading(path, "give an existing .dat"), path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
         planes, partial = divmod(size, layout.plane_bytes)
         expected = f"{layout.plane_bytes} bytes a plane of {layout.width}x{layout.height}"
         if partial and not allow_partial:
-            raise BadRecordingError(
-                f"found {size} bytes, {partial} more than {planes} whole planes ({expected})",
-                do="give the right size, or allow a partial last plane",
-                where=path,
-            )
+            found = f"found {size} bytes, {partial} more than {planes} whole planes ({expected})"
+            raise BadRecordingError(found, do="give the right size, or allow a partial last plane", where=path)
         if planes == 0:
             raise BadRecordingError(f"found {size} bytes", f"at least one plane ({expected})", where=path)
         mapped = np.memmap(path, dtype=np.uint8, mode="r", shape=(planes, layout.plane_bytes))
@@ -54,7 +46,7 @@ class SpikeStream:
         return len(self.packed)
 
     def window(self, first: int, last: int) -> NDArray[np.uint8]:
-        """Packed planes [last - first, B]; raises BadRecordingError outside the stream."""
+        """Return packed planes [last - first, B]; raises BadRecordingError outside the stream."""
         if not 0 <= first <= last <= len(self):
             raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(self)}")
         return self.packed[first:last]
@@ -66,9 +58,9 @@ class SpikeStream:
         return max(0, plane - reach), min(len(self), plane + reach + 1)
 
     def planes(self, first: int, last: int) -> NDArray[np.uint8]:
-        """Unpacked planes [last - first, H, W] of 0 and 1, row 0 at the top."""
+        """Unpack planes [last - first, H, W] of 0 and 1, row 0 at the top."""
         return packing.unpack(self.window(first, last), self.layout)
 
     def counts(self, first: int, last: int) -> NDArray[np.uint32]:
-        """Spikes of each pixel [H, W] over planes [first, last)."""
+        """Count the spikes of each pixel [H, W] over planes [first, last)."""
         return packing.counts(self.window(first, last), self.layout)

@@ -1,9 +1,9 @@
 """Suspects a stream that was decoded with the wrong bit order.
 
-Pixels beside each other are alike. Where the bits of every byte are read backwards, the pixels on both sides of a
-byte boundary are really 15 apart, and differ as pixels 15 apart do. On a real recording of a car, the mean step of a
+Pixels beside each other are alike. Where the bits of every byte are read backwards, the pixels on both sides of a byte
+boundary are really 15 apart, and differ as pixels 15 apart do. On a real recording of a car, the mean step of a
 32-plane mean across byte boundaries is 0.0159 read rightly and 0.0769 read backwards; within bytes it is 0.0162.
-One picture that is upside down has no such trace; what several cameras saw has (`recording.flip`).
+A picture that is upside down shows no such trace; the pictures of several cameras do (`recording.flip`).
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from acquisition.spikes.packing import Bytes, counts
 from acquisition.spikes.stream import SpikeStream
 
 WINDOW_PLANES = 32
-WORSE = 1.25  # times the step of the other order
-LEAST_BOUNDARIES = 200  # fewer say nothing
+WORSE = 1.25  # suspicious ratio of the step to that of the other order
+LEAST_BOUNDARIES = 200  # fewest boundaries that tell anything
 
 
 def boundary_step(packed: Bytes, layout: PlaneLayout) -> float:
-    """Mean |difference| of neighbouring pixels' spikes per tick [T, B] across byte boundaries; NaN for too few."""
+    """Return the mean step of spikes per tick between neighbouring pixels across byte boundaries; NaN for too few.
+
+    `packed` [T, B] are the planes to average over.
+    """
     mean = counts(packed, dataclasses.replace(layout, row_order="top")) / max(1, len(packed))
     steps = np.abs(np.diff(mean, axis=1))
     pixel = np.arange(layout.height)[:, None] * layout.stored_width + np.arange(1, layout.width)
@@ -35,22 +38,22 @@ class Window(Protocol):
     """A stream of planes, of which a part can be taken."""
 
     def __len__(self) -> int:
-        """How many planes there are."""
+        """Return how many planes there are."""
         ...
 
     def window(self, first: int, last: int, /) -> Bytes:
-        """Packed planes [last - first, B]."""
+        """Return packed planes [last - first, B]."""
         ...
 
 
 def middle_window(stream: Window) -> Bytes:
-    """A few packed planes [T, B] from the middle of a stream."""
+    """Return a few packed planes [T, B] from the middle of a stream."""
     first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
     return stream.window(first, min(len(stream), first + WINDOW_PLANES))
 
 
 def suspected_bit_order(stream: SpikeStream) -> str | None:
-    """One line that says why the other bit order fits better, or None; looks at planes in the middle of the stream."""
+    """Return a line that says why the other bit order fits the middle of the stream better, or None."""
     packed = middle_window(stream)
     given = stream.layout.bit_order
     other = "msb" if given == "lsb" else "lsb"

@@ -93,8 +93,8 @@ def left(tmp_path):
     rig = Rig("pair", 20_000.0, tuple(Camera(i, 9, 5, 8.0, 8.0, 4.5, 2.5, Transform.identity()) for i in ("a", "b")))
     with RecordingWriter(tmp_path / "rec", rig) as recording:
         streams = [recording.stream(camera_id, SMALL) for camera_id in rig.ids]
-        recording.mark_armed("line")
-        recording.mark_recording("line")
+        recording.mark("armed", "line")
+        recording.mark("recording", "line")
         for stream in streams:
             stream.append(PLANES)
             stream.close()
@@ -174,7 +174,7 @@ def test_what_is_being_recorded_is_left_alone(tmp_path):
     rig = Rig("one", 20_000.0, (Camera("a", 9, 5, 8.0, 8.0, 4.5, 2.5, Transform.identity()),))
     with RecordingWriter(tmp_path / "rec", rig) as recording:
         recording.stream("a", SMALL)
-        recording.mark_armed("line")
+        recording.mark("armed", "line")
         with pytest.raises(BadRecordingError, match="is being recorded now"):
             finalise(tmp_path / "rec")
         with pytest.raises(BadRecordingError, match=r"found it armed, .* run `spike4dgs finalise"):

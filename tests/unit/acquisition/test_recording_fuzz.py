@@ -176,7 +176,7 @@ def repair_scrambled(parent, seed: int) -> None:
     planes = np.frombuffer(rng.randbytes(200 * LAYOUT.plane_bytes), dtype=np.uint8).reshape(200, -1)
     with RecordingWriter(parent / "rec", RIG) as recording:
         streams = [recording.stream(camera_id, LAYOUT) for camera_id in RIG.ids]
-        recording.mark_recording("line")
+        recording.mark("recording", "line")
         for stream in streams:
             stream.append(planes)
             stream.close()
