@@ -8,10 +8,8 @@ import numpy as np
 
 from acquisition.devices.protocol import Block, BlockParser, encode_block
 from acquisition.errors import DeviceError
-from acquisition.spikes.layout import PlaneLayout
+from acquisition.recording.bench import BLOCK_PLANES, LAYOUT
 
-LAYOUT = PlaneLayout(400, 250)
-BLOCK_PLANES = 80  # planes of a block of a megabyte, as the lab rig's cameras send them
 _DISTINCT = 16  # blocks of random planes, sent again and again: 16 MB, more than the caches near a core
 
 

@@ -1,4 +1,4 @@
-"""A simulated trigger box: what it does, and hidapi's device over it."""
+"""A simulated trigger box, in the place of hidapi's device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from acquisition.devices.trigger_box import (
 
 
 class BoxModel:
-    """A box whose line goes to `cameras`; `clock` counts seconds. Pulses are microseconds apart, as set."""
+    """A box whose line goes to `cameras`; `clock` counts seconds. Pulses come each period, a number of microseconds."""
 
     def __init__(self, serial: str, cameras: Sequence[DeviceModel], clock: Callable[[], float] = time.monotonic):
         self.serial = serial
@@ -31,6 +31,7 @@ class BoxModel:
         self._period_us = round(DEFAULT_PERIOD_S * 1e6)
         self._fired_s = 0.0
         self._sent = 0
+        self._plugged = True
 
     def status(self) -> BoxStatus:
         """Return report 1."""
@@ -54,42 +55,30 @@ class BoxModel:
         else:
             raise StallError
 
-    def _pulses(self) -> int:
-        if self._state is not BoxState.PULSING:
-            return self._sent
-        return 1 + int((self._clock() - self._fired_s) * 1e6 / self._period_us)
-
-
-class MockHid:
-    """hidapi's device over a simulated box: refused and unplugged are OSError, as there."""
-
-    def __init__(self, model: BoxModel):
-        self._model = model
-        self._plugged = True
-
     def unplug(self) -> None:
         """Pull the cable."""
         self._plugged = False
 
     def send_feature_report(self, buff: bytes) -> int:
-        """Return the bytes sent, -1 where the device refuses or is gone."""
+        """Return the bytes sent, -1 where the box refuses or is gone."""
+        if not self._plugged:
+            return -1
         try:
-            self._require()
-            self._model.command(bytes(buff))
-        except (StallError, OSError):
+            self.command(bytes(buff))
+        except StallError:
             return -1
         return len(buff)
 
     def get_feature_report(self, report_num: int, max_length: int) -> list[int]:
-        """Return the report, its number first."""
-        self._require()
-        if report_num != STATUS_REPORT:
-            raise OSError(errno.EPIPE, "read error")
-        return list(self._model.status().encode())[:max_length]
+        """Return the report, its number first; raises OSError where there is none, or the box is gone."""
+        if not self._plugged or report_num != STATUS_REPORT:
+            raise OSError(errno.EPIPE if self._plugged else errno.ENODEV, "read error")
+        return list(self.status().encode())[:max_length]
 
     def close(self) -> None:
         """Give the device back."""
 
-    def _require(self) -> None:
-        if not self._plugged:
-            raise OSError(errno.ENODEV, "read error")
+    def _pulses(self) -> int:
+        if self._state is not BoxState.PULSING:
+            return self._sent
+        return 1 + int((self._clock() - self._fired_s) * 1e6 / self._period_us)

@@ -18,7 +18,7 @@ from urllib.parse import parse_qsl, urlsplit
 import libusb_package
 from usb.backend import IBackend
 
-from acquisition.devices.box_model import BoxModel, MockHid
+from acquisition.devices.box_model import BoxModel
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.faults import give_fault, parse_fault
 from acquisition.devices.mock import MockBackend
@@ -156,7 +156,10 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
     fit the rig.
     """
     if devices is None:
-        with _opened(rig, _libusb()) as cameras, _closing(find_box()) as box:
+        with _opened(rig, _libusb()) as cameras, contextlib.ExitStack() as stack:
+            box = find_box()
+            if box:
+                stack.callback(box.close)
             yield OpenCameras(cameras, box or SoftwareTrigger(cameras))
         return
     rig = replace(rig, cameras=tuple(replace(c, serial=c.serial or c.id) for c in rig.cameras))
@@ -165,11 +168,11 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
     else:
         scene = build_scene(devices.scene, devices.seed)
         models = _models(devices.built(rig), scene, devices, planes)
-    box = TriggerBox(MockHid(BoxModel("box", models)))
+    box = TriggerBox(BoxModel("box", models))
     backend = MockBackend(models)
     if isinstance(devices, Simulation) and devices.fault:
         give_fault(devices.fault, dict(zip(rig.ids, models, strict=True)), backend)
-    with _opened(rig, backend) as cameras, _closing(box):
+    with _opened(rig, backend) as cameras, contextlib.closing(box):
         yield OpenCameras(cameras, box, scene)
 
 
@@ -195,15 +198,6 @@ def _replayed(rig: Rig, recording: Recording) -> list[DeviceModel]:
         raise CameraSetupError(found, expected, where=recording.path)
     sources = {camera_id: ReplaySource(recording.stream(camera_id)) for camera_id in recording.camera_ids}
     return [DeviceModel(camera.serial, sources[camera.id], recording.tick_rate_hz) for camera in rig.cameras]
-
-
-@contextlib.contextmanager
-def _closing(box: TriggerBox | None) -> Iterator[TriggerBox | None]:
-    try:
-        yield box
-    finally:
-        if box:
-            box.close()
 
 
 @contextlib.contextmanager

@@ -20,11 +20,6 @@ class UsbPlace:
     port: str
     speed_mbit_s: float
 
-    @property
-    def practical_mb_s(self) -> float:
-        """Return the MB/s that the link carries in practice."""
-        return practical_mb_s(self.speed_mbit_s)
-
 
 def practical_mb_s(speed_mbit_s: float) -> float:
     """Return the MB/s of payload that a link of this signalling rate carries in practice."""

@@ -78,7 +78,7 @@ class CameraRegisters:
         self.command(Request.SET_SENSITIVITY, wanted.encode())
         found = self.read(Sensitivity)
         if found != wanted:
-            raise DeviceError(f"found {found} after setting it", f"{wanted}", "update its firmware", where=where)
+            raise DeviceError(f"found {found} after setting it", str(wanted), "update its firmware", where=where)
 
 
 class BlockStream:

@@ -9,7 +9,6 @@ Letters: T planes of a camera; rates are its spikes per tick, averaged over all 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -40,10 +39,6 @@ class Alignment:
     method: Literal["flash", "correlation"]
     skew_planes: dict[str, float]
     skew_sd_planes: dict[str, float]
-
-    def to_json(self) -> dict[str, object]:
-        """Return the alignment as a JSON object of the same names."""
-        return dataclasses.asdict(self)
 
 
 def firing_rate(stream: Stream) -> Rates:

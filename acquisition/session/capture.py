@@ -121,7 +121,7 @@ class Capture:
         except TimingError:
             return
         estimate = estimate.with_missed_until(self._stamped_until_s, float(stamps_s[-1]), period_s)
-        self.writer.clock = json.loads(json.dumps(estimate.to_json()))
+        self.writer.clock = json.loads(json.dumps(dataclasses.asdict(estimate)))
 
     def _read(self, stop: threading.Event) -> None:
         """Take blocks until all planes are there or `stop` is set; raises DeviceError."""

@@ -1,4 +1,4 @@
-"""What a camera says of itself beside its stream, and the way back to one that was lost.
+"""Asks a camera how it is beside its stream, and finds one that was lost.
 
 A camera that comes back counts planes and time from its new trigger. Where that lies on the rig clock follows from its
 clock, latched against the host's before and after: r = run before + host time between - run after. With a line that

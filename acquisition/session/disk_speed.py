@@ -35,17 +35,16 @@ def write_speed(folder: Path, seconds: float, clock: Callable[[], float] = time.
         if not size:
             raise DiskError("found no room for a disk test", f"{2 * step} bytes free", where=folder)
         try:
-            return _measure(folder, os.O_DIRECT, size, (seconds, clock))
+            return _measure(folder, os.O_DIRECT, size, seconds, clock)
         except OSError as error:
             if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):
                 raise
-            return _measure(folder, 0, size, (seconds, clock))
+            return _measure(folder, 0, size, seconds, clock)
     except OSError as error:
         raise DiskError(f"cannot be written ({error.strerror})", "a disk", where=folder) from error
 
 
-def _measure(folder: Path, flag: int, size: int, timing: tuple[float, Callable[[], float]]) -> DiskSpeed:
-    seconds, clock = timing
+def _measure(folder: Path, flag: int, size: int, seconds: float, clock: Callable[[], float]) -> DiskSpeed:
     path = folder / f".disk-test-{os.getpid()}"
     handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | flag, 0o600)
     try:

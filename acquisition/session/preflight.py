@@ -64,7 +64,7 @@ def camera_facts(rig: Rig, checks: Sequence[Check]) -> list[dict[str, object]]:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the checks look at: a way to open a rig's cameras, where recordings will go, and the machine.
+    """The things that the checks look at: a rig's cameras, the folder recordings will go to, and the machine.
 
     `sysfs` is None where cameras are not on this machine's USB.
     """
@@ -141,12 +141,12 @@ def _topology(rig: Rig, root: Path | None) -> list[Check]:
     checks, buses = [], defaultdict(list)
     for camera in cameras:
         place, rate = places[camera.serial], _camera_mb_s(rig, camera)
+        carries = sysfs.practical_mb_s(place.speed_mbit_s)
         buses[place.bus].append(camera)
-        found = f"{place.speed_mbit_s:g} Mb/s at {place.port}, in practice {place.practical_mb_s:.0f} MB/s"
+        found = f"{place.speed_mbit_s:g} Mb/s at {place.port}, in practice {carries:.0f} MB/s"
         change = "plug it into a SuperSpeed port with a SuperSpeed cable, or lower the tick rate"
         facts = {camera.id: {"port": place.port, "link_mbit_s": place.speed_mbit_s}}
-        fits = rate <= place.practical_mb_s
-        checks.append(Check(f"link of {camera.id}", fits, found, f"{rate:.0f} MB/s", change, facts))
+        checks.append(Check(f"link of {camera.id}", rate <= carries, found, f"{rate:.0f} MB/s", change, facts))
     speeds = sysfs.bus_speeds(root)
     for bus, sharing in sorted(buses.items()):
         carries = sysfs.practical_mb_s(speeds.get(bus, min(places[c.serial].speed_mbit_s for c in sharing)))

@@ -27,7 +27,7 @@ _ENDLESS = 1 << 62
 
 @dataclass(frozen=True)
 class Take:
-    """How long to record, how the cameras are set, and what to leave of the disk.
+    """The length of a recording, how the cameras are set, and what to leave of the disk.
 
     Records `planes` of every camera, None until `control` stops it. `pre_trigger_ms` keeps the last milliseconds until
     `control` saves; they count among `planes`. The run ends before less than `keep_free_bytes` are free. The cameras

@@ -71,10 +71,6 @@ class ClockEstimate:
             return dataclasses.replace(self, missed_between=between)
         return dataclasses.replace(self, missed_pulses=(*self.missed_pulses, *behind))
 
-    def to_json(self) -> dict[str, object]:
-        """Return the estimate as a JSON object of the same names."""
-        return dataclasses.asdict(self)
-
 
 def estimate_clock(
     counted: NDArray[np.integer], stamps_s: NDArray[np.float64], period_s: float, duration_s: float
@@ -95,7 +91,7 @@ def estimate_clock(
     if steps.max(initial=0) > MOST_STEPS:
         raise TimingError(f"found {steps.max():g} periods between two stamps", f"at most {MOST_STEPS}")
     pulses = int(counted[0]) + np.r_[0, np.cumsum(steps)].astype(np.int64)
-    return _fit(pulses, stamps_s, (period_s, duration_s / 2), _missed(pulses, np.diff(counted)))
+    return _fit(pulses, stamps_s, period_s, duration_s / 2, _missed(pulses, np.diff(counted)))
 
 
 def _refuse_useless(counted: NDArray, stamps_s: NDArray[np.float64], period_s: float) -> None:
@@ -125,16 +121,9 @@ def _missed(pulses: NDArray[np.int64], counted_steps: NDArray) -> Missed:
 
 
 def _fit(
-    pulses: NDArray[np.int64],
-    stamps_s: NDArray[np.float64],
-    scale_s: tuple[float, float],
-    missed: Missed,
+    pulses: NDArray[np.int64], stamps_s: NDArray[np.float64], period_s: float, middle_s: float, missed: Missed
 ) -> ClockEstimate:
-    """Fit error = offset + drift * time to the stamps near the line.
-
-    `scale_s` are the pulses' period and the middle of the recording.
-    """
-    period_s, middle_s = scale_s
+    """Fit error = offset + drift * time to the stamps near the line; `middle_s` is the middle of the recording."""
     rig_s = pulses.astype(np.float64) * period_s
     error_s = stamps_s - rig_s
     near = _near_the_line(rig_s, error_s)

@@ -8,7 +8,7 @@ import pytest
 from maintenance import usbip
 from maintenance.usb_models import BoxOnUsb
 
-from acquisition.devices.box_model import BoxModel, MockHid
+from acquisition.devices.box_model import BoxModel
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.profile import VENDOR_ID
 from acquisition.devices.protocol import BlockParser
@@ -43,7 +43,7 @@ class MockBench:
         self.plug()
 
     def plug(self) -> None:
-        self.hid = MockHid(self.model)
+        self.hid = self.model
 
     def open(self) -> TriggerBox:
         return TriggerBox(self.hid, period_s=0.002)

@@ -1,5 +1,6 @@
 """Cameras aligned by light alone: by a flash, by the firing rate, or not at all."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -53,7 +54,7 @@ def test_cameras_are_aligned_by_a_flash():
     for camera_id, start in starts.items():
         assert abs(found.skew_planes[camera_id] - start) < max(5 * found.skew_sd_planes[camera_id], 1e-12)
         assert abs(found.skew_planes[camera_id] - start) < 0.3
-    assert json.loads(json.dumps(found.to_json()))["method"] == "flash"
+    assert json.loads(json.dumps(dataclasses.asdict(found)))["method"] == "flash"
     other = align_by_light(rates, "cam02")
     assert other.skew_planes["cam00"] == pytest.approx(7.25, abs=0.3)
 
