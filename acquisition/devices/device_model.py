@@ -8,7 +8,7 @@ from acquisition.devices import descriptors
 from acquisition.devices.control_channel import MessageEnd, StallError
 from acquisition.devices.device_clock import DeviceClock, Pace
 from acquisition.devices.device_run import DeviceRun
-from acquisition.devices.device_stream import DeviceStream
+from acquisition.devices.device_stream import DeviceStream, StreamFaults
 from acquisition.devices.profile import Profile
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.registers import (
@@ -20,7 +20,6 @@ from acquisition.devices.registers import (
     State,
     TickRate,
 )
-from acquisition.devices.stream_faults import StreamFaults
 from acquisition.errors import DeviceError
 from acquisition.spikes.source import Adjustable, PlaneSource
 
@@ -98,7 +97,7 @@ class DeviceModel:
     def power_up(self) -> None:
         """Begin anew, as after a reset or with the cable pulled: idle, all counters at zero; the light goes on."""
         with self.run.changed:
-            self.faults.power_up()
+            self.faults.halted, self.faults.hangs_after = False, None
             self.run.power_up()
             self.stream.forget()
 

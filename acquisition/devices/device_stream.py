@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass, field, replace
 
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_run import DeviceRun
 from acquisition.devices.protocol import Block, BlockStatus, encode_block
-from acquisition.devices.registers import Geometry, State
-from acquisition.devices.stream_faults import StreamFaults
+from acquisition.devices.registers import Geometry, LinkCounters, State
 from acquisition.spikes.source import PlaneSource
 
 _BLOCK_PLANES, _BLOCK_BYTES = 80, 1_000_000
 _POLL_S = 0.002
+
+
+@dataclass
+class StreamFaults:
+    """Faults of one camera's stream.
+
+    While `halted`, the pipe is stalled. After `hangs_after` bytes more the camera sends nothing, in the middle of
+    whatever it is. Of each byte in `flipped` of the next block a bit is damaged. Each block adds `link_per_block` to
+    the LINK register.
+    """
+
+    halted: bool = False
+    hangs_after: int | None = None
+    flipped: list[int] = field(default_factory=list)
+    link_per_block: LinkCounters = field(default_factory=LinkCounters)
 
 
 class DeviceStream:
@@ -49,7 +63,10 @@ class DeviceStream:
                     run.changed.wait(min(timeout_s, _POLL_S) if run.pace else timeout_s)
                 if run.state is State.RUNNING:
                     self._outgoing = memoryview(block)
-        taken = faults.cut(self._outgoing[:size])
+        if faults.hangs_after is not None:
+            size = min(size, faults.hangs_after)
+            faults.hangs_after -= min(size, len(self._outgoing))
+        taken = self._outgoing[:size]
         self._outgoing = self._outgoing[len(taken) :]
         return taken
 
@@ -62,7 +79,7 @@ class DeviceStream:
             lost = len(self.source.next_planes(late)) if late > 0 else 0
             run.dropped_planes += lost
             run.emitted_planes += lost
-            run.link = dataclasses.replace(run.link, overruns=run.link.overruns + (lost > 0))
+            run.link = replace(run.link, overruns=run.link.overruns + (lost > 0))
             if due - lost < count:
                 return b""
         packed = self.source.next_planes(count)
@@ -76,7 +93,15 @@ class DeviceStream:
         run.emitted_blocks += 1
         run.emitted_planes += len(packed)
         run.link = run.link.plus(self._faults.link_per_block)
-        return self._faults.damage(encode_block(block))
+        return self._damaged(encode_block(block))
 
     def _is_silent(self) -> bool:
-        return self._faults.hangs or self._run.state is not State.RUNNING
+        return self._faults.hangs_after == 0 or self._run.state is not State.RUNNING
+
+    def _damaged(self, block: bytes) -> bytes:
+        if not self._faults.flipped:
+            return block
+        damaged = bytearray(block)
+        while self._faults.flipped:
+            damaged[self._faults.flipped.pop()] ^= 16
+        return bytes(damaged)

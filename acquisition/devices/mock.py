@@ -61,9 +61,6 @@ class MockBackend(IBackend):
         """Return the cameras that are plugged in."""
         return [port for port in self._ports if port.plugged]
 
-    def get_parent(self, dev: Port) -> None:
-        """Return no hub: every camera has a root port."""
-
     def get_device_descriptor(self, dev: Port) -> SimpleNamespace:
         """Return the device descriptor and where the device sits."""
         place = {"bus": 1, "address": dev.address, "port_number": dev.address, "port_numbers": (dev.address,)}
@@ -102,12 +99,6 @@ class MockBackend(IBackend):
         """Return the active configuration, 0 for none."""
         dev_handle.port.require()
         return dev_handle.port.configuration
-
-    def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
-        """Select setting 0, the only one."""
-        model = dev_handle.port.require()
-        if intf > model.profile.interface or altsetting:
-            raise _no_entity()
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
         """Claim the camera for this handle; a second one finds it busy."""
@@ -158,11 +149,6 @@ class MockBackend(IBackend):
         """Have the camera begin anew, without a configuration, at the same address."""
         dev_handle.port.require().power_up()
         dev_handle.port.configuration = 0
-
-    def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
-        """Return that no kernel driver has taken a vendor-class device."""
-        dev_handle.port.require()
-        return False
 
 
 def _put(data: bytes | memoryview, buffer: array.array) -> int:

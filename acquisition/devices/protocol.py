@@ -6,6 +6,7 @@ import enum
 import struct
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import crc32c
 import numpy as np
@@ -22,6 +23,7 @@ MAX_PAYLOAD_BYTES = 1 << 26
 NO_PULSE = 0xFFFF_FFFF  # the age of a sync pulse that never came, or is older than 4.29 s
 _CRC = struct.Struct("<I")
 _REMEMBERED_BLOCKS = 16
+Data = bytes | bytearray | memoryview
 
 
 class BlockStatus(enum.IntFlag):
@@ -59,10 +61,27 @@ class Block:
 
 @dataclass(frozen=True)
 class Damage:
-    """Bytes of the stream that were no block: the reason, and their number up to the next whole block."""
+    """A stretch of the stream that was no block, up to the next whole one."""
 
-    reason: str
     skipped_bytes: int
+
+
+class _Leader(NamedTuple):
+    magic: bytes
+    version: int
+    leader_bytes: int
+    block_id: int
+    first_plane: int
+    device_time_ns: int
+    planes: int
+    width: int
+    height: int
+    pixel_format: int
+    payload_bytes: int
+    sync_pulses: int
+    pulse_age_ns: int
+    flags: int
+    checksum: int
 
 
 def encode_block(block: Block) -> bytes:
@@ -86,17 +105,16 @@ class BlockParser:
     def __init__(self, max_payload_bytes: int = MAX_PAYLOAD_BYTES) -> None:
         self._max_payload_bytes = max_payload_bytes
         self._buffer = bytearray()
-        self._reason = ""
         self._skipped = 0
         self._ready: Block | None = None
         self._fed_whole: Block | None = None  # comes before the buffer
         self.damages = 0  # stretches of damage begun so far
 
-    def feed(self, data: bytes | bytearray | memoryview) -> None:
+    def feed(self, data: Data) -> None:
         """Take the next bytes of the stream; just one whole block, as most transfers are, is not copied twice."""
         if not self._buffer and self._fed_whole is None:
             block, size = self._decode_first(data)
-            if isinstance(block, Block) and size == len(data):
+            if block and size == len(data):
                 self._fed_whole = block
                 return
         self._buffer += data
@@ -107,9 +125,9 @@ class BlockParser:
         if block is None:
             return None
         self._fed_whole = None
-        if self._reason:
-            self._ready, damage = block, Damage(self._reason, self._skipped)
-            self._reason, self._skipped = "", 0
+        if self._skipped:
+            self._ready, damage = block, Damage(self._skipped)
+            self._skipped = 0
             return damage
         self._ready = None
         return block
@@ -117,40 +135,37 @@ class BlockParser:
     def _find_block(self) -> Block | None:
         while self._at_a_magic():
             block, size = self._decode_first(self._buffer)
-            if isinstance(block, str):
-                self._skip(len(LEADER_MAGIC), block)
-                continue
-            del self._buffer[:size]
-            return block
+            if block:
+                del self._buffer[:size]
+            if block or size:
+                return block
+            self._skip(len(LEADER_MAGIC))
         return None
 
-    def _decode_first(self, data: bytes | bytearray | memoryview) -> tuple[Block | str | None, int]:
-        """Return the block `data` begins with and its length.
+    def _decode_first(self, data: Data) -> tuple[Block | None, int]:
+        """Return the block `data` begins with and its length; None and 0 where it begins with none.
 
-        Where it begins with none, return the reason and 0; where more bytes are needed, None and 0.
+        Returns None and the length needed where more bytes must come.
         """
         if len(data) < LEADER.size:
+            return None, LEADER.size
+        leader = _Leader._make(LEADER.unpack_from(data))
+        if not _is_sound(leader, data) or leader.payload_bytes > self._max_payload_bytes:
             return None, 0
-        leader = LEADER.unpack_from(data)
-        reason = _leader_fault(data, leader, self._max_payload_bytes)
-        total = LEADER.size + leader[10] + TRAILER.size
-        if not reason and len(data) < total:
-            return None, 0
-        reason = reason or _body_fault(data, leader)
-        return (reason, 0) if reason else (_decode(data, leader), total)
+        total = LEADER.size + leader.payload_bytes + TRAILER.size
+        if len(data) < total:
+            return None, total
+        block = _decode(leader, data)
+        return block, total if block else 0
 
     def _at_a_magic(self) -> bool:
         """Skip to the next magic, and return whether there is one; the last bytes may begin one that was cut."""
         at = self._buffer.find(LEADER_MAGIC)
-        skip = at if at >= 0 else max(0, len(self._buffer) - len(LEADER_MAGIC) + 1)
-        if skip:
-            self._skip(skip, "bytes that are no leader")
+        self._skip(at if at >= 0 else max(0, len(self._buffer) - len(LEADER_MAGIC) + 1))
         return at >= 0
 
-    def _skip(self, count: int, reason: str) -> None:
-        if not self._reason:
-            self._reason = reason
-            self.damages += 1
+    def _skip(self, count: int) -> None:
+        self.damages += not self._skipped and count > 0
         self._skipped += count
         del self._buffer[:count]
 
@@ -172,37 +187,25 @@ class RepeatFilter:
         return False
 
 
-def _leader_fault(buffer: bytes | bytearray | memoryview, leader: tuple, max_payload_bytes: int) -> str:
-    if leader[0] != LEADER_MAGIC or crc32c.crc32c(bytes(buffer[: LEADER.size - 4])) != leader[-1]:
-        return "a leader whose CRC does not fit"
-    if leader[1] != PROTOCOL_VERSION or leader[2] != LEADER.size or leader[9] not in LAYOUT_ORDERS:
-        return f"a leader of version {leader[1]}, {leader[2]} B, pixel format {leader[9]:#x}"
-    planes, width, height, payload_bytes = leader[6], leader[7], leader[8], leader[10]
-    if payload_bytes > max_payload_bytes or payload_bytes != planes * ((width * height + 7) // 8) or not width * height:
-        return f"a leader of {payload_bytes} B for {planes} planes of {width}x{height}"
-    return ""
+def _is_sound(leader: _Leader, data: Data) -> bool:
+    if leader.magic != LEADER_MAGIC or crc32c.crc32c(bytes(data[: LEADER.size - 4])) != leader.checksum:
+        return False
+    known = leader.version == PROTOCOL_VERSION and leader.leader_bytes == LEADER.size
+    pixels = leader.width * leader.height
+    whole = pixels > 0 and leader.payload_bytes == leader.planes * ((pixels + 7) // 8)
+    return known and leader.pixel_format in LAYOUT_ORDERS and whole
 
 
-def _body_fault(buffer: bytes | bytearray | memoryview, leader: tuple) -> str:
-    payload_bytes = leader[10]
-    start = LEADER.size + payload_bytes
-    magic, valid_bytes, block_id, _, _, checksum = TRAILER.unpack_from(buffer, start)
-    with memoryview(buffer) as view, view[LEADER.size : start + TRAILER.size - 4] as checked:
+def _decode(leader: _Leader, data: Data) -> Block | None:
+    """Return the block behind a sound leader; None where its trailer or its checksum does not fit."""
+    end = LEADER.size + leader.payload_bytes
+    magic, valid_bytes, block_id, dropped, status, checksum = TRAILER.unpack_from(data, end)
+    with memoryview(data) as view, view[LEADER.size : end + TRAILER.size - 4] as checked:
         computed = crc32c.crc32c(checked)
-    if computed != checksum:
-        return f"block {leader[3]} whose CRC does not fit"
-    if magic != TRAILER_MAGIC or block_id != leader[3] or valid_bytes != payload_bytes:
-        return f"block {leader[3]} with a trailer for block {block_id}, {valid_bytes} B of {payload_bytes}"
-    return ""
-
-
-def _decode(buffer: bytes | bytearray | memoryview, leader: tuple) -> Block:
-    _, _, _, block_id, first_plane, device_time_ns, planes, width, height, code, payload_bytes, pulses, age, _, _ = (
-        leader
-    )
-    start = LEADER.size + payload_bytes
-    _, _, _, dropped, status, _ = TRAILER.unpack_from(buffer, start)
-    payload = np.frombuffer(buffer, dtype=np.uint8, count=payload_bytes, offset=LEADER.size).copy()
-    layout = layout_of(width, height, code)
-    packed = payload.reshape(planes, layout.plane_bytes)
-    return Block(block_id, first_plane, device_time_ns, layout, packed, pulses, dropped, status, age)
+    if (computed, magic, block_id, valid_bytes) != (checksum, TRAILER_MAGIC, leader.block_id, leader.payload_bytes):
+        return None
+    payload = np.frombuffer(data, dtype=np.uint8, count=leader.payload_bytes, offset=LEADER.size).copy()
+    layout = layout_of(leader.width, leader.height, leader.pixel_format)
+    packed = payload.reshape(leader.planes, layout.plane_bytes)
+    began = leader.block_id, leader.first_plane, leader.device_time_ns
+    return Block(*began, layout, packed, leader.sync_pulses, dropped, status, leader.pulse_age_ns)

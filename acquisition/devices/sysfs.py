@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,11 +31,9 @@ def usb_places(root: Path = SYSFS) -> list[UsbPlace]:
     """Return every device that gives a serial number; those that vanish while they are looked at are left out."""
     places = []
     for folder in sorted((root / "bus/usb/devices").glob("*")):
-        try:
+        with contextlib.suppress(OSError, ValueError):
             serial, bus = (folder / "serial").read_text().strip(), int((folder / "busnum").read_text())
             places.append(UsbPlace(serial, bus, folder.name, float((folder / "speed").read_text())))
-        except (OSError, ValueError):
-            continue
     return places
 
 
@@ -42,10 +41,8 @@ def bus_speeds(root: Path = SYSFS) -> dict[int, float]:
     """Return the signalling rate in Mb/s of each bus, that of its root hub."""
     speeds = {}
     for folder in (root / "bus/usb/devices").glob("usb*"):
-        try:
+        with contextlib.suppress(OSError, ValueError):
             speeds[int((folder / "busnum").read_text())] = float((folder / "speed").read_text())
-        except (OSError, ValueError):
-            continue
     return speeds
 
 

@@ -61,19 +61,19 @@ def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> 
             raise TimingError(f"found {len(rate)} planes", f"at least {LEAST_OVERLAP}", where=camera_id)
     flashes = {camera_id: flash(rate) for camera_id, rate in rates.items()}
     seen = {camera_id: found for camera_id, found in flashes.items() if found}
-    if len(seen) == len(rates):
-        at, sd = seen[reference]
-        lags = {
-            c: (at - instant, float(np.hypot(sd, own) if c != reference else 0)) for c, (instant, own) in seen.items()
-        }
-        return _alignment(reference, "flash", lags)
-    lags = {}
-    for camera_id, rate in rates.items():
+    lags = {reference: (0.0, 0.0)}
+    for camera_id in [each for each in rates if each != reference]:
+        if len(seen) == len(rates):
+            (at, sd), (instant, own_sd) = seen[reference], seen[camera_id]
+            lags[camera_id] = at - instant, float(np.hypot(sd, own_sd))
+            continue
         try:
-            lags[camera_id] = (0.0, 0.0) if camera_id == reference else correlation_lag(rates[reference], rate)
+            lags[camera_id] = correlation_lag(rates[reference], rates[camera_id])
         except TimingError as error:
             raise TimingError.at(camera_id, error) from error
-    return _alignment(reference, "correlation", lags)
+    skews = {camera_id: lags[camera_id][0] for camera_id in rates}
+    sds = {camera_id: lags[camera_id][1] for camera_id in rates}
+    return Alignment(reference, "flash" if len(seen) == len(rates) else "correlation", skews, sds)
 
 
 def flash(rate: Rates) -> tuple[float, float] | None:
@@ -160,10 +160,3 @@ def _lag_sd(a: Rates, b: Rates) -> float:
     misfit = float(((a - factor * b) ** 2).mean())
     slopes = float(((factor * np.gradient(b)) ** 2).mean()) - misfit / 4  # what the noise of b adds to them
     return float(np.sqrt(misfit / slopes / len(a))) if slopes > 0 else float(len(a))
-
-
-def _alignment(
-    reference: str, method: Literal["flash", "correlation"], lags: Mapping[str, tuple[float, float]]
-) -> Alignment:
-    skews = {camera_id: lag for camera_id, (lag, _) in lags.items()}
-    return Alignment(reference, method, skews, {camera_id: sd for camera_id, (_, sd) in lags.items()})

@@ -138,7 +138,7 @@ class UsbIpBench(MockBench):
 
 def release(model: DeviceModel) -> None:
     """Have the camera go on after it hung."""
-    model.faults.hold(None)
+    model.faults.hangs_after = None
     model.run.wake()
 
 
@@ -215,7 +215,7 @@ def test_a_stopped_camera_can_be_armed_again(bench, camera):
 
 
 def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
-    bench.model.faults.hold(576 + 512)  # a block, and half of the next: no short packet ends it
+    bench.model.faults.hangs_after = 576 + 512  # a block, and half of the next: no short packet ends it
     camera.ensure_ready()
     bench.fire()
     assert camera.read_block(0.2).first_plane == 0
@@ -228,7 +228,7 @@ def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
 
 @pytest.mark.parametrize("sent", [0, 512, 576 + 512])
 def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
-    bench.model.faults.hold(sent)
+    bench.model.faults.hangs_after = sent
     camera.ensure_ready()
     bench.fire()
     bench.model.halt()
@@ -240,7 +240,7 @@ def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
 
 
 def test_a_damaged_block_is_dropped_and_counted(bench, camera):
-    bench.model.faults.flip_bit(100)
+    bench.model.faults.flipped.append(100)
     camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
@@ -281,7 +281,7 @@ def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
     cameras = [
         UsbCamera.open(dataclasses.replace(CAMERA, id=f"cam{i}", serial=f"N{i}"), RATE, bench.backend) for i in range(9)
     ]
-    bench.models[5].faults.hold(576 * 20 + 512)
+    bench.models[5].faults.hangs_after = 576 * 20 + 512
     with ThreadPoolExecutor(9) as pool:
         for camera in cameras:
             camera.ensure_ready()
@@ -572,7 +572,7 @@ def test_a_camera_that_hangs_is_reset_and_rejoins(run, bench, monkeypatch):
     if not isinstance(bench.backend, MockBackend):
         pytest.skip("USB/IP does not tell a device of a reset of its port, which would end what it hangs in")
     monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.02)
-    recording, began = run("software", lambda: run.models[1].faults.hold(0), 20.0)
+    recording, began = run("software", lambda: setattr(run.models[1].faults, "hangs_after", 0), 20.0)
     lost = recording.manifest.camera("cam01")
     place = (began[1] - began[0]) * RATE
     [back] = lost.device["returns"]
