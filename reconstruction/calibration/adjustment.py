@@ -173,9 +173,8 @@ def covariance(problem: Problem, state: State) -> Floats:
     reduced, _ = _reduced(at, inverse)
     scale = 1 / np.sqrt(np.maximum(np.diag(at.hessian), np.finfo(np.float64).tiny))
     if not np.linalg.eigvalsh(reduced * np.outer(scale, scale))[0] > SINGULAR:
-        raise GeometryError(
-            "found cameras that the observations leave free", "them determined: show the cameras a deeper scene"
-        )
+        found = "found cameras that the observations leave free"
+        raise GeometryError(found, "them determined", "show the cameras a deeper scene")
     scores = at.scores - np.einsum("lgd,lde,le->lg", at.coupling, inverse, at.block_gradient)
     bread = np.linalg.inv(reduced)
     meat = scores.T @ scores + np.diag(1 / problem.freedom.prior_sd**2)

@@ -46,11 +46,11 @@ def parse_board(text: str) -> BoardSpec:
     """Return the board that SPEC describes; raises BadRunError naming the part that is wrong."""
     parts = text.strip().split(":")
     if len(parts) != 5 or parts[0] not in ("charuco", "apriltag"):
-        raise BadRunError(f"found the board {text!r}", f"{FORMS}")
-    columns, rows = _grid(text, parts[1])
-    if parts[0] == "charuco":
-        return _charuco(text, columns, rows, parts[2:])
-    return _april_grid(text, columns, rows, parts[2:])
+        raise BadRunError(f"found the board {text!r}", FORMS)
+    try:
+        return (_charuco if parts[0] == "charuco" else _april_grid)(text, *_grid(parts[1]), parts[2:])
+    except BadRunError as error:
+        raise BadRunError.at(f"board {text}", error) from None
 
 
 def predefined(name: str) -> cv2.aruco.Dictionary:
@@ -59,17 +59,13 @@ def predefined(name: str) -> cv2.aruco.Dictionary:
 
 
 def _charuco(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
-    square, marker = _metres(text, "square", parts[0]), _metres(text, "marker", parts[1])
+    square, marker = _metres("square", parts[0]), _metres("marker", parts[1])
     if columns < 3 or rows < 3:
-        raise BadRunError(f"found {columns}x{rows} squares", "at least 3x3", where=f"board {text}")
+        raise BadRunError(f"found {columns}x{rows} squares", "at least 3x3")
     if marker >= square:
-        raise BadRunError(
-            f"found markers of {1000.0 * marker:g} mm in squares of {1000.0 * square:g} mm",
-            "smaller markers",
-            "the square comes first",
-            where=f"board {text}",
-        )
-    dictionary = _dictionary(text, parts[2], columns * rows // 2)
+        found = f"found markers of {1000.0 * marker:g} mm in squares of {1000.0 * square:g} mm"
+        raise BadRunError(found, "smaller markers", "the square comes first")
+    dictionary = _dictionary(parts[2], columns * rows // 2)
     white = [(row, column) for row in range(rows) for column in range(columns) if (row + column) % 2]
     tags = _tags(square * np.array(white)[:, ::-1] + (square - marker) / 2, marker)
     points = square * np.array([(x, y, 0) for y in range(1, rows) for x in range(1, columns)], dtype=np.float64)
@@ -79,12 +75,12 @@ def _charuco(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
 
 
 def _april_grid(text: str, columns: int, rows: int, parts: list[str]) -> BoardSpec:
-    tag, gap = _metres(text, "tag", parts[0]), _metres(text, "gap", parts[1])
+    tag, gap = _metres("tag", parts[0]), _metres("gap", parts[1])
     if parts[2] not in _FAMILIES:
-        raise BadRunError(f"found the family {parts[2]!r}", f"one of {', '.join(_FAMILIES)}", where=f"board {text}")
+        raise BadRunError(f"found the family {parts[2]!r}", f"one of {', '.join(_FAMILIES)}")
     if columns < 2 or rows < 2:
-        raise BadRunError(f"found {columns}x{rows} tags", "at least 2x2", where=f"board {text}")
-    dictionary = _dictionary(text, _FAMILIES[parts[2]], columns * rows)
+        raise BadRunError(f"found {columns}x{rows} tags", "at least 2x2")
+    dictionary = _dictionary(_FAMILIES[parts[2]], columns * rows)
     at = (tag + gap) * np.array([(column, row) for row in range(rows) for column in range(columns)], dtype=np.float64)
     tags = _tags(at, tag)
     tags_of = np.repeat(np.arange(columns * rows)[:, None], 2, axis=1)
@@ -97,27 +93,27 @@ def _tags(at: Floats, side: float) -> Floats:
     return np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=2)
 
 
-def _dictionary(text: str, name: str, tags: int) -> str:
+def _dictionary(name: str, tags: int) -> str:
     if name not in DICTIONARIES:
-        raise BadRunError(f"found the dictionary {name!r}", f"one of {', '.join(DICTIONARIES)}", where=f"board {text}")
+        raise BadRunError(f"found the dictionary {name!r}", f"one of {', '.join(DICTIONARIES)}")
     size = len(predefined(name).bytesList)
     if tags > size:
-        raise BadRunError(f"found {tags} tags", f"at most the {size} of {name}", where=f"board {text}")
+        raise BadRunError(f"found {tags} tags", f"at most the {size} of {name}")
     return name
 
 
-def _grid(text: str, part: str) -> tuple[int, int]:
+def _grid(part: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", part)
     if not match or not all(1 <= int(n) <= _MOST for n in match.groups()):
-        raise BadRunError(f"found the size {part!r}", f"COLSxROWS of 1 to {_MOST}, such as 6x4", where=f"board {text}")
+        raise BadRunError(f"found the size {part!r}", f"COLSxROWS of 1 to {_MOST}, such as 6x4")
     return int(match[1]), int(match[2])
 
 
-def _metres(text: str, name: str, part: str) -> float:
+def _metres(name: str, part: str) -> float:
     try:
         millimetres = float(part)
     except ValueError:
         millimetres = math.nan
     if not 0 < millimetres < 1e5:
-        raise BadRunError(f"found the {name} {part!r}", "a positive number of millimetres", where=f"board {text}")
+        raise BadRunError(f"found the {name} {part!r}", "a positive number of millimetres")
     return millimetres / 1e3

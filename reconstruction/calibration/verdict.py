@@ -47,8 +47,8 @@ class Evidence:
         if len(tracks) < LEAST_TRACKS:
             raise GeometryError(
                 f"found {len(tracks)} tracks over {LEAST_VIEWS} or more views",
-                f"{LEAST_TRACKS}: too little texture or light, or too short a recording",
-                "show the cameras something else, or a board",
+                f"{LEAST_TRACKS} or more",
+                "texture, light or time is too little; show the cameras something else, or a board",
             )
         return tracks
 
@@ -68,8 +68,8 @@ def refuse_unsure(sds: Sequence[CameraSd]) -> float:
     if not sd_deg < MOST_SD_DEG:
         raise GeometryError(
             f"found the cameras to {sd_deg:.2f} degrees",
-            f"{MOST_SD_DEG:g} or better: too little texture, or too short or dim a recording",
-            "show the cameras something else, or a board",
+            f"{MOST_SD_DEG:g} or better",
+            "texture, light or time is too little; show the cameras something else, or a board",
         )
     return sd_deg
 
@@ -82,8 +82,8 @@ def judge(nominal: Rig, solution: Solution) -> None:
     if share < LEAST_KEPT:
         raise GeometryError(
             f"found {share:.0%} of the observations within {INLIER_PX:g} px",
-            f"{LEAST_KEPT:.0%}: matches contradict one another, as on a pattern that repeats",
-            "show the cameras something else, or a board",
+            f"{LEAST_KEPT:.0%}",
+            "matches contradict one another, as on a pattern that repeats; show the cameras something else, or a board",
         )
     few = [c for c, n in zip(nominal.ids, per_camera, strict=True) if n < LEAST_OBSERVATIONS]
     if few:
@@ -94,7 +94,8 @@ def judge(nominal: Rig, solution: Solution) -> None:
     if abs(focal) > MOST_FOCAL:
         raise GeometryError(
             f"found a focal length {focal:+.1%} off the nominal one",
-            f"at most {MOST_FOCAL:.0%}: the scene does not determine it, or the rig file is another array's",
+            f"at most {MOST_FOCAL:.0%}",
+            "the scene does not determine it, or the rig file is another array's",
         )
     _refuse_displaced(nominal, solution)
 

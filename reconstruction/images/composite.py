@@ -53,12 +53,8 @@ class CompositeSource:
             self.kept[plane] = values
         return self.kept[plane]
 
-    def movers(self, plane: int) -> NDArray[np.bool_]:
-        """Return which pixels [H, W] see a mover at `plane`: they differ from the background, or have no sure one."""
-        return self.movers_in(self.at(plane), plane)
-
-    def movers_in(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
-        """Do as `movers` for the image [H, W] at `plane`."""
+    def movers(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
+        """Return which pixels of an image [H, W] at `plane` see a mover: unlike the background, or with no sure one."""
         gap = cv2.blur(image - self.background.image * self.light.gains[plane], (3, 3))
         unlike = cv2.dilate((np.abs(gap) > DIFFERENT).astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
         return self.moving & ((unlike > 0) | ~self.background.trusted)

@@ -65,11 +65,9 @@ def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
 
     Raises BadRecordingError where they differ in size, or the light is too little or too much to tell pixels apart.
     """
-    sizes = [(stream.layout.width, stream.layout.height) for stream in (flat, dark)]
+    sizes = [f"{stream.layout.width}x{stream.layout.height}" for stream in (flat, dark)]
     if sizes[0] != sizes[1]:
-        raise BadRecordingError(
-            f"found a flat of {sizes[0][0]}x{sizes[0][1]} and a dark of {sizes[1][0]}x{sizes[1][1]}", "one size"
-        )
+        raise BadRecordingError(f"found a flat of {sizes[0]} and a dark of {sizes[1]}", "one size")
     lit, unlit = _rate(flat), _rate(dark)
     light = lit - unlit
     _refuse_useless(float(np.median(lit)), float(np.median(light)), len(flat))
@@ -115,5 +113,5 @@ def _refuse_useless(lit: float, light: float, planes: int) -> None:
         )
     if lit > BRIGHTEST:
         raise BadRecordingError(
-            f"found {lit:.2f} spikes per tick in the flat", f"at most {BRIGHTEST}: pixels saturate", "dim the light"
+            f"found {lit:.2f} spikes per tick in the flat", f"at most {BRIGHTEST}", "pixels saturate; dim the light"
         )

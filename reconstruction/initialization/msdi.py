@@ -9,13 +9,13 @@ described in `network`.
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.calibration.calibrated import displacement
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.consistency import AGREEING, confirmations
 from reconstruction.initialization.geometry import Geometry
@@ -23,11 +23,9 @@ from reconstruction.initialization.sweep import DepthMap, back_project
 from reconstruction.networks.image_inference import MOST_GROUP
 from reconstruction.networks.msdi.inference import Inferred, infer_views
 from reconstruction.networks.msdi.network import trained_msdi
-from reconstruction.networks.msdi.views import Views
 from reconstruction.networks.rates import REACH
 from rigs.rig import Rig
 from rigs.similarity import align
-from rigs.transform import rotvec_of
 
 FEWEST_VIEWS, MOST_VIEWS = 3, 9
 FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
@@ -36,10 +34,6 @@ FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with
 LEAST_CONFIDENCE = 1.75  # least confidence of a point; 1 says nothing
 AGREEMENT = 0.03  # largest gap between views' inverse depths, as a share of the object's inverse distance
 BORDER = 2  # px of the working size that are left out
-
-
-class _Refused(NamedTuple):
-    reason: str
 
 
 def initialise(
@@ -65,8 +59,7 @@ def initialise(
         reason = f"found {len(seeing)} views with light, expected {FEWEST_VIEWS}; the nominal rig stands"
         return Geometry(rig, report=report | {"refused": reason})
     nominal = rig.only(seeing)
-    network, views = trained_msdi(weights), Views.of_rig(nominal)
-    inferred = infer_views(network, [streams[name] for name in seeing], views, plane, progress)
+    inferred = infer_views(trained_msdi(weights), [streams[name] for name in seeing], nominal, plane, progress)
     images = dict(zip(seeing, inferred.light, strict=True))
     report |= _numbers(inferred, seeing)
     found = inferred.views.to_rig(nominal, inferred.factor)
@@ -74,7 +67,7 @@ def initialise(
     moved = similarity.carry_rig(found)
     refused = _refused(inferred, moved, nominal)
     if refused:
-        return Geometry(rig, images=images, report=report | {"refused": refused.reason})
+        return Geometry(rig, images=images, report=report | {"refused": refused})
     points, confidence = _points(inferred, moved, similarity.scale)
     return Geometry(_completed(rig, moved), points, confidence, images, report)
 
@@ -107,21 +100,21 @@ def _used(inferred: Inferred) -> NDArray[np.bool_]:
     return (inferred.solved.matches.information.diagonal(dim1=-2, dim2=-1).sum(-1) > 0).numpy()
 
 
-def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> _Refused | None:
+def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> str | None:
     """Return why the poses found are not to be trusted, if they are not."""
     used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
     share = fits.sum() / max(1, used.sum())
     if share < FEWEST_SHARE:
-        return _Refused(f"found {share:.0%} of the correspondences to agree, expected {FEWEST_SHARE:.0%}")
+        return f"found {share:.0%} of the correspondences to agree, expected {FEWEST_SHARE:.0%}"
     counts = fits.sum(axis=(1, 2)) + fits.sum(axis=(0, 1))
     for camera, before, count in zip(moved.cameras, nominal.cameras, counts, strict=True):
         if count < FEWEST_FITS:
-            return _Refused(f"{camera.id}: found {count} correspondences that agree, expected {FEWEST_FITS}")
-        turn = np.linalg.norm(rotvec_of(camera.cam_from_rig.rotation @ before.cam_from_rig.rotation.T))
-        if np.degrees(turn) > MOST_TURN_DEG:
-            return _Refused(f"{camera.id}: found a turn of {np.degrees(turn):.1f} degrees from the nominal rig")
+            return f"{camera.id}: found {count} correspondences that agree, expected {FEWEST_FITS}"
+        turn_deg = displacement(camera, before).turn_deg
+        if turn_deg > MOST_TURN_DEG:
+            return f"{camera.id}: found a turn of {turn_deg:.1f} degrees from the nominal rig"
         if abs(camera.fx / before.fx - 1) > MOST_FOCAL:
-            return _Refused(f"found the focal length {camera.fx:.1f} px, expected {before.fx:.1f} to 5 %")
+            return f"found the focal length {camera.fx:.1f} px, expected {before.fx:.1f} to 5 %"
     return None
 
 

@@ -159,7 +159,7 @@ def _moving_points(
     """Points of what moves at one plane, swept at half resolution."""
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
     whole = [s.at(plane) for s in sources.values()]
-    seen = [s.movers_in(image, plane).astype(np.float32) for s, image in zip(sources.values(), whole, strict=True)]
+    seen = [s.movers(image, plane).astype(np.float32) for s, image in zip(sources.values(), whole, strict=True)]
     images, masks = ([shrunk(a, c) for a, c in zip(some, half, strict=True)] for some in (whole, seen))
     near, far = depth_range_m(cameras)
     maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))

@@ -1,6 +1,6 @@
 """A second look at the pixels a plan calls still, and what follows where one of them changes.
 
-The plan tests pixel by pixel over a few long windows (`images.motion`), and misses what moves slowly or stands out
+The plan tests pixel by pixel over a few long windows (`moving_pixels`), and misses what moves slowly or stands out
 little. Here counts of WINDOW planes are pooled over BOX_PX x BOX_PX still pixels. Under constant light a sensor's count
 is sub-Poisson: it varies by one spike's rounding (1/6) and a Fano factor of .05, so the pooled count of n pixels with m
 spikes has the variance n / 6 + .05 m. A region is held to change from LEAST_PX connected pixels that depart from their

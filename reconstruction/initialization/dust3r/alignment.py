@@ -62,10 +62,9 @@ def aligned(names: Sequence[str], rays: Floats, pairs: Sequence[PairMaps], progr
     bad = [name for name, off in zip(names, found.residuals, strict=True) if not off <= MOST_RESIDUAL]
     if bad:
         worst = 100 * float(np.nanmax(found.residuals))
-        found_pairs = f"found pairs that disagree on {', '.join(bad)} by {worst:.0f}% of the depth"
-        raise GeometryError(
-            found_pairs, f"less than {100 * MOST_RESIDUAL:.0f}%", "leave them out or give clearer images"
-        )
+        disagreement = f"found pairs that disagree on {', '.join(bad)} by {worst:.0f}% of the depth"
+        most = f"less than {100 * MOST_RESIDUAL:.0f}%"
+        raise GeometryError(disagreement, most, "leave them out or give clearer images")
     return found
 
 

@@ -8,11 +8,12 @@ as in Weinzaepfel et al., "CroCo v2", ICCV 2023.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import gelu, scaled_dot_product_attention
+from torch.nn.functional import scaled_dot_product_attention
 
 NORM_EPS = 1e-6
 
@@ -85,28 +86,20 @@ class CrossAttention(nn.Module):
         return self.proj(_attend(query, key, _split(self.projv(other), self.heads)))
 
 
-class Mlp(nn.Module):
-    """Two linear maps with a GELU between them."""
-
-    def __init__(self, dim: int, hidden: int):
-        super().__init__()
-        self.fc1 = nn.Linear(dim, hidden)
-        self.fc2 = nn.Linear(hidden, dim)
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        """Map [b, n, c] to [b, n, c]."""
-        return self.fc2(gelu(self.fc1(tokens)))
+def _mlp(dim: int) -> nn.Sequential:
+    """Return two linear maps with a GELU between them, the inner one four times as wide."""
+    return nn.Sequential(OrderedDict(fc1=nn.Linear(dim, 4 * dim), act=nn.GELU(), fc2=nn.Linear(4 * dim, dim)))
 
 
 class EncoderBlock(nn.Module):
-    """Attention, then an MLP `ratio` times as wide, each added to what comes in."""
+    """Attention, then an MLP, each added to what comes in."""
 
-    def __init__(self, dim: int, heads: int, ratio: float = 4.0):
+    def __init__(self, dim: int, heads: int):
         super().__init__()
         self.norm1 = nn.LayerNorm(dim, eps=NORM_EPS)
         self.attn = Attention(dim, heads)
         self.norm2 = nn.LayerNorm(dim, eps=NORM_EPS)
-        self.mlp = Mlp(dim, int(dim * ratio))
+        self.mlp = _mlp(dim)
 
     def forward(self, tokens: Tensor, turns: Turns) -> Tensor:
         """Map [b, n, c] to [b, n, c]."""
@@ -117,14 +110,14 @@ class EncoderBlock(nn.Module):
 class DecoderBlock(nn.Module):
     """Attention within the image, then to the other image, then an MLP, each added to what comes in."""
 
-    def __init__(self, dim: int, heads: int, ratio: float = 4.0):
+    def __init__(self, dim: int, heads: int):
         super().__init__()
         self.norm1 = nn.LayerNorm(dim, eps=NORM_EPS)
         self.attn = Attention(dim, heads)
         self.cross_attn = CrossAttention(dim, heads)
         self.norm2 = nn.LayerNorm(dim, eps=NORM_EPS)
         self.norm3 = nn.LayerNorm(dim, eps=NORM_EPS)
-        self.mlp = Mlp(dim, int(dim * ratio))
+        self.mlp = _mlp(dim)
         self.norm_y = nn.LayerNorm(dim, eps=NORM_EPS)
 
     def forward(self, tokens: Tensor, other: Tensor, turns: Turns, other_turns: Turns) -> Tensor:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from torch import Tensor, nn
-from torch.nn.functional import interpolate, pixel_shuffle, relu
+from torch.nn.functional import pixel_shuffle, relu
 
 OUTPUTS = 4  # x, y, z, confidence
 
@@ -40,6 +40,9 @@ class LinearHead(nn.Module):
         return pixel_shuffle(spread(self.proj(layers[-1]), grid), self.patch_px)
 
 
+_doubled = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True)
+
+
 class _Residual(nn.Module):
     def __init__(self, dim: int):
         super().__init__()
@@ -62,15 +65,6 @@ class _Fusion(nn.Module):
     def forward(self, coarse: Tensor, fine: Tensor | None = None) -> Tensor:
         image = coarse if fine is None else coarse + self.resConfUnit1(fine)
         return self.out_conv(_doubled(self.resConfUnit2(image)))
-
-
-def _doubled(image: Tensor) -> Tensor:
-    return interpolate(image, scale_factor=2, mode="bilinear", align_corners=True)
-
-
-class _Double(nn.Module):
-    def forward(self, image: Tensor) -> Tensor:
-        return _doubled(image)
 
 
 class _Scales(nn.Module):
@@ -110,7 +104,7 @@ class _Dpt(nn.Module):
         half = sizes.fused // 2
         self.head = nn.Sequential(
             nn.Conv2d(sizes.fused, half, 3, padding=1),
-            _Double(),
+            _doubled,
             nn.Conv2d(half, sizes.last, 3, padding=1),
             nn.ReLU(),
             nn.Conv2d(sizes.last, OUTPUTS, 1),

@@ -60,8 +60,8 @@ class Architecture:
             raise BadRunError(f"found {found}", f"at least 4 and {DPT_PATCH_PX} for a DPT head")
 
 
-class Dust3r(nn.Module):
-    """The network of one `Architecture`; `encode` each image once, then decode each pair with `forward`."""
+class Backbone(nn.Module):
+    """The encoder and the first decoder of one `Architecture`."""
 
     def __init__(self, architecture: Architecture):
         super().__init__()
@@ -69,13 +69,9 @@ class Dust3r(nn.Module):
         self.patch_embed = PatchEmbedding(3, a.encoder_dim, a.patch_px)
         self.enc_blocks = nn.ModuleList(EncoderBlock(a.encoder_dim, a.encoder_heads) for _ in range(a.encoder_depth))
         self.enc_norm = nn.LayerNorm(a.encoder_dim, eps=NORM_EPS)
-        self.mask_token = nn.Parameter(torch.zeros(1, 1, a.decoder_dim))  # of the pretraining, unused; in every file
         self.decoder_embed = nn.Linear(a.encoder_dim, a.decoder_dim)
-        self.dec_blocks, self.dec_blocks2 = (
-            nn.ModuleList(DecoderBlock(a.decoder_dim, a.decoder_heads) for _ in range(a.decoder_depth)) for _ in "12"
-        )
+        self.dec_blocks = _decoder_blocks(a)
         self.dec_norm = nn.LayerNorm(a.decoder_dim, eps=NORM_EPS)
-        self.downstream_head1, self.downstream_head2 = _head(a), _head(a)
 
     def grid(self, images: Tensor) -> tuple[int, int]:
         """Return the rows and columns of patches of images [..., H, W]; BadRunError where they do not come out even."""
@@ -94,6 +90,16 @@ class Dust3r(nn.Module):
             tokens = block(tokens, turns)
         return self.enc_norm(tokens)
 
+
+class Dust3r(Backbone):
+    """The network of one `Architecture`; `encode` each image once, then decode each pair with `forward`."""
+
+    def __init__(self, architecture: Architecture):
+        super().__init__(architecture)
+        self.mask_token = nn.Parameter(torch.zeros(1, 1, architecture.decoder_dim))  # unused, but in every checkpoint
+        self.dec_blocks2 = _decoder_blocks(architecture)
+        self.downstream_head1, self.downstream_head2 = _head(architecture), _head(architecture)
+
     def decode(self, first: Tensor, second: Tensor, turns: Turns) -> tuple[list[Tensor], list[Tensor]]:
         """Decode encoded pairs to each side's layers: the encoder's tokens, then those after every block [b, n, c]."""
         one, two = self.decoder_embed(first), self.decoder_embed(second)
@@ -111,6 +117,10 @@ class Dust3r(nn.Module):
         turns = Turns.of_grid(grid, a.decoder_dim // a.decoder_heads, a.rope_base, first)
         ones, twos = self.decode(first, second, turns)
         return unfolded(self.downstream_head1(ones, grid)), unfolded(self.downstream_head2(twos, grid))
+
+
+def _decoder_blocks(a: Architecture) -> nn.ModuleList:
+    return nn.ModuleList(DecoderBlock(a.decoder_dim, a.decoder_heads) for _ in range(a.decoder_depth))
 
 
 def _head(a: Architecture) -> LinearHead | DptHead:

@@ -18,6 +18,7 @@ from reconstruction.networks.msdi.features import channels, working_factor
 from reconstruction.networks.msdi.network import Msdi, Solved
 from reconstruction.networks.msdi.views import Views
 from reconstruction.networks.rates import rates
+from rigs.rig import Rig
 
 Floats = NDArray[np.float32]
 
@@ -40,15 +41,15 @@ class Inferred:
 
 
 def infer_views(
-    network: Msdi, streams: Sequence[SpikeStream], nominal: Views, plane: int, progress: Progress = silent
+    network: Msdi, streams: Sequence[SpikeStream], nominal: Rig, plane: int, progress: Progress = silent
 ) -> Inferred:
-    """Find the images of all `streams` at `plane`, then cameras, then depth; `nominal` is over full-size pixels."""
+    """Find the images of all `streams` at `plane`, then cameras, then depth, from the `nominal` rig of the streams."""
     height, width = streams[0].layout.height, streams[0].layout.width
     factor = working_factor(width)
     light, sigma, seen = _observe_all(network, streams, plane, factor, progress)
     progress(0.7, "poses")
     with torch.inference_mode():
-        small = smaller(nominal, factor)
+        small = Views.of_rig(nominal, factor)
         solved = network.solve(seen, small)
         solved = network.solve_again(solved, (seen.shape[3], seen.shape[2]), small)
         views, rows, columns = solved.adjusted.views, -(-height // factor), -(-width // factor)
@@ -84,11 +85,6 @@ def observed(network: Msdi, stream: SpikeStream, plane: int, factor: int) -> tup
     light, sigma = infer(images, network.image, brighter, middle, seen)
     pair = (torch.from_numpy(light)[None, None], torch.from_numpy(sigma)[None, None])
     return light / np.float32(group), sigma / np.float32(group), channels(*pair, seen, images.level(seen), factor)
-
-
-def smaller(views: Views, factor: int) -> Views:
-    """Return the same cameras over pixels `factor` times as large."""
-    return Views(views.rotation, views.center, views.focal / factor, views.principal / factor, views.distance)
 
 
 def full_size(small: Floats, factor: int, height: int, width: int) -> Floats:

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from reconstruction.networks.dust3r.blocks import NORM_EPS, DecoderBlock, EncoderBlock, PatchEmbedding, Turns
+from reconstruction.networks.dust3r.blocks import Turns
 from reconstruction.networks.dust3r.checkpoint import load_network
-from reconstruction.networks.dust3r.network import Architecture
+from reconstruction.networks.dust3r.network import Architecture, Backbone
 from reconstruction.networks.msdi.encoder import TOKEN_WIDTH
 from reconstruction.networks.msdi.features import PATCH
 from reconstruction.networks.msdi.network import Msdi
@@ -24,22 +24,15 @@ from reconstruction.networks.msdi.network import Msdi
 LIGHT = 0  # the channel that is shown to the backbone: the square root of light, less its mean
 
 
-class BackboneTrunk(nn.Module):
+class BackboneTrunk(Backbone):
     """DUSt3R's encoder and first decoder around the tokens of all views; see `encoder.Trunk`.
 
     `architecture` gives the sizes; its head is not built. Parameters have the names of the checkpoints.
     """
 
     def __init__(self, architecture: Architecture) -> None:
-        super().__init__()
-        a = self.architecture = architecture
-        self.patch_embed = PatchEmbedding(3, a.encoder_dim, a.patch_px)
-        self.enc_blocks = nn.ModuleList(EncoderBlock(a.encoder_dim, a.encoder_heads) for _ in range(a.encoder_depth))
-        self.enc_norm = nn.LayerNorm(a.encoder_dim, eps=NORM_EPS)
-        self.decoder_embed = nn.Linear(a.encoder_dim, a.decoder_dim)
-        self.dec_blocks = nn.ModuleList(DecoderBlock(a.decoder_dim, a.decoder_heads) for _ in range(a.decoder_depth))
-        self.dec_norm = nn.LayerNorm(a.decoder_dim, eps=NORM_EPS)
-        self.adapt = nn.Linear(a.decoder_dim, TOKEN_WIDTH)
+        super().__init__(architecture)
+        self.adapt = nn.Linear(architecture.decoder_dim, TOKEN_WIDTH)
         self.norm = nn.LayerNorm(TOKEN_WIDTH)
 
     def forward(self, tokens: Tensor, seen: Tensor, gate: Tensor) -> Tensor:
@@ -51,11 +44,7 @@ class BackboneTrunk(nn.Module):
         grid = (seen.shape[2] // PATCH, seen.shape[3] // PATCH)
         size = (grid[0] * a.patch_px, grid[1] * a.patch_px)
         images = functional.interpolate(seen[:, LIGHT, None].clamp(-1, 1), size=size, mode="bilinear")
-        turns = Turns.of_grid(grid, a.encoder_dim // a.encoder_heads, a.rope_base, images)
-        inner = self.patch_embed(images.expand(-1, 3, -1, -1))
-        for block in self.enc_blocks:
-            inner = block(inner, turns)
-        inner = self.decoder_embed(self.enc_norm(inner))
+        inner = self.decoder_embed(self.encode(images.expand(-1, 3, -1, -1)))
         turns = Turns.of_grid(grid, a.decoder_dim // a.decoder_heads, a.rope_base, images)
         others = Turns(*(part.repeat(len(seen) - 1, 1) for part in turns))
         for block in self.dec_blocks:

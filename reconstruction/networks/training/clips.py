@@ -19,12 +19,14 @@ from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress, silent
 from acquisition.scenes.multiview import multiview_scene, random_rig
 from acquisition.scenes.random import random_camera, random_scene
+from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import SceneSource
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.networks.rates import REACH
+from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.rig import Rig
 
@@ -87,13 +89,12 @@ class CameraClips(ClipSet):
     def make(self, seed: int) -> CameraClip:
         """Render and expose the clip with `seed`."""
         clock = RigClock(TICK_RATE_HZ)
-        camera, layout = random_camera(self.size, self.size), PlaneLayout(self.size, self.size)
+        camera = random_camera(self.size, self.size)
         scene = random_scene(seed, clock.instant_s(self.instants[len(self.instants) // 2]), self.size)
         sensor = Sensor(self.size, self.size, "real" if seed % IDEAL_EVERY else "ideal", seed, 0)
-        packed = SceneSource(scene, camera, clock, self.planes, sensor, layout).next_planes(self.planes)
         instants_s = np.array([clock.instant_s(k) for k in self.instants])
         truth = scene.raycaster(camera, CLIP_RAYS, 1).intensity(*scene.placements(instants_s))
-        return CameraClip(SpikeStream(packed, layout, TICK_RATE_HZ), self.instants, truth)
+        return CameraClip(exposed(scene, camera, clock, self.planes, sensor), self.instants, truth)
 
     def arrays(self, seed: int) -> Mapping[str, NDArray]:
         """Make the clip with `seed` and return what its file holds."""
@@ -138,14 +139,13 @@ class MultiviewClips(ClipSet):
 
     def make(self, seed: int) -> MultiviewClip:
         """Render and expose the clip with `seed`."""
-        rig, layout = self._rig(seed), PlaneLayout(self.width, self.height)
-        middle_s, planes = rig.clock.instant_s(REACH), 2 * REACH + 1
+        rig = self._rig(seed)
+        middle_s = rig.clock.instant_s(REACH)
         scene = multiview_scene(seed, rig.cameras[0].fx, middle_s)
         streams, light, depth = [], [], []
         for number, camera in enumerate(rig.cameras):
             sensor = Sensor(self.width, self.height, "real", seed, number)
-            packed = SceneSource(scene, camera, rig.clock, planes, sensor, layout).next_planes(planes)
-            streams.append(SpikeStream(packed, layout, rig.tick_rate_hz))
+            streams.append(exposed(scene, camera, rig.clock, 2 * REACH + 1, sensor))
             frames = scene.raycaster(camera, VIEW_RAYS, 1).frames(*scene.placements(np.array([middle_s])))
             light.append(frames.intensity[0])
             depth.append(frames.depth[0])
@@ -167,6 +167,13 @@ class MultiviewClips(ClipSet):
 
     def _rig(self, seed: int) -> Rig:
         return random_rig(seed, self.views, self.width, self.height)
+
+
+def exposed(scene: Scene, camera: Camera, clock: RigClock, planes: int, sensor: Sensor) -> SpikeStream:
+    """Return the first `planes` that `sensor` records where `camera` looks at `scene`."""
+    layout = PlaneLayout(camera.width, camera.height)
+    packed = SceneSource(scene, camera, clock, planes, sensor, layout).next_planes(planes)
+    return SpikeStream(packed, layout, clock.tick_rate_hz)
 
 
 def write_clips(folder: Path, wanted: ClipSet, progress: Progress = silent) -> None:

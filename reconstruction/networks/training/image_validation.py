@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 from acquisition.progress import Progress, silent
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.random import random_scene
-from acquisition.scenes.source import SceneSource
-from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.metrics.image import psnr_db
-from reconstruction.networks.training.clips import CameraClip, CameraClips
+from reconstruction.networks.training.clips import CameraClip, CameraClips, exposed
 from rigs.toml import catalog_rig
 
 RANDOM = CameraClips(first_seed=900_000, count=24, instants=(80,))
@@ -62,10 +60,8 @@ def scores(image_of: Callable[[SpikeStream, int], NDArray[np.float32]], clips: l
 def _development_clip(seed: int) -> Scored:
     rig = catalog_rig("lab3x3")
     camera, scene = rig.camera("cam11"), build_scene("fan_and_ball", seed)
-    layout = PlaneLayout(camera.width, camera.height)
     sensor = Sensor(camera.width, camera.height, "real", seed, rig.ids.index("cam11"))
-    packed = SceneSource(scene, camera, rig.clock, PLANES, sensor, layout).next_planes(PLANES)
     frames = scene.render(camera, np.array([rig.clock.instant_s(INSTANT)]))
     moving = np.isin(frames.ids[0], list(scene.movers.values()))
-    clip = CameraClip(SpikeStream(packed, layout, rig.tick_rate_hz), (INSTANT,), frames.intensity)
-    return Scored(clip, scene.white, moving)
+    stream = exposed(scene, camera, rig.clock, PLANES, sensor)
+    return Scored(CameraClip(stream, (INSTANT,), frames.intensity), scene.white, moving)

@@ -16,7 +16,6 @@ from reconstruction.metrics.image import psnr_db
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.networks.msdi.inference import full_size, infer_views
 from reconstruction.networks.msdi.network import Msdi
-from reconstruction.networks.msdi.views import Views
 from reconstruction.networks.training.clips import MultiviewClip, MultiviewClips
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
@@ -83,7 +82,7 @@ def score(network: Msdi, clip: MultiviewClip, nominal: Rig) -> dict[str, float]:
 
     Depth is that of the rig aligned to the true one, because the rig's own scale is free.
     """
-    inferred = infer_views(network, clip.streams, Views.of_rig(nominal), clip.plane)
+    inferred = infer_views(network, clip.streams, nominal, clip.plane)
     rig = inferred.views.to_rig(nominal, inferred.factor)
     similarity = align(rig, clip.rig)
     errors = pose_errors(rig, clip.rig, inferred.views.distance)

@@ -5,7 +5,7 @@ import torch
 from acquisition.scenes.multiview import random_rig
 from reconstruction.networks.msdi.depth import STEPS, likeliest
 from reconstruction.networks.msdi.features import channels, evened, keypoints, patch_centers, sampled
-from reconstruction.networks.msdi.inference import full_size, smaller
+from reconstruction.networks.msdi.inference import full_size
 from reconstruction.networks.msdi.matching import FLOOR_PX, moments, window_cells
 from reconstruction.networks.msdi.network import small_msdi
 from reconstruction.networks.msdi.views import Views, inverse_depths
@@ -157,5 +157,5 @@ def test_small_maps_and_views_keep_their_places_at_full_size():
     large = full_size((columns * 2).astype(np.float32), 2, 11, 15)
     assert large.shape == (11, 15)
     assert np.allclose(large[5, 3:12], np.arange(3, 12) + 0.5, atol=1e-5)
-    views = Views.of_rig(random_rig(1, 3, 64, 48))
-    assert torch.allclose(smaller(views, 2).principal, torch.tensor([16.0, 12.0], dtype=torch.float64))
+    views = Views.of_rig(random_rig(1, 3, 64, 48), 2)
+    assert torch.allclose(views.principal, torch.tensor([16.0, 12.0], dtype=torch.float64))
