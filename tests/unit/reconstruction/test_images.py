@@ -116,9 +116,9 @@ def test_the_background_is_what_is_seen_most_of_the_time():
 
 def test_movers_are_marked_while_they_are_there():
     source = source_of(blinking())
-    assert source.movers(120)[8:16, 8:16].all()
-    assert not source.movers(300).any()
-    assert not source.movers(120)[:2].any()
+    assert source.movers(source.at(120), 120)[8:16, 8:16].all()
+    assert not source.movers(source.at(300), 300).any()
+    assert not source.movers(source.at(120), 120)[:2].any()
 
 
 @pytest.mark.parametrize("value", [0, 1])
