@@ -14,7 +14,7 @@ from server.middleware.guard import LoopbackGuard
 from server.middleware.headers import SecurityHeaders
 from server.middleware.limits import BodyLimit
 from server.middleware.measured import Measured
-from server.routes import calibrations, captures, events, jobs, metrics, page, rigs, system, uploads, webhooks
+from server.routes import calibrations, captures, events, jobs, page, rigs, system, uploads, webhooks
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.telemetry import trace_requests
@@ -38,7 +38,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.state.services = services
     for module in (system, rigs, calibrations, uploads, captures, jobs, events, webhooks):
         app.include_router(module.router, prefix="/v1")
-    app.include_router(metrics.router)
+    app.include_router(system.metrics_router)
     app.include_router(page.router)
     problems.install(app)
     document.describe(app)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -85,7 +86,12 @@ def write_calibrated(found: Calibrated, out: Path) -> None:
     """Write the rig file `out`, and beside it its cameras' pixel maps and a picture of the residuals."""
     out.parent.mkdir(parents=True, exist_ok=True)
     draw_residuals(_picture(out), found)
-    write_durably(out, dump_rig(_with_pixels_beside(found.rig, out)))
+    maps = {}
+    for camera in found.rig.cameras:
+        if camera.pixels and camera.pixels.parent.resolve() != out.parent.resolve():
+            maps[camera.id] = _pixel_map(out, camera.id)
+            write_durably(maps[camera.id], camera.pixels.read_bytes())
+    write_durably(out, dump_rig(_with_pixels(found.rig, maps)))
 
 
 def calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, *, as_json: bool) -> None:
@@ -97,13 +103,11 @@ def calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, *, a
         progress(number / len(rig.cameras), camera.id)
         found[camera.id] = _estimate(camera.id, (camera.width, camera.height), flat, dark)
     out.parent.mkdir(parents=True, exist_ok=True)
-    cameras = []
-    for camera in rig.cameras:
-        path = _pixel_map(out, camera.id)
-        write_pixels(path, found[camera.id])
-        cameras.append(dataclasses.replace(camera, pixels=path))
-    write_durably(out, dump_rig(dataclasses.replace(rig, cameras=tuple(cameras))))
-    progress(1.0, f"{len(cameras)} cameras")
+    maps = {camera_id: _pixel_map(out, camera_id) for camera_id in found}
+    for camera_id, path in maps.items():
+        write_pixels(path, found[camera_id])
+    write_durably(out, dump_rig(_with_pixels(rig, maps)))
+    progress(1.0, f"{len(found)} cameras")
     rows = {camera_id: _summary(calibration) for camera_id, calibration in found.items()}
     lines = [
         f"{camera_id}: gain spread {row['gain_spread']:.2%}, mean offset {row['mean_offset']:.5f} spikes per tick, "
@@ -121,14 +125,8 @@ def _long_images(recording: Recording) -> dict[str, np.ndarray]:
     return {camera: long_image(recording.stream(camera)) for camera in recording.camera_ids}
 
 
-def _with_pixels_beside(rig: Rig, out: Path) -> Rig:
-    cameras = []
-    for camera in rig.cameras:
-        if camera.pixels and camera.pixels.parent.resolve() != out.parent.resolve():
-            beside = _pixel_map(out, camera.id)
-            write_durably(beside, camera.pixels.read_bytes())
-            camera = dataclasses.replace(camera, pixels=beside)
-        cameras.append(camera)
+def _with_pixels(rig: Rig, maps: Mapping[str, Path]) -> Rig:
+    cameras = [dataclasses.replace(c, pixels=maps.get(c.id, c.pixels)) for c in rig.cameras]
     return dataclasses.replace(rig, cameras=tuple(cameras))
 
 

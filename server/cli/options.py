@@ -1,6 +1,7 @@
 """Options and values that several commands take."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -14,37 +15,31 @@ new_recording = click.option("--out", type=PATH, required=True, help="The record
 data_folder = click.option("--data", type=PATH, help="Data folder.  [default: .spike4dgs]")
 
 
-class SizeType(click.ParamType):
-    """A size WxH, such as 400x250."""
+class Parsed(click.types.FuncParamType):
+    """A value that a function reads from text; the help shows it as `name`."""
 
-    name = "WxH"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", str(value))
-        if not found or not int(found[1]) or not int(found[2]):
-            self.fail(f"found the size {value}, expected WIDTHxHEIGHT such as 400x250", param, ctx)
-        return int(found[1]), int(found[2])
+    def __init__(self, name: str, read: Callable[[str], object]) -> None:
+        super().__init__(read)
+        self.name = name
 
 
-class PlanesType(click.ParamType):
-    """Planes A:B:STEP, from A up to but without B."""
-
-    name = "A:B:STEP"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> range:
-        if isinstance(value, range):
-            return value
-        found = re.fullmatch(r"(\d+):(\d+)(?::(\d+))?", str(value))
-        chosen = range(int(found[1]), int(found[2]), max(1, int(found[3] or 1))) if found else range(0)
-        if not chosen:
-            self.fail(f"found {value!r}, expected A:B:STEP with A < B, for example 100:200:20", param, ctx)
-        return chosen
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
+    if not found or not int(found[1]) or not int(found[2]):
+        raise click.BadParameter(f"found the size {text}, expected WIDTHxHEIGHT such as 400x250")
+    return int(found[1]), int(found[2])
 
 
-SIZE = SizeType()
-PLANES = PlanesType()
+def _planes(text: str) -> range:
+    found = re.fullmatch(r"(\d+):(\d+)(?::(\d+))?", text)
+    chosen = range(int(found[1]), int(found[2]), max(1, int(found[3] or 1))) if found else range(0)
+    if not chosen:
+        raise click.BadParameter(f"found {text!r}, expected A:B:STEP with A < B, for example 100:200:20")
+    return chosen
+
+
+SIZE = Parsed("WxH", _size)
+PLANES = Parsed("A:B:STEP", _planes)
 
 
 def load_named_rig(name: str) -> Rig:

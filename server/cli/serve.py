@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rigs.errors import Spike4dgsError
-from server.cli.options import data_folder
+from server.cli.options import Parsed, data_folder
 
 if TYPE_CHECKING:
     from server.settings import ServiceSettings
@@ -30,30 +30,20 @@ class PortError(Spike4dgsError):
     exit_code = 2
 
 
-class NameType(click.ParamType):
-    """A worker's name."""
-
-    name = "NAME"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}", str(value)):
-            self.fail(f"found {str(value)[:70]!r}, expected letters, digits, dots and dashes, at most 63", param, ctx)
-        return str(value)
+def _name(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}", text):
+        raise click.BadParameter(f"found {text[:70]!r}, expected letters, digits, dots and dashes, at most 63")
+    return text
 
 
-class QueuesType(click.ParamType):
-    """Kinds of queues, comma-separated."""
-
-    name = "KIND,..."
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        kinds = value if isinstance(value, tuple) else tuple(part.strip() for part in str(value).split(","))
-        if not set(kinds) <= set(KINDS):
-            self.fail(f"found {','.join(kinds)[:70]!r}, expected some of {','.join(KINDS)}", param, ctx)
-        return kinds
+def _queues(text: str) -> tuple[str, ...]:
+    kinds = tuple(part.strip() for part in text.split(","))
+    if not set(kinds) <= set(KINDS):
+        raise click.BadParameter(f"found {text[:70]!r}, expected some of {','.join(KINDS)}")
+    return kinds
 
 
-NAME, QUEUES = NameType(), QueuesType()
+NAME, QUEUES = Parsed("NAME", _name), Parsed("KIND,...", _queues)
 
 
 def _rig_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from server import errors
@@ -17,27 +18,24 @@ from server.middleware.problems import problem_of
 _MEDIA_TYPE = "application/problem+json"
 _METHODS = ("get", "head", "put", "post", "patch", "delete")
 
-PROBLEM: dict[str, Any] = {
-    "title": "Problem",
-    "description": "Why a request was refused (RFC 9457); `detail` is one line for a person.",
-    "type": "object",
-    "required": ["type", "title", "status", "detail"],
-    "properties": {
-        "type": {"type": "string", "description": "A URN of the kind of problem, or about:blank."},
-        "title": {"type": "string"},
-        "status": {"type": "integer", "minimum": 400, "maximum": 599},
-        "detail": {"type": "string"},
-        "errors": {
-            "type": "array",
-            "description": "Every fault of a request that does not fit the schema.",
-            "items": {
-                "type": "object",
-                "required": ["where", "found", "message"],
-                "properties": {name: {"type": "string"} for name in ("where", "found", "message")},
-            },
-        },
-    },
-}
+
+class Fault(BaseModel):
+    """A fault of a request that does not fit the schema."""
+
+    where: str
+    found: str
+    message: str
+
+
+class Problem(BaseModel):
+    """Why a request was refused (RFC 9457); `detail` is one line for a person."""
+
+    type: str = Field(description="A URN of the kind of problem, or about:blank.")
+    title: str
+    status: int = Field(ge=400, le=599)
+    detail: str
+    errors: list[Fault] = Field(default=[], description="Every fault of a request that does not fit the schema.")
+
 
 # What may go wrong with a request: when it does, and one such error.
 REFUSALS: tuple[tuple[str, Exception], ...] = (
@@ -96,7 +94,8 @@ def _complete(document: dict[str, Any]) -> None:
     schemas = components.setdefault("schemas", {})
     for name in ("HTTPValidationError", "ValidationError"):  # the framework's own refusals are answered as ours
         schemas.pop(name, None)
-    schemas["Problem"] = PROBLEM
+    found = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
+    schemas |= found.pop("$defs") | {"Problem": found}
     components["securitySchemes"] = {
         "token": {
             "type": "http",

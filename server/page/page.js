@@ -1,6 +1,6 @@
-// The operator's page: what the service holds, kept up to date by events, or by asking once a second.
+// The operator's page: rigs, captures and jobs, kept up to date by events or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { get, learnRole, learnRoutes, looksOn, offers, post, statuses } from './operator/api.js';
+import { get, learnRole, learnRoutes, looksOn, offers, post, statuses, wait } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { capture } from './operator/captures.js';
 import { element, keepingFocus, patchChildren } from './operator/dom.js';
@@ -69,7 +69,7 @@ function taken({ rigs, captures, jobs }) {
   }
 }
 
-// Ask for the lists; two wishes at once are one.
+// Ask for the lists; a second call joins a request that is under way.
 let asking = null;
 function refresh() {
   asking ??= refreshed().finally(() => { asking = null; });
@@ -90,7 +90,7 @@ async function refreshed() {
   draw();
 }
 
-// A fault of the connection is taken back when it is over; one of the person's wishes stays to be read.
+// Show a fault of the connection until it is over; a complaint about a request stays to be read.
 function lost(text) {
   const notice = place('notice');
   if (text) complain(text);
@@ -101,7 +101,7 @@ function lost(text) {
 async function learnManifests() {
   if (!offers('GET', '/captures/{}/manifest')) return;
   const verified = state.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
-  const version = (id) => verified.filter((one) => one === id).length; // a verification may have found damage since
+  const version = (id) => verified.filter((one) => one === id).length; // a later verification may have found damage
   const missing = state.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
   for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
 }
@@ -139,7 +139,7 @@ async function look(id) {
     const found = await get(`/jobs/${made.id}`);
     if (found.status === 'failed') throw new Error(found.error ?? 'the look failed');
     if (results.ended(found)) break;
-    await new Promise((resolve) => setTimeout(resolve, 500));
+    await wait(500);
   }
   await learnStatus(id);
   draw();
@@ -155,7 +155,7 @@ async function watch(id, wanted) {
     } catch (error) {
       complain(error.message);
     }
-    await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
+    await wait(LOOK_MS);
   }
 }
 
@@ -165,15 +165,15 @@ async function tail(id) {
   while (place(`log-${id}`)?.open) {
     await results.readLog(id).catch(() => {});
     draw();
-    await new Promise((resolve) => setTimeout(resolve, TAIL_MS));
+    await wait(TAIL_MS);
   }
   state.tailing.delete(id);
 }
 
-async function every(quick, act) {
+async function every(pause, act) {
   for (;;) {
     if (!document.hidden) await act().catch(() => {});
-    await new Promise((resolve) => setTimeout(resolve, quick()));
+    await wait(pause());
   }
 }
 
@@ -202,7 +202,7 @@ async function begin() {
   try {
     await start();
   } catch (error) {
-    if (error.status === 401) return; // goes on when the token is entered
+    if (error.status === 401) return; // the page starts again once the token is entered
     lost(error.message);
     setTimeout(begin, 2000);
   }
@@ -216,7 +216,7 @@ document.addEventListener('token-wanted', () => {
 place('token-form').onsubmit = (event) => {
   event.preventDefault();
   setToken(place('token').value.trim());
-  location.reload(); // pictures and links are made with the token from the start
+  location.reload(); // so that pictures and links are made with the token
 };
 place('jobs-status').onchange = () => refresh();
 onChange(async () => {

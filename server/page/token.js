@@ -1,4 +1,4 @@
-// The token a person entered, kept for this tab alone, and headers that carry it: for all pages of the service.
+// The token that a person entered, kept for this tab only, and the headers that carry it.
 const KEY = 'spike4dgs-token';
 
 export const token = () => sessionStorage.getItem(KEY);

@@ -3,8 +3,18 @@
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
-from server.routes.parameters import Cursor, IdempotencyKey, IfNoneMatch, Limit, Named, TheServices, Word, located
-from server.routes.pictures import PNG, answer
+from server.routes.parameters import (
+    PNG,
+    Cursor,
+    IdempotencyKey,
+    IfNoneMatch,
+    Limit,
+    Named,
+    TheServices,
+    Word,
+    located,
+    png,
+)
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -49,7 +59,7 @@ def manifest(capture_id: str, services: TheServices) -> ManifestInfo:
 @router.get("/captures/{capture_id}/preview", responses=PNG, response_class=Response)
 def preview(capture_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
     """Show all cameras in one PNG: the mean of planes from the middle, brightened for the eye."""
-    return answer(if_none_match, services.previews.sheet(capture_id))
+    return png(if_none_match, services.previews.sheet(capture_id))
 
 
 @router.get("/captures/{capture_id}/preview/{camera_id}", responses=PNG, response_class=Response)
@@ -57,7 +67,7 @@ def camera_preview(
     capture_id: str, camera_id: str, services: TheServices, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Show one camera as a PNG in its own size."""
-    return answer(if_none_match, services.previews.camera(capture_id, camera_id))
+    return png(if_none_match, services.previews.camera(capture_id, camera_id))
 
 
 @router.get("/captures/{capture_id}/log", response_class=PlainTextResponse)

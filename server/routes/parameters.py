@@ -1,11 +1,12 @@
-"""The parameters that several routes take, and how they reach the services."""
+"""What routes share: how they reach the services, their parameters, and their answers."""
 
-from typing import Annotated, Protocol, TypeVar
+from typing import Annotated, Any, Protocol, TypeVar
 
 from fastapi import Depends, Header, Query, Request, Response
 
 from server.etags import matches
 from server.schemas.captures import SHOWN
+from server.services.previews import Picture
 from server.services.services import Services
 
 
@@ -48,3 +49,15 @@ def not_modified(if_none_match: str | None, headers: dict[str, str]) -> Response
     """Return the answer 304 if the client already has what the ETag of `headers` names, else None."""
     known = matches(if_none_match or "", headers["ETag"], weak=True)
     return Response(status_code=304, headers=headers) if known else None
+
+
+PNG: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}},
+    304: {"description": "It has not changed since."},
+}
+
+
+def png(if_none_match: str | None, picture: Picture) -> Response:
+    """Return the picture, or 304 if the client already has it."""
+    headers = {"ETag": picture.etag, "Cache-Control": "no-cache"}
+    return not_modified(if_none_match, headers) or Response(picture.png, media_type="image/png", headers=headers)

@@ -2,8 +2,7 @@
 
 from fastapi import APIRouter, Response
 
-from server.routes.parameters import IdempotencyKey, IfNoneMatch, TheServices, located
-from server.routes.pictures import PNG, answer
+from server.routes.parameters import PNG, IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.jobs import Job
@@ -78,4 +77,4 @@ def look(
 @router.get("/{rig_id}/look.png", responses=PNG, response_class=Response)
 def look_picture(rig_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
     """Show what the cameras saw at the last look."""
-    return answer(if_none_match, services.rig_jobs.picture(rig_id))
+    return png(if_none_match, services.rig_jobs.picture(rig_id))

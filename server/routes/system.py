@@ -3,7 +3,8 @@
 from importlib.metadata import version
 
 from fastapi import APIRouter, Request
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, PlainTextResponse, Response
+from prometheus_client import CONTENT_TYPE_LATEST
 
 from server.engine import stages_of
 from server.middleware.problems import problem
@@ -13,6 +14,7 @@ from server.schemas.system import Check, Info, Workers
 from server.store.tables import Token
 
 router = APIRouter(tags=["system"])
+metrics_router = APIRouter(tags=["system"])
 
 
 @router.get("/info")
@@ -50,3 +52,9 @@ def readyz(services: TheServices) -> dict[str, Check] | JSONResponse:
         found = {name: check.model_dump() for name, check in checks.items()}
         return problem(503, "; ".join(faults), "not-ready", checks=found)
     return checks
+
+
+@metrics_router.get("/metrics", response_class=PlainTextResponse)
+def metrics(services: TheServices) -> Response:
+    """Report queues, stages, failures, drops, disk, workers, accelerators and requests in Prometheus' text format."""
+    return Response(services.metrics.text(), media_type=CONTENT_TYPE_LATEST)

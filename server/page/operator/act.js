@@ -1,5 +1,5 @@
 // Buttons that ask the service for something and show the outcome.
-import { looksOn } from './api.js';
+import { looksOn, wait } from './api.js';
 import { element } from './dom.js';
 
 const SAID_MS = 6000, AGAIN_MS = 500, MOST_TRIES = 30;
@@ -37,11 +37,11 @@ export async function patiently(act) {
     } catch (error) {
       if (error.status !== 409 || !error.message.includes('still stopping') || tries === MOST_TRIES) throw error;
     }
-    await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+    await wait(AGAIN_MS);
   }
 }
 
-// A button that opens a dialog. Like all that change something it is off for a viewer's token.
+// A button that opens a dialog. It is off for a viewer's token, which may change nothing.
 export function opener(label, id, onclick, { plain = true, disabled = false, danger = false } = {}) {
   const className = danger ? 'plain danger' : plain ? 'plain' : '';
   return element('button', { type: 'button', id, disabled: disabled || looksOn(), title: looksOn() ? VIEWER : '', className, onclick }, label);

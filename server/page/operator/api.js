@@ -1,10 +1,10 @@
-// What the page asks of the service.
+// Requests of the page to the service.
 import { token, withToken } from '../token.js';
 
 const MOST_KEPT = 200; // pictures fetched with a token
 const fetched = new Map(); // path to promise of a blob's address
-let offered = null; // "GET /v1/jobs/{}" of every route
-let parameters = []; // of the list of jobs
+let offered = null; // every route, such as "GET /v1/jobs/{}"
+let parameters = []; // query parameters of the list of jobs
 
 export class Refused extends Error {
   constructor(status, detail) {
@@ -44,21 +44,21 @@ export async function send(method, path, body, headers) {
   return response.status === 204 ? null : response.json();
 }
 
-// One key a click: what a transport sends twice is done once.
+// One key a click, so that a request sent twice is done once.
 export const post = (path, body = {}) => send('POST', path, body, { 'Idempotency-Key': newKey() });
 
 function newKey() {
   return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
 }
 
-// Which routes this service has: one that is older, or built without a part, is not asked for what it lacks.
+// Learn the routes of this service: an older one, or one built without a part, has fewer.
 export async function learnRoutes() {
   const { paths } = await (await request('/openapi.json')).json();
   parameters = paths['/v1/jobs'].get.parameters;
   offered = new Set(Object.entries(paths).flatMap(([path, methods]) => Object.keys(methods).map((method) => route(method, path))));
 }
 
-// What the token allows; a viewer's changes nothing, so the page offers it no button that would.
+// Learn what the token allows: with a viewer's the page offers no button that changes anything.
 let role = null;
 export async function learnRole() {
   const found = await get('/info');
@@ -73,6 +73,8 @@ export function statuses() {
   return schema?.anyOf?.find((one) => one.enum)?.enum ?? [];
 }
 
+export const wait = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
+
 const route = (method, path) => `${method.toUpperCase()} ${path.replace(/\{[^}]*\}/g, '{}')}`;
 export const offers = (method, path) => offered?.has(route(method, `/v1${path}`)) ?? false;
 
@@ -81,7 +83,7 @@ async function blobAt(path) {
   return URL.createObjectURL(await response.blob());
 }
 
-// An address that <img>, <video> and links can use: the path itself, or a blob fetched with the token.
+// An address for <img>, <video> and links: the path itself or, with a token, a blob fetched with it.
 export function address(path) {
   if (!token()) return Promise.resolve(path);
   if (!fetched.has(path)) {

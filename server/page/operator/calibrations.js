@@ -1,4 +1,4 @@
-// The calibration of a rig: which is in use, how good it is, and the versions to go back to.
+// The calibration of a rig: the one in use, its quality, and the versions to go back to.
 import { get, offers, post, request } from './api.js';
 import { actions, button, opener, performed } from './act.js';
 import { jobDialog } from './dialogs.js';
@@ -28,7 +28,7 @@ function versions(item, context, current) {
       : actions(button('Use', `use-${item.id}-${one.version}`, () => choose(item.id, one.version), { done: `Version ${one.version} is in use` })))));
 }
 
-// A button for a calibration of a rig from one of `captures`: of its cameras or, with a dark capture too, of its pixels.
+// A button to calibrate a rig from one of `captures`: its cameras or, with a dark capture too, its pixels.
 export function calibrating(heading, item, rig, captures, context) {
   if (!rig || !context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
   return opener('Calibrate…', `calibrate-${item.id}`, () => calibrateDialog(heading, rig, captures, context));

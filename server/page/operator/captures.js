@@ -1,4 +1,4 @@
-// Captures: what was recorded, what it lacks, and what to do with it.
+// Captures: their recordings, their losses, and the jobs they can be used for.
 import { offers, post } from './api.js';
 import { actions, button, opener, performed } from './act.js';
 import { calibrating } from './calibrations.js';
@@ -13,7 +13,7 @@ function length(item, context) {
   return rate ? `${item.ticks} ticks, ${((item.ticks / rate) * 1000).toFixed(1)} ms` : `${item.ticks} ticks`;
 }
 
-// What a recording lacks: why it is incomplete, planes lost by layer summed over cameras, and damage found later.
+// List the faults of a recording: why it is incomplete, planes lost by layer over all cameras, and later damage.
 export function lacks(manifest) {
   const lost = {};
   for (const { drops } of manifest.cameras) {

@@ -1,10 +1,10 @@
-// Error against time: while it trains from what the stage says of itself, afterwards from the held-out camera's scores.
+// Error against time: during training from the messages of the stage, afterwards from the held-out camera's scores.
 import { drawing, element } from './dom.js';
 
 const W = 420, H = 150, LEFT = 44, RIGHT = 20, TOP = 8, BOTTOM = 24;
 const METRICS = { psnr_db: ['PSNR', 'dB'], loss: ['loss', ''], 'counts.rmse': ['count error', 'spikes'] };
 
-// {metric, value} that a training's message tells, or null: "step 10, loss 0.0312, PSNR 21.30 dB, 900 Gaussians".
+// Return {metric, value} of a training's message, such as "step 10, loss 0.0312, PSNR 21.30 dB", or null.
 export function figureIn(message) {
   const found = /PSNR (-?\d+(?:\.\d+)?) dB/.exec(message);
   if (found) return { metric: 'psnr_db', value: Number(found[1]) };
@@ -19,7 +19,7 @@ export function addFigure(points, progress, seq) {
   return [...points, { seq, seconds: at, ...figure }].sort((a, b) => a.seq - b.seq);
 }
 
-// Points of error_vs_time.json, which the report writes.
+// Return the points of error_vs_time.json, which the report writes.
 export function scored({ rows = [] }) {
   const metric = ['psnr_db', 'counts.rmse'].find((name) => rows.some((row) => Number.isFinite(row[name])));
   if (!metric) return [];
@@ -57,7 +57,7 @@ export function curve(points, caption) {
   const [name, unit] = METRICS[points[0].metric];
   const shown = points.filter((point) => point.metric === points[0].metric);
   const last = shown.at(-1);
-  const first = shown[0].seconds > 0.3 * last.seconds ? shown[0].seconds : 0; // a page that came late shows what it saw
+  const first = shown[0].seconds > 0.3 * last.seconds ? shown[0].seconds : 0; // a page opened late shows only what it saw
   const end = Math.max(last.seconds, first + 0.1);
   const [low, high] = range(shown.map((point) => point.value), 0.08);
   const x = (s) => LEFT + ((W - LEFT - RIGHT) * (s - first)) / (end - first);

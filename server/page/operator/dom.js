@@ -1,8 +1,8 @@
-// Elements are drawn afresh from the state and merged into those on the page, so that focus, typed text, open
-// details and playing videos stay as they are.
+// Elements are made anew from the state and merged into those on the page: focus, typed text, open details and
+// playing videos stay as they are.
 const HANDLERS = ['onclick', 'onchange', 'oninput', 'onsubmit', 'ontoggle'];
 const SVG = 'http://www.w3.org/2000/svg';
-const OWN = { DETAILS: ['open'], INPUT: ['value', 'disabled'], BUTTON: ['aria-busy'], A: ['aria-busy'] }; // set on the page itself
+const OWN = { DETAILS: ['open'], INPUT: ['value', 'disabled'], BUTTON: ['aria-busy'], A: ['aria-busy'] }; // attributes that the person changes
 
 export function element(tag, properties = {}, ...children) {
   const { data, ...rest } = properties;
@@ -33,7 +33,7 @@ function patchAttributes(live, wanted) {
   for (const name of HANDLERS) if (live[name] !== wanted[name]) live[name] = wanted[name];
 }
 
-// Make `live` look like `wanted`; both are the same kind of node.
+// Make `live`, a node on the page, look like `wanted`, a new one of the same kind.
 export function patch(live, wanted) {
   if (live.nodeType !== Node.ELEMENT_NODE) {
     if (live.nodeValue !== wanted.nodeValue) live.nodeValue = wanted.nodeValue;
@@ -57,7 +57,7 @@ export function patchChildren(parent, wanted) {
   for (const node of left) node.remove();
 }
 
-// Where the focused element is gone, its card has the focus: the keyboard stays where it was.
+// If the focused element is gone, focus its card, so that the keyboard stays in its place.
 export function keepingFocus(draw) {
   const focused = document.activeElement;
   const around = [];
@@ -71,7 +71,7 @@ export function keepingFocus(draw) {
 export const quiet = (...text) => element('p', { className: 'quiet' }, ...text);
 export const failure = (text) => text && element('p', { className: 'failed' }, text);
 
-const opened = new Set(); // folds that a person opened, also while what they fold is away
+const opened = new Set(); // ids of folds that a person opened, kept while they are not on the page
 
 export function fold(id, summary, content, onopen) {
   const made = element('details', { id, open: opened.has(id) }, element('summary', {}, summary), content);

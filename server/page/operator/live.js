@@ -1,9 +1,9 @@
-// Events as they happen, read with fetch: unlike EventSource it can send a token.
-import { request } from './api.js';
+// Events as they happen, read with fetch, which can send a token where EventSource cannot.
+import { request, wait } from './api.js';
 
 const AGAIN_MS = 2000;
 
-// Calls `onEvent` with each event's data; returns at the end of the stream, throws where it breaks.
+// Call `onEvent` with the data of each event; return at the end of the stream, throw if it breaks.
 export async function readEvents(path, onEvent, { after, signal } = {}) {
   const headers = { Accept: 'text/event-stream', ...(after !== undefined && { 'Last-Event-ID': String(after) }) };
   const response = await request(path, { headers, signal });
@@ -21,7 +21,7 @@ export async function readEvents(path, onEvent, { after, signal } = {}) {
   }
 }
 
-// Follows all events for as long as the page lives; `onState` is told whether they come.
+// Follow all events for as long as the page is open; `onState` is told whether they arrive.
 export async function follow(path, onEvent, onState) {
   let after;
   for (;;) {
@@ -31,6 +31,6 @@ export async function follow(path, onEvent, onState) {
       await reading;
     } catch { /* the service is gone or refuses; the page's own requests say which */ }
     onState(false);
-    await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+    await wait(AGAIN_MS);
   }
 }

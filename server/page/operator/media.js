@@ -18,7 +18,7 @@ export function video(path, label) {
   return sourced(element('video', { controls: true, loop: true, muted: true, playsInline: true, preload: 'metadata', ariaLabel: label }), path);
 }
 
-// A link that saves a file; with a token the file is fetched first, as links carry no header.
+// A link that saves a file; with a token the file is fetched first, because links send no header.
 export function download(id, path, name, label) {
   const made = element('a', { id, href: path, download: name }, label);
   if (token()) {

@@ -1,7 +1,7 @@
-// Fields of a form from the JSON Schema of a job, as GET /v1/options tells it.
+// The fields of a form, made from the JSON Schema of a job (GET /v1/options).
 import { element } from './dom.js';
 
-const GIVEN = ['type', 'capture', 'job']; // not for a person to fill in
+const GIVEN = ['type', 'capture', 'job']; // filled in by the page
 const FIRST = ['from', 'model', 'holdout', 'budget_s', 'board', 'method', 'ticks', 'format', 'at_s', 'name'];
 const WORDS = {
   model: 'Motion model', images: 'Images', init: 'Poses and points', supervision: 'Spike loss', refine: 'Refine poses',
@@ -17,7 +17,7 @@ const NOTES = {
 };
 const NONE = { rig: 'the one recorded with' };
 
-// What a property takes: its schema without the null that says it may be left out.
+// Return the schema of a property without the null that says it may be left out.
 function kindOf(schema, definitions) {
   const open = schema.anyOf?.find((one) => one.type !== 'null') ?? schema;
   return open.$ref ? { ...definitions[open.$ref.split('/').at(-1)], default: schema.default } : { ...open, default: schema.default };
@@ -75,7 +75,7 @@ function field(name, input, required) {
   return element('label', { htmlFor: input.id, className: check || (name === 'board' ? 'wide' : '') }, check ? [input, label] : [label, input], note);
 }
 
-// {first, more, values}: the fields to show at once, those behind "more", and what has been filled in.
+// Return {first, more, values}: the fields to show at once, those behind "more", and a function for their values.
 export function fieldsOf(schema, cameras, prefix) {
   const required = schema.required ?? [];
   const names = Object.keys(schema.properties).filter((name) => !GIVEN.includes(name));

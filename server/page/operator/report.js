@@ -1,4 +1,4 @@
-// A job's report in a frame that can run nothing and reach nothing: it may come from elsewhere.
+// A job's report, in a frame that runs nothing and reaches nothing: another program may have written it.
 import { get, request } from './api.js';
 import { artefact, download } from './media.js';
 

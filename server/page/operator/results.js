@@ -1,4 +1,4 @@
-// What is known of jobs beyond the list: artefacts, scores, curve and log, asked for once and when needed.
+// Details of jobs that the list does not have: artefacts, scores, curve and log, asked for once, when needed.
 import { get, offers, request } from './api.js';
 import { addFigure, scored } from './curve.js';
 import { readEvents } from './live.js';
@@ -7,7 +7,7 @@ import { artefact } from './media.js';
 const MOST_TEXT = 40_000; // characters of a log or result on the page
 const HISTORY_MS = 3000, QUIET_MS = 300;
 const known = new Map();
-let work = Promise.resolve(); // one request after another: a long list shall not flood the service
+let work = Promise.resolve(); // one request after another, so that a long list does not flood the service
 
 export const ended = (item) => item.status !== 'queued' && item.status !== 'running';
 
@@ -37,28 +37,28 @@ async function learnResults(item, found) {
   }
 }
 
-// The training so far, for a page that was opened in the middle of it.
+// Learn the course of a training that began before the page was opened.
 async function learnHistory(item, draw) {
   if (!offers('GET', '/jobs/{}/events')) return;
   const stop = new AbortController();
   let quiet = setTimeout(() => stop.abort(), HISTORY_MS);
   const told = (event) => {
     clearTimeout(quiet);
-    quiet = setTimeout(() => stop.abort(), QUIET_MS); // the past comes at once, the present twice a second
+    quiet = setTimeout(() => stop.abort(), QUIET_MS); // past events arrive at once, new ones twice a second
     progressed(item.id, event);
     draw();
   };
   await readEvents(`/v1/jobs/${item.id}/events?after=0`, told, { after: 0, signal: stop.signal });
 }
 
-// Ask for what the page lacks of a job; `draw` is called when it has come.
+// Ask for the details of a job that the page lacks; call `draw` when they arrive.
 export function learn(item, draw) {
   const found = of(item.id);
   if (found.state === item.status) return;
   found.state = item.status;
   if (item.status === 'queued') return;
   if (ended(item)) work = work.then(() => learnResults(item, found)).then(draw, () => draw());
-  else learnHistory(item, draw).catch(() => draw()); // beside the others: a stream that goes on would hold them up
+  else learnHistory(item, draw).catch(() => draw()); // beside the others, which an endless stream would hold up
 }
 
 export function progressed(id, event) {
@@ -67,7 +67,7 @@ export function progressed(id, event) {
   found.points = addFigure(found.points, event.data, event.seq);
 }
 
-// Without events the list itself brings figures, one a second.
+// Take figures from the list, one a second, if there are no events.
 export function polled(item) {
   if (item.status === 'running' && item.stage === 'train') progressed(item.id, { kind: 'progress', seq: item.message, data: item });
 }
@@ -75,7 +75,7 @@ export function polled(item) {
 export async function readLog(id) {
   const found = of(id);
   const text = await (await request(`/v1/jobs/${id}/log?line=${found.lines}`)).text();
-  const whole = text.slice(0, text.lastIndexOf('\n') + 1); // a line that is still being written comes next time
+  const whole = text.slice(0, text.lastIndexOf('\n') + 1); // an unfinished line is read next time
   found.lines += whole.split('\n').length - 1;
   found.log = (found.log + whole).slice(-MOST_TEXT);
 }

@@ -1,11 +1,11 @@
-// A rig: what its cameras see and how they are, its calibration, and the form that makes a capture.
+// A rig: the view and health of its cameras, its calibration, and the form that makes a capture.
 import { looksOn, offers, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
 import { ago, bar, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
 import { picture } from './media.js';
 
-const LEAST_S = 10; // of recording should fit
+const LEAST_S = 10; // seconds of recording that should fit on the disk
 
 function cameraLine(one) {
   const known = (value, text) => (value === null || value === undefined ? null : text);
@@ -50,7 +50,7 @@ function room({ disk, worker }) {
 
 const DOING = { record: 'recording', look: 'looking', preflight: 'checking' };
 
-// What the cameras are busy with: the rig's own card says it, whichever list it is in.
+// Show the capture or job that keeps the cameras busy.
 function work(doing, item) {
   if (!doing) return null;
   const stop = () => post(`/rigs/${item.id}/captures/${doing.id}/stop`);
@@ -82,7 +82,7 @@ function number(id, label, properties) {
   return [element('label', { htmlFor: id }, label, input), input];
 }
 
-// Ticks and milliseconds are one length: writing one shows the other.
+// Two fields for one length, in ticks and in milliseconds; typing in one fills the other.
 function lengths(item) {
   const perMs = item.tick_rate_hz / 1000;
   const [ticks, a] = number(`ticks-${item.id}`, 'Ticks', { min: 1, max: 10_000_000, step: 1, value: 400, required: true });

@@ -1,4 +1,4 @@
-// What the viewer uses of three.js and Spark; esbuild makes one file of it, vendor/spark.js.
+// The parts of three.js and Spark that the viewer uses; esbuild bundles them into vendor/spark.js.
 export { SparkRenderer, SplatMesh, dyno } from '@sparkjsdev/spark';
 export {
   BufferGeometry, Color, DataTexture, Float32BufferAttribute, FloatType, HalfFloatType, LineBasicMaterial, LineSegments,

@@ -1,10 +1,10 @@
-// The rig's cameras over the picture: a frustum and a name each, and the edge of the picture in a camera's own view.
+// The rig's cameras over the picture: a frustum and a name each, and in a camera's own view the edge of its picture.
 import { BufferGeometry, Float32BufferAttribute, LineBasicMaterial, LineSegments, Scene, Vector3 } from './vendor/spark.js';
 import { fit, poseOf } from './view.js';
 
-const TRAINING = '#4aa8ff'; // seen on black, so the same in light and dark
+const TRAINING = '#4aa8ff'; // both lie on black, in the light and the dark scheme
 const HELD_OUT = '#ffb02e';
-const LONG = 0.06; // of the distance from the rig to the scene
+const LONG = 0.06; // length of a frustum, as a share of the distance from the rig to the scene
 
 export const nameOf = (camera) => camera.held_out ? `${camera.id} (held out)` : camera.id;
 
@@ -25,7 +25,7 @@ function frustum(camera, depth) {
 }
 
 export class Cameras {
-  /** `names` is the element over the picture that holds the names, `edge` the one that outlines a camera's picture. */
+  /** `names` and `edge` are elements over the picture: one holds the names, one outlines a camera's picture. */
   constructor({ cameras, centre }, names, edge) {
     this.scene = new Scene();
     this.names = names;
@@ -47,7 +47,7 @@ export class Cameras {
     return label;
   }
 
-  /** Put names and edge where they are in this view; through a camera one sees what it saw, and no cameras. */
+  /** Put names and edge in their places in this view; the view of a camera shows no frustums. */
   place(view, size) {
     for (const { lines, label, centre } of this.items) {
       lines.visible = this.shown && !view.camera;

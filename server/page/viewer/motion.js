@@ -2,7 +2,7 @@
 // A row is three texels of four numbers: x y z opacity, qx qy qz qw, sx sy sz intensity.
 export const ROW = 12;
 
-/** Rows [count, 12] of the Gaussians from `first` on as they are stored, in `rows` (made where not given). */
+/** Write the rows [count, 12] of the stored Gaussians from `first` on into `rows`, new ones by default. */
 export function storedRows({ arrays }, first, count, rows = new Float32Array(count * ROW)) {
   for (let i = 0; i < count; i++) {
     const n = first + i;
@@ -16,7 +16,7 @@ export function storedRows({ arrays }, first, count, rows = new Float32Array(cou
   return rows;
 }
 
-/** Changes `rows` [M, 12], made by storedRows, to what they are at u in [0, 1]. */
+/** Move `rows` [M, 12], made by storedRows, to u in [0, 1]. */
 export function moveRows(scene, u, rows) {
   if (scene.manifest.motion === 'polynomial') polynomial(scene, u, rows);
   else if (scene.manifest.motion === 'keyframes') betweenKeys(scene, u, rows);
@@ -38,7 +38,7 @@ function polynomial({ manifest: { still, moving }, arrays }, u, rows) {
   }
 }
 
-/** Key k lies at u = k / (K - 1); linear in between, quaternions on the shorter way and at length one. */
+/** Key k lies at u = k / (K - 1); between keys all is linear, quaternions the shorter way round and normalised. */
 function betweenKeys({ manifest: { moving, keyframes }, arrays }, u, rows) {
   const place = Math.min(Math.max(u, 0), 1) * (keyframes - 1);
   const before = Math.min(Math.floor(place), Math.max(keyframes - 2, 0));

@@ -1,10 +1,10 @@
-// Draws the Gaussians as the renderer that trained them does, in linear light; then grey or depth colours, then cameras.
+// Draws the Gaussians in linear light, as the renderer that trained them does; then grey or depth colours, then cameras.
 import {
   BufferGeometry, Float32BufferAttribute, HalfFloatType, Mesh, NearestFilter, PerspectiveCamera, RawShaderMaterial,
   Scene, SparkRenderer, Vector2, Vector3, WebGLRenderTarget, WebGLRenderer,
 } from './vendor/spark.js';
 
-// matplotlib's turbo at thirteen places, far to near: as in the report, uniform in inverse depth and near is warm.
+// matplotlib's turbo at thirteen places from far (cold) to near (warm), uniform in inverse depth, as in the report.
 export const DEPTH_COLOURS = [
   '#30123b', '#434eba', '#4685fa', '#28bceb', '#1ae4b6', '#55fa76', '#a4fc3c', '#d9e436', '#faba39', '#fb7e21', '#e4450a',
   '#b91e02', '#7a0403',
@@ -12,9 +12,9 @@ export const DEPTH_COLOURS = [
 const ALPHA_MAX = 0.99;
 const ALPHA_MIN = 1 / 255;
 const DILATION_PX2 = 0.3;
-const REACH = Math.sqrt(2 * Math.log(255)); // standard deviations to where an opaque Gaussian is at ALPHA_MIN
+const REACH = Math.sqrt(2 * Math.log(255)); // standard deviations at which an opaque Gaussian has fallen to ALPHA_MIN
 
-// Red sums intensity, green depth along the axis (1 / gl_FragCoord.w), alpha the light taken.
+// Red sums intensity, green depth along the axis (1 / gl_FragCoord.w), alpha the absorbed light.
 const SPLAT = `
   precision highp float;
   uniform float minAlpha;
@@ -48,13 +48,13 @@ const DEVELOP = `
     seen = vec4(colour, 1.0);
   }`;
 
-/** What this browser lacks for the viewer, in one line, or null. */
+/** Return in one line what this browser lacks for the viewer, or null. */
 export function lacking() {
   const gl = document.createElement('canvas').getContext('webgl2');
-  if (!gl) return 'found no WebGL 2, expected it; use a current browser and switch its hardware acceleration on';
+  if (!gl) return 'found no WebGL 2; use a current browser and switch its hardware acceleration on';
   const floats = gl.getExtension('EXT_color_buffer_float') ?? gl.getExtension('EXT_color_buffer_half_float');
   gl.getExtension('WEBGL_lose_context')?.loseContext();
-  return floats ? null : 'found no floating-point pictures in WebGL 2, expected them; use a current browser or another GPU';
+  return floats ? null : 'found no floating-point pictures in WebGL 2; use a current browser or another GPU';
 }
 
 function developer(depth) {
@@ -107,7 +107,7 @@ export class Picture {
   /** True when the last frame was drawn with its Gaussians in order. */
   get settled() { return this.spark.activeSplats > 0 && !this.spark.sorting && !this.spark.sortDirty; }
 
-  /** Fits the pictures to the element around the canvas, in whole CSS pixels; returns their size in those. */
+  /** Fit the pictures to the element around the canvas; return their size in whole CSS pixels. */
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -116,7 +116,7 @@ export class Picture {
     return { width, height };
   }
 
-  /** One frame from a view, see view.js. */
+  /** Draw one frame from a View. */
   draw(view, size) {
     view.applyTo(this.camera, size);
     this.renderer.setRenderTarget(this.target);

@@ -1,30 +1,29 @@
-// Fetches viewer.json and viewer.bin of a job and checks that they fit each other.
-import { withToken } from '../token.js';
+// Fetches viewer.json and viewer.bin of a job and checks that they fit together.
+import { request } from '../operator/api.js';
+import { artefact } from '../operator/media.js';
 
 const VERSION = 1;
 const MOTIONS = ['static', 'polynomial', 'keyframes'];
 
 export class SceneError extends Error {}
 
-/** The scene of a job: {manifest, arrays}, arrays as Float32Array by name. Throws SceneError in one line. */
+/** Return the scene of a job: {manifest, arrays}, each array a Float32Array. Throws SceneError. */
 export async function loadScene(job, progress = () => {}) {
-  const folder = `/v1/jobs/${encodeURIComponent(job)}/artefacts`;
-  const manifest = await (await artefact(folder, job, 'viewer.json')).json().catch(() => {
+  const manifest = await (await fetched(job, 'viewer.json')).json().catch(() => {
     throw new SceneError('viewer.json: found no JSON, expected a manifest; export the job again');
   });
   checkManifest(manifest);
-  const bytes = await download(await artefact(folder, job, 'viewer.bin'), progress);
+  const bytes = await download(await fetched(job, 'viewer.bin'), progress);
   return { manifest, arrays: arraysOf(manifest, bytes) };
 }
 
-async function artefact(folder, job, name) {
-  const response = await fetch(`${folder}/${name}`, { headers: withToken() }).catch((error) => {
-    throw new SceneError(`found no answer from the service (${error.message}); start it and reload`);
-  });
-  if (response.ok) return response;
-  if (response.status === 401) throw new SceneError('The service asks for a token; enter it on the first page.');
-  const detail = (await response.json().catch(() => ({}))).detail ?? `status ${response.status}`;
-  throw new SceneError(`Job ${job} has no ${name} to show: ${detail}`);
+async function fetched(job, name) {
+  try {
+    return await request(artefact(encodeURIComponent(job), name));
+  } catch (error) {
+    if (error.status === 401) throw new SceneError('The service asks for a token; enter it on the first page.');
+    throw new SceneError(error.status ? `Job ${job} has no ${name} to show: ${error.message}` : error.message);
+  }
 }
 
 async function download(response, progress) {
@@ -67,7 +66,7 @@ const numbers = (list, length) => Array.isArray(list) && list.length === length 
 const isCamera = (camera) => numbers([camera.fx, camera.fy, camera.cx, camera.cy], 4)
   && camera.width > 0 && camera.height > 0 && numbers([camera.cam_from_rig].flat(2), 16);
 
-/** Shapes the manifest must give, by array name; null for one that may be absent. */
+/** Return the shapes of the arrays that a manifest must list, and of those it may list. */
 function expectedShapes({ count, moving, motion, keyframes }) {
   const shapes = { means: [count, 3], quats_wxyz: [count, 4], scales: [count, 3], opacities: [count], intensities: [count] };
   if (moving === 0 || motion === 'static') return { shapes, optional: {} };

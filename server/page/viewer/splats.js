@@ -1,4 +1,4 @@
-// The Gaussians as Spark takes them: rows in two textures, one for what is still and one that changes with time.
+// The Gaussians in the form Spark reads: rows in two textures, one for the still ones and one for the moving ones.
 import { DataTexture, FloatType, NearestFilter, RGBAFormat, SplatMesh, dyno } from './vendor/spark.js';
 import { ROW, moveRows, storedRows } from './motion.js';
 
@@ -26,7 +26,7 @@ function texture(count) {
   return made;
 }
 
-/** Spark's interface for splats that it is to read itself (its SplatSource). */
+/** Implements SplatSource, Spark's interface for splats that a shader reads. */
 class RowSource {
   constructor(scene) {
     const { still, moving } = scene.manifest;
@@ -67,7 +67,7 @@ class RowSource {
   dispose() { this.still.dispose(); this.moving.dispose(); }
 }
 
-/** A mesh of all Gaussians; `moveTo(u)` puts the moving ones where they are at u in [0, 1]. */
+/** Return a mesh of all Gaussians, and `moveTo(u)`, which moves them to u in [0, 1]. */
 export function makeSplats(scene) {
   const source = new RowSource(scene);
   const mesh = new SplatMesh({ splats: source, raycastable: false, editable: false });

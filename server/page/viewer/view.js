@@ -1,14 +1,14 @@
-// Where the viewer stands and through which lens: a pose in OpenCV axes in the rig frame, and pinhole intrinsics.
+// The view: a pose in the rig frame (OpenCV axes) and pinhole intrinsics.
 import { Matrix4, Quaternion, Vector3 } from './vendor/spark.js';
 
 const OPENGL_FROM_OPENCV = new Quaternion(1, 0, 0, 0); // half a turn about x
 const STAND_BACK = [1.3, 1.5, 1.75, 2]; // times the distance to the scene
 const ASIDE = [0.12, 0.1]; // radians
-const LOWEST = 0.92; // of the height: a camera's name stands below it
-const NEAREST = 0.1; // times the nearest depth: what a view among the objects still tells apart
+const LOWEST = 0.92; // share of the height; below it is room for a camera's name
+const NEAREST = 0.1; // times the nearest depth: the least depth that has a colour of its own
 const STEEPEST = 0.05; // radians between the line of sight and straight up or down
 
-/** {centre, turn}: the camera's centre (m) and rig_from_cam rotation, from cam_from_rig (row-major). */
+/** Return {centre, turn}: the camera's centre (m) and rig_from_cam rotation, from cam_from_rig (row-major). */
 export function poseOf(camera) {
   const rigFromCam = new Matrix4().set(...camera.cam_from_rig.flat()).invert();
   const pose = { centre: new Vector3(), turn: new Quaternion() };
@@ -16,7 +16,7 @@ export function poseOf(camera) {
   return pose;
 }
 
-/** How a camera's picture lies in a window of CSS pixels, whole and centred: scale, left, top. */
+/** Return the scale, left and top of a camera's picture, whole and centred in a window of CSS pixels. */
 export function fit(camera, { width, height }) {
   const scale = Math.min(width / camera.width, height / camera.height);
   return { scale, left: (width - scale * camera.width) / 2, top: (height - scale * camera.height) / 2 };
@@ -38,7 +38,7 @@ export class View {
     this.reset();
   }
 
-  /** From behind the rig's middle camera and to its side, with the scene in the middle and, where it can be, all cameras in sight. */
+  /** Look from behind and beside the rig's middle camera at the scene, with all cameras in sight if possible. */
   reset() {
     for (const back of STAND_BACK) {
       this.enter(this.home);
@@ -55,7 +55,7 @@ export class View {
     return at !== null && at.x > 0 && at.y > 0 && at.x < this.lens.width && at.y < LOWEST * this.lens.height;
   }
 
-  /** A camera's own view, exactly. */
+  /** Take exactly the view of a camera. */
   enter(camera) {
     Object.assign(this, poseOf(camera), { camera, lens: camera });
     const sight = along(this.turn, 0, 0, 1);
@@ -69,7 +69,7 @@ export class View {
     this.turn.setFromRotationMatrix(new Matrix4().makeBasis(x, z.clone().cross(x), z));
   }
 
-  /** Nearest and farthest depth (m) to tell apart: the cameras' own, `near` and `far`, shifted as the view is. */
+  /** Return the nearest and farthest depth (m) of the colours: the cameras', `near` and `far`, shifted with the view. */
   depths([near, far]) {
     if (this.camera) return [near, far];
     const moved = depthOf(this.middle, this) - depthOf(this.middle, poseOf(this.home));
@@ -121,7 +121,7 @@ export class View {
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
   }
 
-  /** A point (m, rig frame) in CSS pixels of the window, or null behind the viewer. */
+  /** Project a point (m, rig frame) to CSS pixels of the window; null if it is behind the viewer. */
   project(point, size) {
     const inCam = point.clone().sub(this.centre).applyQuaternion(this.turn.clone().invert());
     if (inCam.z <= 0) return null;

@@ -1,7 +1,7 @@
-// The viewer's page: loads a job's scene and plays it. /viewer.html?job=ID
+// The viewer's page, /viewer.html?job=ID: loads the scene of a job and plays it.
 import { SceneError, loadScene } from './scene.js';
 
-const PASS_S = 4; // how long a clip lasts on the screen at speed 1
+const PASS_S = 4; // seconds that a clip lasts on the screen at speed 1
 const $ = (id) => document.getElementById(id);
 
 function say(text, failed = false) {
@@ -11,7 +11,7 @@ function say(text, failed = false) {
   $('message').setAttribute('role', failed ? 'alert' : 'status');
 }
 
-/** What is shown when: u in [0, 1] of the clip, and whether it runs. */
+/** The time shown: u in [0, 1] of the clip, and whether it runs. */
 class Clock {
   constructor([first, last], changed) {
     this.lasts_ms = (last - first) * 1000;
@@ -46,7 +46,7 @@ class Clock {
     this.seek(this.u);
   }
 
-  /** Go on to the present; true where that moved it. */
+  /** Advance to `now`; return whether the time changed. */
   tick(now) {
     if (!this.running) return false;
     this.u = (this.u + Math.max(now - this.before, 0) / 1000 / PASS_S * this.speed) % 1;
@@ -70,7 +70,7 @@ class Player {
     new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe($('stage'));
     this.size = this.picture.resize();
     parts.steer(canvas, this.view, () => this.size, () => { $('from').value = ''; this.request(); });
-    canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone, expected it; reload the page', true));
+    canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone; reload the page', true));
   }
 
   request() {
@@ -145,7 +145,7 @@ function connect(player, manifest, colours) {
 
 async function loadParts() {
   await import('./vendor/spark.js').catch((error) => {
-    throw new SceneError(`found no renderer (${error.message}), expected it; run "make viewer" and reload this page`);
+    throw new SceneError(`found no renderer (${error.message}); run "make viewer" and reload this page`);
   });
   const [view, cameras, splats, picture, controls] = await Promise.all(
     ['view', 'cameras', 'splats', 'picture', 'controls'].map((name) => import(`./${name}.js`)),
