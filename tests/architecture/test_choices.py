@@ -67,6 +67,7 @@ ALLOWED = {
     ("reconstruction/stability/stiff.py", "scene"): "the ticks of each stiff scene",
     ("server/page/operator/jobs.js", "job type"): "the word a person reads for a type; another is shown by its name",
     ("server/schemas/jobs.py", "status"): "a stage's status, which may be waiting besides",
+    ("server/work/processes.py", "job type"): "those whose exit code 1 is an answer",
     ("server/work/stages.py", "job type"): "the method of each type of work that is not a task",
 }
 SEQUENCES = (ast.List, ast.Tuple, ast.Set)
