@@ -1,4 +1,4 @@
-"""Entity tags: what a client saw, and whether it is still so."""
+"""Entity tags: they name the version of a thing that a client saw."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ _ONE = re.compile(r'\s*(W/)?("[\x21\x23-\x7e]*")\s*')
 
 
 def tag(*parts: object) -> str:
-    """A strong entity tag, quotes included."""
+    """Return a strong entity tag, quotes included."""
     return '"' + "-".join(quote(str(part), safe="") for part in parts) + '"'
 
 
 def matches(header: str, etag: str, *, weak: bool = False) -> bool:
-    """Whether an If-Match header names `etag`, or, compared as `weak`, an If-None-Match header (RFC 9110, 13.1)."""
+    """Return whether an If-Match header or, compared as `weak`, an If-None-Match names `etag` (RFC 9110, 13.1)."""
     if header.strip() == "*":
         return True
     found = [_ONE.fullmatch(part) for part in header.split(",")]

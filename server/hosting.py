@@ -34,5 +34,5 @@ class _Server(uvicorn.Server):
 
 
 def server_of(app: FastAPI, settings: ServiceSettings) -> uvicorn.Server:
-    """A server of the service's application, with its logs set up."""
+    """Return a server of the service's application, with its logs set up."""
     return _Server(app, settings)

@@ -1,4 +1,4 @@
-"""The job engine unpickles a row that says it is a pickle, whatever serializer it was given. Not here."""
+"""Keeps pickles out of the job engine, which would read one from any row that says it is one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class PickleError(ServiceError):
 
 
 def refuse_pickles() -> None:
-    """From here on this process reads and writes no pickle in the engine's tables.
+    """Make this process refuse to read or write a pickle in the engine's tables.
 
-    Whoever may write to the database would otherwise run code in every worker and in the service.
+    Otherwise anyone who may write to the database could run code in every worker and in the service.
     """
     serialization.DefaultSerializer.deserialize = _refuse_reading
     serialization.DefaultSerializer.serialize = _refuse_writing

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from rigs.errors import Spike4dgsError
@@ -25,6 +25,48 @@ class SettingsError(Spike4dgsError):
     exit_code = 2
 
 
+def _address(host: str) -> str:
+    if host == "localhost":
+        return "127.0.0.1"
+    try:
+        return str(ipaddress.ip_address(host))
+    except ValueError as error:
+        raise ValueError(f"found {host[:60]}, expected an address such as 127.0.0.1 or 0.0.0.0") from error
+
+
+def _listed(names: object) -> object:
+    listed = tuple(name.strip() for name in names.split(",") if name.strip()) if isinstance(names, str) else names
+    return tuple(str(name).lower() for name in listed) if isinstance(listed, tuple | list) else listed
+
+
+def _host_name(host: str) -> str:
+    if not _HOST.fullmatch(host):
+        raise ValueError(f"found {host[:60]}, expected the name of a host, with or without :PORT")
+    return host
+
+
+def _origin(origin: str) -> str:
+    scheme, _, host = origin.partition("://")
+    if scheme not in ("http", "https") or not _HOST.fullmatch(host):
+        raise ValueError(f"found {origin[:60]}, expected one such as https://lab.example")
+    return origin
+
+
+def _collector(address: str) -> str:
+    if not address.startswith(("http://", "https://")):
+        raise ValueError(f"found {address}, expected a collector's address such as http://127.0.0.1:4318")
+    return address.rstrip("/")
+
+
+def _postgresql(url: str) -> str:
+    if not url.startswith("postgresql://"):
+        raise ValueError("found another scheme, expected postgresql://USER@HOST/NAME or nothing for SQLite")
+    return url
+
+
+_LISTED = (NoDecode, BeforeValidator(_listed))  # in the environment: names with commas between them
+
+
 class RigSource(BaseModel):
     """Where a rig is described (a name in the catalogue or a RIG.toml) and where its cameras are (a device URI)."""
 
@@ -37,7 +79,7 @@ class RigSource(BaseModel):
         return str(Path(rig).absolute()) if rig.endswith(".toml") else rig
 
     def load(self) -> Rig:
-        """The rig itself; raises RigError where it is not in the catalogue or its file cannot be used."""
+        """Return the rig itself; raises RigError where it is not in the catalogue or its file cannot be used."""
         return load_rig(Path(self.rig)) if self.rig.endswith(".toml") else catalog_rig(self.rig)
 
 
@@ -57,12 +99,12 @@ class ServiceSettings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="SPIKE4DGS_", frozen=True)
 
-    data: Path = Path(".spike4dgs")
-    database: str | None = None
-    host: str = "127.0.0.1"
+    data: Annotated[Path, AfterValidator(Path.absolute)] = Path(".spike4dgs")
+    database: Annotated[str, AfterValidator(_postgresql)] | None = None
+    host: Annotated[str, AfterValidator(_address)] = "127.0.0.1"
     port: int = 8000
-    hosts: Annotated[tuple[str, ...], NoDecode] = ()
-    origins: Annotated[tuple[str, ...], NoDecode] = ()
+    hosts: Annotated[tuple[Annotated[str, AfterValidator(_host_name)], ...], *_LISTED] = ()
+    origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], *_LISTED] = ()
     body_bytes: int = Field(default=2**20, ge=1)
     body_s: float = Field(default=30.0, gt=0)
     read_rate: float = Field(default=100.0, gt=0)
@@ -77,88 +119,36 @@ class ServiceSettings(BaseSettings):
     dead_s: float = Field(15.0, ge=1.0)
     gpu: int | None = None
     log: Literal["text", "json"] = "text"
-    otel: str | None = None
+    otel: Annotated[str, AfterValidator(_collector)] | None = None
     webhook_hosts: tuple[str, ...] = ()
     keep_days: Annotated[float | None, Field(gt=0, le=36_500, allow_inf_nan=False)] = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 
-    @field_validator("data")
-    @classmethod
-    def _absolute(cls, data: Path) -> Path:
-        return data.absolute()
-
-    @field_validator("otel")
-    @classmethod
-    def _collector(cls, otel: str | None) -> str | None:
-        if otel is not None and not otel.startswith(("http://", "https://")):
-            raise ValueError(f"found {otel}, expected a collector's address such as http://127.0.0.1:4318")
-        return otel and otel.rstrip("/")
-
-    @field_validator("host")
-    @classmethod
-    def _address(cls, host: str) -> str:
-        if host == "localhost":
-            return "127.0.0.1"
-        try:
-            return str(ipaddress.ip_address(host))
-        except ValueError as error:
-            raise ValueError(f"found {host[:60]}, expected an address such as 127.0.0.1 or 0.0.0.0") from error
-
-    @field_validator("hosts", "origins", mode="before")
-    @classmethod
-    def _listed(cls, names: object) -> object:
-        listed = tuple(name.strip() for name in names.split(",") if name.strip()) if isinstance(names, str) else names
-        return tuple(str(name).lower() for name in listed) if isinstance(listed, tuple | list) else listed
-
-    @field_validator("hosts")
-    @classmethod
-    def _host_names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
-        for host in hosts:
-            if not _HOST.fullmatch(host):
-                raise ValueError(f"found {host[:60]}, expected the name of a host, with or without :PORT")
-        return hosts
-
-    @field_validator("origins")
-    @classmethod
-    def _page_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
-        for origin in origins:
-            scheme, _, host = origin.partition("://")
-            if scheme not in ("http", "https") or not _HOST.fullmatch(host):
-                raise ValueError(f"found {origin[:60]}, expected one such as https://lab.example")
-        return origins
-
-    @field_validator("database")
-    @classmethod
-    def _postgresql(cls, database: str | None) -> str | None:
-        if database is not None and not database.startswith("postgresql://"):
-            raise ValueError("found another scheme, expected postgresql://USER@HOST/NAME or nothing for SQLite")
-        return database
-
     @property
     def exposed(self) -> bool:
-        """Whether others than this machine's own users may reach the service, which then needs a token."""
+        """Return whether others than this machine's own users may reach the service, which then needs a token."""
         return bool(self.hosts) or not ipaddress.ip_address(self.host).is_loopback
 
     @property
     def engine_url(self) -> str:
-        """Where the job engine keeps its tables."""
+        """Return where the job engine keeps its tables."""
         return self.database or f"sqlite:///{self.data / 'dbos.sqlite'}"
 
     @property
     def catalogue_url(self) -> str:
-        """Where the service keeps its own."""
+        """Return where the service keeps its own."""
         if self.database is None:
             return f"sqlite:///{self.data / 'catalogue.sqlite'}"
         return self.database.replace("postgresql://", "postgresql+psycopg://", 1)
 
     @property
     def database_name(self) -> str:
-        """The database as a message may name it: without a password."""
+        """Return the database as a message may name it: without a password."""
         return str(self.data) if self.database is None else self.database.rsplit("@", 1)[-1]
 
 
 def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> ServiceSettings:
-    """Settings from flags (None means not given) over the environment; raises SettingsError in one line.
+    """Return settings from flags (None means not given) over the environment; raises SettingsError.
 
     `rig` and `devices` describe one rig, which is then the only one.
     """

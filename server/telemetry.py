@@ -32,7 +32,7 @@ def configure_logs(settings: ServiceSettings) -> None:
 
 
 def trace_requests(app: FastAPI, settings: ServiceSettings) -> None:
-    """Send a span a request; raises SettingsError where the packages are missing."""
+    """Send a span for each request; raises SettingsError where the packages are missing."""
     if settings.otel is None:
         return
     _need_packages()
@@ -48,7 +48,7 @@ def trace_requests(app: FastAPI, settings: ServiceSettings) -> None:
 
 
 def engine_tracing(settings: ServiceSettings) -> DBOSConfig:
-    """What the job engine is told, so that it sends a span a job and a stage."""
+    """Return the options that make the job engine send a span for each job and stage."""
     if settings.otel is None:
         return {}  # type: ignore[typeddict-item]
     _need_packages()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+from collections import deque
+from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
@@ -12,12 +13,11 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from sqlalchemy.exc import SQLAlchemyError
 
 from server.schemas.progress import ACTIVE, Event
-from server.store import tables
 from server.store.store import Store
 
 _POLL_S = 0.25
 _KEEP_ALIVE_S = 15.0
-_WAITING = 512  # events that a listener may be behind
+_KEPT = 512  # events that every listener may still be sent without a look at the table
 _PAGE = 500
 _LOG = logging.getLogger(__name__)
 
@@ -32,35 +32,15 @@ class Frame:
     content: bytes
 
 
-class Listener:
-    """The frames that one listener has yet to be sent; after `None` nothing more comes."""
-
-    def __init__(self, entry_id: str | None) -> None:
-        self.entry_id = entry_id
-        self.waiting: asyncio.Queue[Frame | None] = asyncio.Queue(_WAITING + 1)
-
-    def give(self, frame: Frame) -> bool:
-        """Hand a frame on; return False where the listener is too far behind."""
-        if self.waiting.qsize() >= _WAITING:
-            return False
-        self.waiting.put_nowait(frame)
-        return True
-
-    def end(self) -> None:
-        """End the stream after the frames that are waiting."""
-        if not self.waiting.full():
-            self.waiting.put_nowait(None)
-
-
 class Hub:
     """Reads the table four times a second while anyone listens. Belongs to the event loop that it was started in."""
 
-    def __init__(self, store: Store, poll_s: float = _POLL_S, keep_alive_s: float = _KEEP_ALIVE_S) -> None:
+    def __init__(self, store: Store) -> None:
         self._store = store
-        self._poll_s = poll_s
-        self._keep_alive_s = keep_alive_s
-        self._listeners: set[Listener] = set()
-        self._seq = 0
+        self._listeners = 0
+        self._recent: deque[Frame] = deque(maxlen=_KEPT)  # all events after number `_from`, up to `_seq`
+        self._from = self._seq = 0
+        self._more = asyncio.Event()  # set when events come; a new one then takes its place
         self._closed = False
         self._task: asyncio.Task[None] | None = None
 
@@ -75,9 +55,7 @@ class Hub:
         if self._task is not None:
             self._task.cancel()
             self._task = None
-        for listener in self._listeners:
-            listener.end()
-        self._listeners.clear()
+        self._wake()
 
     def newest(self) -> int:
         """Return the number of the newest event."""
@@ -88,88 +66,80 @@ class Hub:
         return self._told(entry_id) not in ACTIVE and not self._store.events.after(after, entry_id, 1)
 
     async def stream(self, after: int, entry_id: str | None = None) -> AsyncGenerator[bytes]:
-        """Yield server-sent events after number `after`, of one entry or of all.
+        """Yield server-sent events after number `after`, of one entry or of all, and a comment now and then.
 
-        The stream of an entry ends with the event that ends the entry; any stream ends where the service does, and
-        where its reader is more than 512 events behind. Its reader then comes again with the last number it saw.
+        The stream of an entry ends with the event that ends the entry; any stream ends where the service does.
         """
-        async with self._listening(entry_id) as listener:
+        async with self._listening():
             status = await asyncio.to_thread(self._told, entry_id)
-            while frames := await asyncio.to_thread(self._read, after, entry_id):
-                after = frames[-1].seq
-                status = next((frame.status for frame in reversed(frames) if frame.status), status)
-                yield b"".join(frame.content for frame in frames)
-                if self._closed:
+            while not self._closed:
+                more = self._more
+                frames, after = await self._next(after, entry_id)
+                if frames:
+                    status = next((frame.status for frame in reversed(frames) if frame.status), status)
+                    yield b"".join(frame.content for frame in frames)
+                elif entry_id is not None and status not in ACTIVE:
                     return
-                if len(frames) < _PAGE:  # later ones are given to the listener
-                    break
-            if entry_id is not None and status not in ACTIVE:
-                return
-            async for frame in self._live(listener, after):
-                yield frame.content if frame is not None else KEEPALIVE_COMMENT
-                if frame is not None and entry_id is not None and frame.status not in (None, *ACTIVE):
-                    return
+                else:
+                    try:
+                        await asyncio.wait_for(more.wait(), _KEEP_ALIVE_S)
+                    except TimeoutError:
+                        yield KEEPALIVE_COMMENT
 
-    async def _live(self, listener: Listener, after: int) -> AsyncIterator[Frame | None]:
-        """Yield frames as they come, None after a silence."""
-        while True:
-            try:
-                frame = await asyncio.wait_for(listener.waiting.get(), self._keep_alive_s)
-            except TimeoutError:
-                yield None
-                continue
-            if frame is None:
-                return
-            if frame.seq > after:
-                yield frame
+    async def _next(self, after: int, entry_id: str | None) -> tuple[list[Frame], int]:
+        """Return the next frames after number `after`, and the number up to which there is no other."""
+        seq = self._seq
+        if after >= self._from:
+            recent = [frame for frame in self._recent if frame.seq > after and entry_id in (None, frame.entry)]
+            return recent, max(after, seq)
+        frames = await asyncio.to_thread(self._read, after, entry_id)
+        last = frames[-1].seq if frames else after
+        return frames, last if len(frames) == _PAGE else max(last, seq)
 
     @asynccontextmanager
-    async def _listening(self, entry_id: str | None) -> AsyncIterator[Listener]:
-        if not self._listeners:  # nobody was there to read the events of the meantime, nor is any of them due here
+    async def _listening(self) -> AsyncIterator[None]:
+        if not self._listeners:  # nobody has read the table since the last listener went
             newest = await asyncio.to_thread(self.newest)
             if not self._listeners:
-                self._seq = max(self._seq, newest)
-        listener = Listener(entry_id)
-        self._listeners.add(listener)
-        if self._closed:
-            listener.end()
+                self._recent.clear()
+                self._from = self._seq = max(self._seq, newest)
+        self._listeners += 1
         try:
-            yield listener
+            yield
         finally:
-            self._listeners.discard(listener)
+            self._listeners -= 1
 
     async def _run(self) -> None:
         while True:
-            await asyncio.sleep(self._poll_s)
-            await self._look()
+            await asyncio.sleep(_POLL_S)
+            try:
+                frames = await asyncio.to_thread(self._read, self._seq) if self._listeners else []
+            except SQLAlchemyError:
+                _LOG.exception("the event streams go on after an error")
+                continue
+            for frame in frames:
+                if frame.seq > self._seq:  # else the first of new listeners came while the table was read
+                    if len(self._recent) == _KEPT:
+                        self._from = self._recent[0].seq
+                    self._recent.append(frame)
+                    self._seq = frame.seq
+            if frames:
+                self._wake()
 
-    async def _look(self) -> None:
-        if not self._listeners:
-            return
-        try:
-            frames = await asyncio.to_thread(self._read, self._seq)
-        except SQLAlchemyError:
-            _LOG.exception("the event streams go on after an error")
-            return
-        for frame in frames:
-            self._seq = frame.seq
-            for listener in list(self._listeners):
-                if listener.entry_id in (None, frame.entry) and not listener.give(frame):
-                    listener.end()
-                    self._listeners.discard(listener)
+    def _wake(self) -> None:
+        self._more.set()
+        self._more = asyncio.Event()
 
     def _told(self, entry_id: str | None) -> str:
         found = self._store.entries.find([entry_id]) if entry_id is not None else []
         told = found[0].told if found else "done"
         return "queued" if told == "new" else told
 
-    def _read(self, after: int, entry_id: str | None = None) -> Sequence[Frame]:
-        return [_framed(event) for event in self._store.events.after(after, entry_id, _PAGE)]
-
-
-def _framed(event: tables.Event) -> Frame:
-    content = format_sse_event(
-        data_str=Event.model_validate(vars(event)).model_dump_json(), event=event.kind, id=str(event.seq)
-    )
-    status = str(event.data["status"]) if event.kind == "status" else None
-    return Frame(event.seq, event.entry, status, content)
+    def _read(self, after: int, entry_id: str | None = None) -> list[Frame]:
+        frames = []
+        for event in self._store.events.after(after, entry_id, _PAGE):
+            data = Event.model_validate(vars(event)).model_dump_json()
+            status = str(event.data["status"]) if event.kind == "status" else None
+            content = format_sse_event(data_str=data, event=event.kind, id=str(event.seq))
+            frames.append(Frame(event.seq, event.entry, status, content))
+        return frames

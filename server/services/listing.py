@@ -50,31 +50,18 @@ def page_of(
 
 def job_document(entry: Listed, status: Status) -> Document:
     """Return an entry as a `Job` in JSON."""
-    return {
-        **_progress(entry.progress),
-        "id": entry.id,
-        "type": entry.type,
-        "created": entry.created,
-        "status": status,
-        "priority": entry.priority,
-        "name": entry.name,
-        "request": _request(entry.type, entry.request),
-        "rig": entry.rig,
-    }
+    request = _request(entry.type, entry.request)
+    return _shown(entry, status) | {"priority": entry.priority, "request": request}
 
 
 def capture_document(entry: Listed, status: Status) -> Document:
     """Return an entry as a `Capture` in JSON."""
-    return {
-        **_progress(entry.progress),
-        "id": entry.id,
-        "type": entry.type,
-        "rig": entry.rig,
-        "ticks": _ticks(entry.request),
-        "name": entry.name,
-        "created": entry.created,
-        "status": status,
-    }
+    return _shown(entry, status) | {"ticks": _ticks(entry.request)}
+
+
+def _shown(entry: Listed, status: Status) -> Document:
+    kept = {name: getattr(entry, name) for name in ("id", "type", "created", "rig", "name")}
+    return _progress(entry.progress) | kept | {"status": status}
 
 
 @lru_cache(_TEXTS)

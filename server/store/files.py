@@ -14,6 +14,8 @@ import fcntl
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -75,15 +77,26 @@ class DataFolder:
         shutil.rmtree(aside)
 
 
-def is_locked(folder: Path) -> bool:
-    """Return whether some process holds the folder's flock."""
-    if not folder.exists():
-        return False
-    descriptor = os.open(folder, os.O_RDONLY)
+@contextmanager
+def locked(path: Path, flags: int = os.O_RDONLY, *, wait: bool = False) -> Iterator[int]:
+    """Hold the flock of a file or folder; yields a descriptor of it.
+
+    Raises BlockingIOError where another process holds it, unless told to `wait` for that.
+    """
+    descriptor = os.open(path, flags, 0o644)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        yield descriptor
     finally:
         os.close(descriptor)
-    return False
+
+
+def is_locked(folder: Path) -> bool:
+    """Return whether some process holds the folder's flock."""
+    try:
+        with locked(folder):
+            return False
+    except FileNotFoundError:
+        return False
+    except BlockingIOError:
+        return True

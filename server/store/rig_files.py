@@ -7,19 +7,16 @@ DATA/rigs/RIG/pictures/JID.png         the residuals of the calibration that a j
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import fcntl
 import hashlib
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 from acquisition.durable import write_durably
 from rigs.rig import Rig
 from server.errors import RigMismatchError
 from server.store.calibrations import Calibrations
-from server.store.files import DataFolder
+from server.store.files import DataFolder, locked
 
 
 class RigFiles:
@@ -39,7 +36,7 @@ class RigFiles:
         The last writer has read last, so a crash or a race leaves nothing stale that the next call does not mend.
         """
         path = self.path(rig_id)
-        with _locked(path.with_name(".calibration.lock")):
+        with locked(path.with_name(".calibration.lock"), os.O_RDWR | os.O_CREAT, wait=True):
             _, stored = self._calibrations.current(rig_id)
             if stored is None:
                 path.unlink(missing_ok=True)
@@ -99,13 +96,3 @@ def with_pixels_of(rig: Rig, other: Rig) -> Rig:
 def without_pixels(rig: Rig) -> Rig:
     """Return `rig` without its pixel maps."""
     return dataclasses.replace(rig, cameras=tuple(dataclasses.replace(c, pixels=None) for c in rig.cameras))
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from server.errors import OffsetError, StateError, UploadDiskError, UploadSizeError
+from server.store.files import locked
 
 _FREE_EVERY = 1 << 20  # bytes, at most, between two looks at the free disk
 
@@ -18,17 +18,14 @@ _FREE_EVERY = 1 << 20  # bytes, at most, between two looks at the free disk
 @contextmanager
 def held(path: Path) -> Iterator[int]:
     """Open the file and hold its flock; yields the descriptor. Raises StateError where somebody else holds it."""
-    descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-    try:
+    with ExitStack() as stack:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            descriptor = stack.enter_context(locked(path, os.O_RDWR | os.O_NOFOLLOW))
         except BlockingIOError as error:
             raise StateError(
                 f"found another request at work on the upload {path.parent.name}", "one at a time", "try again"
             ) from error
         yield descriptor
-    finally:
-        os.close(descriptor)
 
 
 def digest_of(descriptor: int) -> str:

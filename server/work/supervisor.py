@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
 import json
 import os
 import signal
@@ -16,6 +15,7 @@ from typing import TextIO, cast
 
 from acquisition.progress import Progress
 from server.errors import ServiceError
+from server.store.files import locked
 from server.work.leash import leashed
 
 _LOCK_POLL_S = 0.1
@@ -115,20 +115,14 @@ async def _tell(transport: asyncio.SubprocessTransport, relay: _Relay, control: 
 
 @contextlib.asynccontextmanager
 async def _locked(folders: Sequence[Path]) -> AsyncIterator[list[int]]:
-    descriptors: list[int] = []
-    try:
-        for folder in folders:
-            descriptors.append(os.open(folder, os.O_RDONLY))
-            while True:
-                try:
-                    fcntl.flock(descriptors[-1], fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                except BlockingIOError:
-                    await asyncio.sleep(_LOCK_POLL_S)
+    with contextlib.ExitStack() as stack:
+        descriptors: list[int] = []
+        while len(descriptors) < len(folders):
+            try:
+                descriptors.append(stack.enter_context(locked(folders[len(descriptors)])))
+            except BlockingIOError:
+                await asyncio.sleep(_LOCK_POLL_S)
         yield descriptors
-    finally:
-        for descriptor in descriptors:
-            os.close(descriptor)
 
 
 class _Relay(asyncio.SubprocessProtocol):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import logging
-import os
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
@@ -29,6 +27,7 @@ from server.errors import WorkerRunningError
 from server.pickles import refuse_pickles
 from server.settings import ServiceSettings
 from server.store.database import is_outage, reason_of
+from server.store.files import locked
 from server.store.store import Store
 from server.store.tables import Worker
 from server.telemetry import configure_logs, engine_tracing
@@ -146,14 +145,11 @@ def _exclusive(settings: ServiceSettings, name: str) -> Iterator[None]:
     """Hold the flock of the worker's name on this data folder: a killed worker's is free at once."""
     folder: Path = settings.data / "workers" / name
     folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
+    with ExitStack() as stack:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            stack.enter_context(locked(folder))
         except BlockingIOError as error:
             raise WorkerRunningError(
                 f"found another worker {name} on {settings.data}", "none", "stop it or choose another --name"
             ) from error
         yield
-    finally:
-        os.close(descriptor)
