@@ -51,7 +51,7 @@ class Transport:
         self._http.auth = Patience()
 
     def _send(self, method: str, path: str, **request: Any) -> httpx.Response:
-        return self._checked(self._http.request(method, f"/v1{path}", **request))
+        return self._checked(self._http.send(self._http.build_request(method, f"/v1{path}", **request)))
 
     def _get(self, path: str, model: type[_M], **parameters: str | int) -> _M:
         return model.model_validate_json(self._send("GET", path, params=parameters).content)
