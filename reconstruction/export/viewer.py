@@ -1,11 +1,11 @@
 """`viewer.json` and `viewer.bin`: what a browser needs to play a scene in space and time.
 
 Letters: N Gaussians, the still ones first, then M that move; K keyframes. The arrays lie in `viewer.bin` one after
-another, little-endian float32; `viewer.json` has their places, the cameras, and how the M move: `polynomial`
-(`Motion`, evaluated by the browser: `means` are at each Gaussian's own instant, `opacities` before the gate) or
-`keyframes` for any other model, K even instants over the clip. There `means` to `scales` are those of the middle key,
-`opacities` the most of any key, and neighbouring quaternions lie in one hemisphere, so that they can be mixed as
-numbers. Light that flickers is shown steady. Gaussians under 1/255 throughout are left out.
+another, little-endian float32; `viewer.json` has their places, the cameras, and the kind of motion. A `polynomial` is
+evaluated by the browser: `means` are at each Gaussian's own instant, `opacities` before the gate. Any other model is
+`keyframes`, K even instants over the clip: `means` to `scales` are those of the middle key, `opacities` the largest of
+any key, and neighbouring quaternions lie in one hemisphere, so that they can be interpolated as numbers. Flickering
+light is shown steady. Gaussians that are under 1/255 all the time are left out.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from rigs.camera import Camera
 
 VERSION = 1
 KEYFRAMES = 24
-EMPTY_M = 1.5  # where to look when nothing is seen
+EMPTY_M = 1.5  # distance to look at where nothing is seen, m
 
 Arrays = dict[str, Floats]
 
 
 def write_viewer(folder: Path, scene: Scene) -> None:
-    """Both files into `folder`, the one that names the other's contents last."""
+    """Write both files into `folder`, last the one that names the other's contents."""
     document, data = viewer_of(scene)
     write_durably(folder / "viewer.bin", data)
     write_json(folder / "viewer.json", document)
@@ -43,7 +43,7 @@ def write_viewer(folder: Path, scene: Scene) -> None:
 
 @torch.no_grad()
 def viewer_of(scene: Scene) -> tuple[dict, bytes]:
-    """The document of `viewer.json` and the bytes of `viewer.bin`."""
+    """Return the document of `viewer.json` and the bytes of `viewer.bin`."""
     still, moving = _still(scene.gaussians), _moving(scene.gaussians)
     count, movers = len(still["means"]), len(moving["means"])
     arrays = {name: np.concatenate([array, moving[name]]) for name, array in still.items()}
@@ -77,7 +77,7 @@ def _still(cloud: DynamicCloud) -> Arrays:
 
 
 def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor) -> Arrays:
-    """The arrays that still and moving Gaussians share."""
+    """Return the arrays that still and moving Gaussians share."""
     return {
         "means": floats(means),
         "quats_wxyz": floats(unit(quats)),
@@ -126,14 +126,14 @@ def _keyframes(cloud: DynamicCloud) -> Arrays:
 
 
 def _one_hemisphere(quats: Floats) -> Floats:
-    """Quaternions [K, M, 4], each on the same side as the one before it."""
+    """Return quaternions [K, M, 4] with signs that put each into the hemisphere of the one before it."""
     turned = np.where((quats[1:] * quats[:-1]).sum(axis=-1) < 0, -1, 1).astype(np.float32)
     signs = np.concatenate([np.ones_like(turned[:1]), turned]).cumprod(axis=0)
     return quats * signs[..., None]
 
 
 def _motion_of(arrays: Arrays) -> dict:
-    """How the Gaussians move, told by the arrays there are."""
+    """Return what the document says of the motion, told by the arrays there are."""
     if "key_means" in arrays:
         return {"motion": "keyframes", "degree": 0, "keyframes": KEYFRAMES}
     degree = 3 if "jerks" in arrays else 1 if "velocities" in arrays else 0
@@ -152,7 +152,7 @@ def _camera_table(camera: Camera, holdout: str | None) -> dict:
 
 
 def _seen(scene: Scene) -> dict:
-    """The middle of what the default camera sees half-way through the clip, and the span of its depth."""
+    """Return the middle of the default camera's view half-way through the clip, and the span of its depth."""
     camera = scene.camera(Choices())
     depth = scene.cloud.look(camera, scene.cloud.clip.middle_s).depth
     rows, columns = np.nonzero(np.isfinite(depth))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -15,7 +15,7 @@ from reconstruction.scene_model import Rate
 
 @dataclass
 class GaussianCloud:
-    """N Gaussians: where they are, how they are turned and stretched, how dense and how bright.
+    """N Gaussians, of which every tensor is named by what it holds and how that is encoded.
 
     Raises ReconstructionError for shapes that do not fit one another or numbers that are not finite.
     """
@@ -47,7 +47,7 @@ class GaussianCloud:
 
     @classmethod
     def from_points(cls, points: Tensor, intensities: Tensor, scales: Tensor, opacity: float = 0.5) -> GaussianCloud:
-        """Round Gaussians at points [N, 3] with intensities [N, C] and standard deviations [N] in metres."""
+        """Return round Gaussians at points [N, 3] in m with intensities [N, C] and standard deviations [N] in m."""
         if not 0 < opacity < 1:
             raise ReconstructionError(f"found the opacity {opacity}", "a number between 0 and 1")
         if not bool((scales > 0).all()):
@@ -57,18 +57,9 @@ class GaussianCloud:
         logits = torch.full_like(scales, opacity).logit()
         return cls(points.clone(), quats, scales.log()[:, None].repeat(1, 3), logits, intensities.clone())
 
-    @classmethod
-    def cat(cls, clouds: Sequence[GaussianCloud]) -> GaussianCloud:
-        """One cloud of all `clouds`, in order."""
-        return cls(*(torch.cat(tensors) for tensors in zip(*(vars(c).values() for c in clouds), strict=True)))
-
     def __len__(self) -> int:
         return len(self.means)
 
     def select(self, which: Tensor) -> GaussianCloud:
-        """The Gaussians at indices, or where a mask [N] is true."""
+        """Return the Gaussians at indices, or where a mask [N] is true."""
         return GaussianCloud(*(t[which] for t in vars(self).values()))
-
-    def to(self, target: torch.dtype | torch.device | str) -> GaussianCloud:
-        """The same cloud as another float type or on another device."""
-        return GaussianCloud(*(t.to(target) for t in vars(self).values()))

@@ -1,12 +1,12 @@
 """Deformable 3D Gaussians: one canonical cloud, deformed by a network of place and time.
 
 Letters: M moving Gaussians, W width of the network, D inner layers, I inputs. A place, -1 to 1 in the box, is encoded
-by itself and the sines and cosines of it times 1, 2, 4, .. and pi, the time likewise. Cost: M x about D W^2
+by itself and the sines and cosines of pi times it, times 1, 2, 4 and so on; the time likewise. Cost: M x about D W^2
 multiplications a render.
 Source: Yang et al., "Deformable 3D Gaussians for high-fidelity monocular dynamic scene reconstruction", CVPR 2024. As
-there: what is encoded, the input given again half-way, offsets of place, quaternion and log scales, means not taught
-through the encoding. Not as there: width, depth and octaves (there 256, 8, 10 and 6 or 10; too dear on a CPU), and a
-last layer that starts at zero, so that the field starts as no deformation.
+there: the encoding, the input given again half-way, offsets of position, quaternion and log scales, no gradient to the
+means through the encoding. Not as there: width, depth and octaves, which are 256, 8, 10 and 6 or 10 there and too
+costly on a CPU, and a last layer that starts at zero, so that the field begins without any deformation.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ INPUTS = 3 * (1 + 2 * PLACE_OCTAVES) + 1 + 2 * TIME_OCTAVES
 
 @dataclass
 class DeformationMotion(CanonicalMotion):
-    """The network."""
+    """The network's weights."""
 
     kind = "deformation"
     rates: ClassVar[Mapping[str, Rate]] = dict.fromkeys(("entry", "inner", "again", "exit"), Rate(3e-3, deforms=True))
@@ -41,7 +41,7 @@ class DeformationMotion(CanonicalMotion):
 
     @classmethod
     def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
-        """A field that deforms nothing yet, over the box that `box_around` finds."""
+        """Return a field that deforms nothing yet, over the box that `box_around` finds."""
         return cls(
             box=box_around(means, least_m),
             entry=layer((WIDTH, INPUTS), generator),
@@ -51,7 +51,7 @@ class DeformationMotion(CanonicalMotion):
         )
 
     def offsets(self, places: Tensor, u: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Offsets [M, 3], [M, 4], [M, 3] at `places` [M, 3] in -1 to 1 and u in 0 to 1."""
+        """Return offsets [M, 3], [M, 4], [M, 3] at `places` [M, 3] in -1 to 1 and u in 0 to 1."""
         time = encoded(places.new_tensor([[2 * u - 1]]), TIME_OCTAVES).expand(len(places), -1)
         inputs = torch.cat([encoded(places.detach(), PLACE_OCTAVES), time], dim=1)
         values = affine(self.entry, inputs).relu()
@@ -63,6 +63,6 @@ class DeformationMotion(CanonicalMotion):
 
 
 def encoded(values: Tensor, octaves: int) -> Tensor:
-    """`values` [M, n] beside sines and cosines of pi times them, twice, four times ..: [M, n (1 + 2 octaves)]."""
+    """Return `values` [M, n] beside the sines and cosines of pi 2^k times them: [M, n (1 + 2 octaves)]."""
     angles = math.pi * torch.cat([values * 2**k for k in range(octaves)], dim=1)
     return torch.cat([values, angles.sin(), angles.cos()], dim=1)

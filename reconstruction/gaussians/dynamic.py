@@ -33,10 +33,7 @@ MODELS: dict[str, type[MotionModel]] = {
 
 @dataclass
 class DynamicCloud:
-    """`still` [N] and `moving` [M] with its `motion`, over `clip`.
-
-    `light` [T] is the gain of each of the clip's planes; one alone where the light is steady.
-    """
+    """N still Gaussians and M moving ones with their motion; see `scene_model.SceneModel`."""
 
     still: GaussianCloud
     moving: GaussianCloud
@@ -49,18 +46,19 @@ class DynamicCloud:
         return len(self.still) + len(self.moving)
 
     def at(self, instant_s: float) -> Instantaneous:
-        """The cloud at one instant of the rig clock; differentiable in everything stored."""
+        """Return all Gaussians at one instant of the rig clock; differentiable in every stored tensor."""
         still, moving, u = self.still, self.moving, self.clip.fraction(instant_s)
         now = Instantaneous(
             still.means, still.quats_wxyz, still.log_scales, still.opacity_logits.sigmoid(), still.intensities
         )
         if len(moving):
-            now = _joined(now, self.motion.at(moving, u))
+            pairs = zip(now, self.motion.at(moving, u), strict=True)
+            now = Instantaneous(*(torch.cat(pair) for pair in pairs))
         return now if len(self.light) == 1 else now._replace(intensities=now.intensities * gain_at(self.light, u))
 
     @property
     def changes(self) -> bool:
-        """Whether it is not the same at all instants."""
+        """Tell whether the cloud differs between instants."""
         return len(self.moving) > 0 or len(self.light) > 1
 
     def look(self, camera: Camera, instant_s: float) -> View:
@@ -71,7 +69,7 @@ class DynamicCloud:
         return View(rendering.intensity[..., 0].numpy(), rendering.median.numpy())
 
     def positions(self, instant_s: float) -> Tensor:
-        """Where all Gaussians are at an instant [N + M, 3], m."""
+        """Return the positions [N + M, 3] in m of all Gaussians at an instant of the rig clock."""
         return self.at(instant_s).means
 
     def movers(self, instant_s: float) -> tuple[Tensor, Tensor]:
@@ -85,19 +83,19 @@ class DynamicCloud:
         return own | {f"motion.{kind}": rate for kind, rate in self.motion.rates.items()}
 
     def advance(self, done: float) -> float:
-        """Tell the motion how much of the training lies behind: what lies behind of the motion's own stage."""
+        """Tell the motion that `done` (0 to 1) of the training is over; return how much of its own stage is."""
         return self.motion.advance(self.moving, done)
 
     def penalty(self) -> Tensor | None:
-        """What the motion's own regulariser adds to the loss, where it has one."""
+        """Return the scalar that the motion's own regulariser adds to the loss, or None where it has none."""
         return self.motion.penalty(self.moving)
 
     def opacity(self) -> Tensor:
-        """How much of the light each Gaussian takes at most [N + M], in [0, 1]."""
+        """Return the largest share of the light that each Gaussian takes, [N + M] in 0 to 1, without gradients."""
         return torch.cat([part.opacity_logits.detach() for part in (self.still, self.moving)]).sigmoid()
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
-        """Every stored tensor by a stable name, `still.means` to `motion.log_durations`."""
+        """Yield every stored tensor with its name, `still.means` to `motion.log_durations`."""
         for name in ("still", "moving"):
             for key, tensor in vars(getattr(self, name)).items():
                 yield f"{name}.{key}", tensor
@@ -105,12 +103,12 @@ class DynamicCloud:
             yield f"motion.{key}", tensor
 
     def to(self, dtype: torch.dtype) -> DynamicCloud:
-        """The same cloud as another float type."""
+        """Return the same cloud in another float type."""
         tensors = {k: t.to(dtype) if t.is_floating_point() else t for k, t in self.state()["tensors"].items()}
         return DynamicCloud.from_state({**self.state(), "tensors": tensors})
 
     def state(self) -> dict[str, Any]:
-        """Plain tensors, numbers and names, for a checkpoint."""
+        """Return tensors, numbers and names, for a checkpoint."""
         return {
             "clip": [self.clip.first_s, self.clip.last_s],
             "light": self.light.clone(),
@@ -120,7 +118,7 @@ class DynamicCloud:
 
     @classmethod
     def from_state(cls, state: dict) -> DynamicCloud:
-        """The inverse of `state`; raises ReconstructionError for a model or tensors it does not know."""
+        """Return the cloud whose `state` this is; raises ReconstructionError for an unknown model or tensors."""
         parts: dict[str, dict[str, Tensor]] = {"still": {}, "moving": {}, "motion": {}}
         kind = state.get("model", PolynomialMotion.kind)
         try:
@@ -136,8 +134,3 @@ class DynamicCloud:
             raise ReconstructionError(
                 f"found {found}", f"one of {', '.join(MODELS)} as this version stores it", "train again"
             ) from error
-
-
-def _joined(still: Instantaneous, moving: Instantaneous) -> Instantaneous:
-    """All Gaussians of both, the still ones first."""
-    return Instantaneous(*(torch.cat(pair) for pair in zip(still, moving, strict=True)))

@@ -1,11 +1,13 @@
 """4DGS: one canonical cloud, deformed by a field on six planes of space and time and a small network.
 
 Letters: M moving Gaussians, F features, S cells along x, y and z, T along time, W width of the network. Each level has
-planes xy, xz, yz [3, F, S, S] and xt, yt, zt [3, F, T, S]; six samples are multiplied, the levels joined. Cost:
-M x (12 x F bilinear samples + about 3 W^2 multiplications) a render.
+planes xy, xz, yz [3, F, S, S] and xt, yt, zt [3, F, T, S], whose six samples are multiplied; the features of the levels
+are joined. Cost: M x (12 x F bilinear samples + about 3 W^2 multiplications) a render.
 Source: Wu et al., "4D Gaussian splatting for real-time dynamic scene rendering", CVPR 2024; Cao & Johnson, "HexPlane",
-CVPR 2023. As there: two levels, planes of space uniform in 0.1 to 0.5 and of time one at the start, opacity unchanged.
-Not as there: the last layers start at zero, so that the field starts as no deformation.
+CVPR 2023. As there: two levels, planes of space that start uniform in 0.1 to 0.5 and of time that start at one. Not as
+there: a smaller grid (32 and 64 cells, 25 times; published for several views: 64 and 128, 150) and network (64 wide;
+published 128), opacity and colour not deformed, a weight of 0.01 on smoothness in time (published 0.001), and last
+layers that start at zero, so that the field begins without any deformation.
 """
 
 from __future__ import annotations
@@ -27,12 +29,12 @@ WIDTH = 64
 SPACE_CELLS = (32, 64)  # coarse and fine
 TIME_CELLS = 25
 AXES = torch.tensor([[0, 1], [0, 2], [1, 2]])  # of planes xy, xz, yz
-SMOOTH_SPACE, SMOOTH_TIME, TIME_ONE = 1e-4, 1e-2, 1e-4  # weights of the published regulariser
+SMOOTH_SPACE, SMOOTH_TIME, TIME_ONE = 1e-4, 1e-2, 1e-4  # weights of the regulariser
 
 
 @dataclass
 class HexPlaneMotion(CanonicalMotion):
-    """The field."""
+    """The weights of the field."""
 
     kind = "4dgs"
     rates: ClassVar[Mapping[str, Rate]] = {
@@ -49,7 +51,7 @@ class HexPlaneMotion(CanonicalMotion):
 
     @classmethod
     def around(cls, means: Tensor, least_m: float, generator: torch.Generator) -> Self:
-        """A field that deforms nothing yet, over the box that `box_around` finds."""
+        """Return a field that deforms nothing yet, over the box that `box_around` finds."""
         spaces = [torch.empty(3, FEATURES, s, s).uniform_(0.1, 0.5, generator=generator) for s in SPACE_CELLS]
         times = [torch.ones(3, FEATURES, TIME_CELLS, s) for s in SPACE_CELLS]
         return cls(
@@ -64,7 +66,7 @@ class HexPlaneMotion(CanonicalMotion):
         )
 
     def offsets(self, places: Tensor, u: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Offsets [M, 3], [M, 4], [M, 3] at `places` [M, 3] in -1 to 1 and u in 0 to 1."""
+        """Return offsets [M, 3], [M, 4], [M, 3] at `places` [M, 3] in -1 to 1 and u in 0 to 1."""
         across = places[:, AXES].transpose(0, 1)[:, None]  # [3, 1, M, 2]
         along = torch.stack([places.T, torch.full_like(places.T, 2 * u - 1)], dim=-1)[:, None]
         levels = ((self.coarse_space, self.coarse_time), (self.fine_space, self.fine_time))
@@ -75,7 +77,7 @@ class HexPlaneMotion(CanonicalMotion):
         return shift, turn, stretch
 
     def penalty(self, moving: GaussianCloud) -> Tensor:
-        """Squared differences of neighbouring cells in space, second ones in time, and how far time is from one."""
+        """Return the weighted sum of squared differences in space, second ones in time, and |1 - planes of time|."""
         space = sum(_rough(p, 2, 1) + _rough(p, 3, 1) for p in (self.coarse_space, self.fine_space))
         times = (self.coarse_time, self.fine_time)
         time = sum(_rough(p, 2, 2) for p in times)
@@ -84,7 +86,7 @@ class HexPlaneMotion(CanonicalMotion):
 
 
 def _fused(space: Tensor, time: Tensor, across: Tensor, along: Tensor) -> Tensor:
-    """Product [F, M] of the six planes of a level, sampled at `across` and `along` [3, 1, M, 2]."""
+    """Return the product [F, M] of the six planes of a level, sampled at `across` and `along` [3, 1, M, 2]."""
     options = {"mode": "bilinear", "padding_mode": "border", "align_corners": True}
     sampled = [grid_sample(plane, where, **options) for plane, where in ((space, across), (time, along))]
     both = sampled[0] * sampled[1]

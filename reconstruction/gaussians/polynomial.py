@@ -43,14 +43,14 @@ class PolynomialMotion(MotionModel):
 
     @classmethod
     def at_rest(cls, instants: Tensor, duration: float, *, cubic: bool = False) -> PolynomialMotion:
-        """No velocity yet; each alive around its instant for about `duration` clips."""
+        """Return a motion without velocities, each Gaussian alive around its instant [M] for about `duration` clips."""
         logs = torch.full_like(instants, math.log(duration))
         still = torch.zeros(len(instants), 3, dtype=instants.dtype)
         bends = still if cubic else still[:0]
         return cls(still, bends.clone(), bends.clone(), instants.clone(), logs)
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
-        """Moved along, turned and stretched as stored, as opaque as the window lets them."""
+        """Return the Gaussians moved along their paths, as opaque as their windows let them be."""
         bends = (self.accelerations / 2, self.jerks / 6) if len(self.accelerations) else ()
         coefficients = (self.velocities, *bends)
         course = Course(moving.means, moving.opacity_logits, self.instants, self.log_durations, coefficients)

@@ -1,10 +1,11 @@
-"""Gaussians that ride on a few rigid bodies: what a mover shows in any plane of the clip teaches all of it.
+"""Gaussians that ride on a few rigid bodies, so that every plane of the clip teaches the whole of a mover.
 
 Letters: K bodies, P knots, A attached of M Gaussians; the other M - A are free and move in straight lines. Knots are
-even over the clip, 0 to 1. Between them a body's centre and its quaternion follow Catmull-Rom's cubic (through the
-knots, with a continuous velocity), the quaternion made unit afterwards; outside the clip a body stays where it was at
-its end. Knots must lie so dense that a body turns less than a quarter from one to the next. Attached Gaussians are
-stored in their body's frame. Source: Wang et al., "Shape of motion", 2024 (shared SE(3) bases); here one a Gaussian.
+even over the clip, 0 to 1. Between them a body's centre and its quaternion follow Catmull-Rom's cubic, which passes
+through the knots with a continuous velocity; the quaternion is then made unit. Outside the clip a body stays where it
+is at the clip's end. Knots must be so dense that a body turns by less than a quarter from one to the next. Attached
+Gaussians are stored in their body's frame. Source: Wang et al., "Shape of motion", 2024 (SE(3) bases that Gaussians
+share); here each Gaussian follows a single one.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ class RigidMotion(MotionModel):
     log_durations: Tensor  # [M] log clips
 
     def poses(self, u: float) -> tuple[Tensor, Tensor]:
-        """Unit quaternions [K, 4] and centres [K, 3] of all bodies at u."""
+        """Return unit quaternions [K, 4] and centres [K, 3] in m of all bodies at u."""
         weights = knot_weights(u, self.knot_quats.shape[1]).to(self.knot_quats)
         quats = torch.einsum("p,kpi->ki", weights, self.knot_quats)
         return unit(quats), torch.einsum("p,kpi->ki", weights, self.knot_centers)
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
-        """Attached ones carried and turned by their body, free ones moved along."""
+        """Return the attached Gaussians as their bodies carry and turn them, and the free ones along their lines."""
         counts = [len(self.bodies), len(self.velocities)]
         (local, start), (turns, turned), (dense, free_dense), (instants, free_instants), (lives, free_lives) = (
             t.split(counts)
@@ -72,7 +73,7 @@ class RigidMotion(MotionModel):
 
 
 def knot_weights(u: float, knots: int) -> Tensor:
-    """Catmull-Rom weights [P] of even knots at u; a knot before the first or after the last goes on straight."""
+    """Return Catmull-Rom weights [P] of even knots at u, as if the first and the last interval went on straight."""
     weights = torch.zeros(knots, dtype=torch.float64)
     if knots == 1:
         return weights + 1

@@ -1,8 +1,8 @@
-"""How far neighbours depart from moving as one rigid piece; zero, with no pull, where they do.
+"""Losses on neighbours that do not move as one rigid piece; zero, without a gradient, where they do.
 
 Letters: M Gaussians, k neighbours of each. Distances are measured against the mean gap between neighbours, so that one
 weight fits scenes of any size. Source: Luiten et al., "Dynamic 3D Gaussians", 3DV 2024, equations 4 to 8. Not as there:
-weights are exp(-SHARPNESS d^2 / mean d^2) made to sum to one for each Gaussian (there exp(-2000 d^2), d in m).
+weights are exp(-SHARPNESS d^2 / mean d^2) and sum to one for each Gaussian; there they are exp(-2000 d^2), d in m.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from reconstruction.quaternions import product, rotated
 
 NEIGHBOURS = 8  # published: 20, of ten times as many Gaussians
 SHARPNESS = 1.0
-ROWS = 1024  # of the matrix of all distances at a time
-TINY = 1e-6  # gaps; lengths below it pull as squares
-RIGID, ROTATION, ISOMETRY = 4.0, 4.0, 2.0  # as published, against one another
+ROWS = 1024  # rows of the matrix of all distances that are held at a time
+TINY = 1e-6  # mean gaps; a shorter length pulls as its square
+RIGID, ROTATION, ISOMETRY = 4.0, 4.0, 2.0  # weights against one another, as published
 
 
 class Neighbourhood(NamedTuple):
-    """Who is near whom: `indices` int64, `weights` that sum to 1 over k, `distances` in m; each [M, k]."""
+    """The k neighbours of M Gaussians, each [M, k]: `indices` int64, `weights` that sum to 1, `distances` in m."""
 
     indices: Tensor
     weights: Tensor
@@ -30,13 +30,13 @@ class Neighbourhood(NamedTuple):
 
 
 def neighbourhood(means: Tensor) -> Neighbourhood:
-    """The nearest others of `means` [M, 3]; k is NEIGHBOURS, or M - 1 where there are fewer."""
+    """Return the nearest others of each of `means` [M, 3] in m; k is NEIGHBOURS, or M - 1 where there are fewer."""
     means = means.detach()
     count = min(NEIGHBOURS, max(len(means) - 1, 0))
     found = []
     for rows in torch.arange(len(means)).split(ROWS):
         apart = torch.cdist(means[rows], means, compute_mode="donot_use_mm_for_euclid_dist")
-        apart[torch.arange(len(rows)), rows] = torch.inf  # nobody is his own neighbour
+        apart[torch.arange(len(rows)), rows] = torch.inf  # none is its own neighbour
         found.append(apart.topk(count, largest=False))
     if not found:
         return Neighbourhood(torch.zeros(0, 0, dtype=torch.int64), means.new_zeros(0, 0), means.new_zeros(0, 0))
@@ -45,7 +45,7 @@ def neighbourhood(means: Tensor) -> Neighbourhood:
 
 
 def weights_of(distances: Tensor) -> Tensor:
-    """Weights [M, k] of neighbours at `distances` [M, k], the nearer the more; even where all are in one place."""
+    """Return weights [M, k] of neighbours at `distances` [M, k], larger for nearer ones; even where all coincide."""
     if distances.numel() == 0:
         return distances
     relative = distances / distances.amax(dim=1, keepdim=True).clamp_min(torch.finfo(distances.dtype).tiny)
@@ -54,10 +54,10 @@ def weights_of(distances: Tensor) -> Tensor:
 
 
 def rigidity(near: Neighbourhood, before: tuple[Tensor, Tensor], now: tuple[Tensor, Tensor]) -> Tensor:
-    """The weighted sum of the three losses, means over M, between two states of means [M, 3], unit quaternions [M, 4].
+    """Return the weighted sum of three losses, each a mean over M, between two states (means [M, 3], quats [M, 4]).
 
-    Rigid: a neighbour's offset turns with the Gaussian. Rotation: neighbours turn alike. Isometry: neighbours stay as
-    far from one another as `near` has them.
+    Means are in m, quaternions unit. Rigid: a neighbour's offset turns with the Gaussian. Rotation: neighbours turn
+    alike. Isometry: neighbours keep the distances of `near`.
     """
     (places, quats), (moved, turned) = before, now
     count, k = near.indices.shape
@@ -72,5 +72,5 @@ def rigidity(near: Neighbourhood, before: tuple[Tensor, Tensor], now: tuple[Tens
 
 
 def _length(vectors: Tensor) -> Tensor:
-    """Euclidean lengths [n], rounded at zero so that their gradient is finite there."""
+    """Return Euclidean lengths [n] of `vectors` [n, D], rounded at zero so that their gradient is finite there."""
     return torch.sqrt(vectors.square().sum(dim=1) + TINY**2) - TINY

@@ -30,11 +30,11 @@ class SpacetimeMotion(PolynomialMotion):
 
     @classmethod
     def started(cls, instants: Tensor, duration: float) -> SpacetimeMotion:
-        """Neither moving nor turning yet; each alive around its instant for about `duration` clips."""
+        """Return a motion without velocities or turns, each Gaussian alive around its instant for `duration` clips."""
         motion = PolynomialMotion.at_rest(instants, duration, cubic=True)
         return cls(**vars(motion), turns=torch.zeros(len(instants), 4, dtype=instants.dtype))
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
-        """Moved along and turned, stretched as stored, as opaque as the window lets them."""
+        """Return the Gaussians moved along their paths and turned, as opaque as their windows let them be."""
         quats = moving.quats_wxyz + self.turns * (u - self.instants)[:, None]
         return super().at(moving, u)._replace(quats_wxyz=quats)

@@ -1,9 +1,9 @@
 """Dynamic 3D Gaussians: one timestep of the clip after the other, each from where the last one ended.
 
 Letters: M moving Gaussians, K timesteps, even over the clip from 0 to 1; k neighbours. The first timestep learns
-everything; of the later ones each learns places and quaternions alone, which start from the last ones plus their last
-change and are held together by `rigidity`. Between timesteps places and unit quaternions are interpolated linearly,
-after the newest one everything stands. The moving cloud itself holds the timestep that is being learnt.
+everything. Each later one learns positions and quaternions alone: they start from the last ones plus their last change,
+and `rigidity` holds them together. Between timesteps positions and unit quaternions are interpolated linearly; after
+the newest one all stands still. The moving cloud itself holds the timestep that is being learnt.
 Source: Luiten et al., "Dynamic 3D Gaussians", 3DV 2024.
 """
 
@@ -25,16 +25,16 @@ from reconstruction.scene_model import Rate
 
 TIMESTEPS = 13
 FIRST = 0.4  # share of the training that the first timestep takes
-WEIGHT = 5e-4  # of the rigidity losses
+WEIGHT = 5e-4  # weight of the rigidity losses
 
 
 @dataclass
 class TimestepMotion(MotionModel):
-    """What the timesteps behind left, and who is near whom since the first; nothing here is learnt by descent."""
+    """The learnt timesteps, and the neighbours at the first one; no gradient descent changes them."""
 
     kind = "d3dgs"
     rates: ClassVar[Mapping[str, Rate]] = {}
-    past_means: Tensor  # [K, M, 3] m, rows from `current` on are of no account
+    past_means: Tensor  # [K, M, 3] m, rows from `current` on are not used
     past_quats: Tensor  # [K, M, 4] unit, likewise
     current: Tensor  # [] int64, the timestep that is being learnt
     indices: Tensor  # [M, k] int64, as in `Neighbourhood`
@@ -43,12 +43,12 @@ class TimestepMotion(MotionModel):
 
     @classmethod
     def started(cls, means: Tensor) -> TimestepMotion:
-        """The first timestep of `means` [M, 3]."""
+        """Return a motion that is about to learn the first timestep of `means` [M, 3] in m."""
         past_means, past_quats = (means.new_zeros(TIMESTEPS, len(means), n) for n in (3, 4))
         return cls(past_means, past_quats, torch.tensor(0), *neighbourhood(means))
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
-        """Between the timesteps beside u; after the first one sizes, opacities and light are learnt no more."""
+        """Return the Gaussians between the timesteps beside u; after the first, only means and quats have gradients."""
         now = int(self.current)
         place = min(min(max(u, 0.0), 1.0) * (len(self.past_means) - 1), now)
         left = math.floor(place)
@@ -64,19 +64,19 @@ class TimestepMotion(MotionModel):
         )
 
     def _key(self, moving: GaussianCloud, k: int) -> tuple[Tensor, Tensor]:
-        """Means and unit quaternions of timestep k, which is not after the current one."""
+        """Return means and unit quaternions of timestep k, which is not after the current one."""
         if k < int(self.current):
             return self.past_means[k], self.past_quats[k]
         return moving.means, unit(moving.quats_wxyz)
 
     def span(self) -> tuple[float, float]:
-        """From the last timestep to the current one; half a step from the first."""
+        """Return the u of the last timestep and of the current one; at the first, 0 and half a step."""
         now, steps = int(self.current), max(len(self.past_means) - 1, 1)
         return ((now - 1) / steps, now / steps) if now else (0.0, 0.5 / steps)
 
     @torch.no_grad()
     def advance(self, moving: GaussianCloud, done: float) -> float:
-        """Go on to the timestep that is due; how much of it lies behind."""
+        """Go on to the timestep that is due after `done` (0 to 1) of the training; return how much of it is over."""
         steps = len(self.past_means) - 1
         if done < FIRST or not steps:
             return done / FIRST if steps else done
@@ -97,7 +97,7 @@ class TimestepMotion(MotionModel):
         self.current += 1
 
     def penalty(self, moving: GaussianCloud) -> Tensor | None:
-        """Rigidity against the last timestep."""
+        """Return the loss of rigidity against the last timestep, None at the first."""
         now = int(self.current)
         if now == 0 or self.indices.numel() == 0:
             return None

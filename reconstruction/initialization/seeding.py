@@ -1,4 +1,7 @@
-"""Points to the Gaussians training starts from."""
+"""The Gaussians that training starts from, one for each point of a sweep.
+
+`still` and `moving` are the points of the still scene and of movers, which were swept at `instants` moments of `clip`.
+"""
 
 import numpy as np
 import torch
@@ -19,27 +22,27 @@ from rigs.transform import Transform
 
 STILL_OPACITY = 0.7
 MOVING_OPACITY = 0.6
-WIDTH = 0.5  # of the gap to its neighbours: growing is quicker learnt than shrinking
-LIFE = 1.0  # of the gap between the instants at which movers were swept
-LONG_LIFE = 2.0  # clips: what rides on a body that is seen all the time
-ROOM = 10.0  # spacings a field reaches at least
-LARGEST_M = 0.25  # a lone point does not start as a cloud over everything
+WIDTH = 0.5  # share of the gap to the neighbours: to grow is learnt faster than to shrink
+LIFE = 1.0  # share of the gap between the instants at which movers were swept
+LONG_LIFE = 2.0  # life in clips of Gaussians on a body that is seen all the time
+ROOM = 10.0  # least reach of a field, in spacings of the points
+LARGEST_M = 0.25  # largest size in m, so that a lone point does not cover everything
 
 
 def seed_cloud(still: Points, moving: Points, clip: TimeSpan, instants: int, *, cubic: bool = False) -> DynamicCloud:
-    """One Gaussian a point; `instants` is at how many moments of the clip movers were swept."""
+    """Return Gaussians at rest that live around their own instants; `cubic` ones can bend their paths."""
     motion = PolynomialMotion.at_rest(_fractions(moving, clip), duration=LIFE / instants, cubic=cubic)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
 
 
 def seed_spacetime(still: Points, moving: Points, clip: TimeSpan, instants: int) -> DynamicCloud:
-    """As `seed_cloud`, of Gaussians that can also bend their paths and turn."""
+    """Return Gaussians as `seed_cloud` does that can also bend their paths and turn."""
     motion = SpacetimeMotion.started(_fractions(moving, clip), LIFE / instants)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
 
 
 def seed_rigid(still: Points, moving: Points, clip: TimeSpan, instants: int, bodies: Bodies) -> DynamicCloud:
-    """As `seed_cloud`, but points of bodies ride on them all the while their body was seen; the others go straight."""
+    """Return Gaussians that ride on their body for as long as it was seen; those without a body move straight."""
     order = np.concatenate([np.flatnonzero(bodies.owners >= 0), np.flatnonzero(bodies.owners < 0)])
     placed, owners = moving.select(order), bodies.owners[order]
     attached = int((owners >= 0).sum())
@@ -64,7 +67,7 @@ def seed_rigid(still: Points, moving: Points, clip: TimeSpan, instants: int, bod
 def seed_field(
     still: Points, moving: Points, clip: TimeSpan, seed: int, model: type[CanonicalMotion] = HexPlaneMotion
 ) -> DynamicCloud:
-    """One canonical Gaussian a point, deformed by a field that starts from `seed`; no field without points."""
+    """Return canonical Gaussians deformed by a field that starts from `seed`; no field where nothing moves."""
     if len(moving) == 0:
         return seed_cloud(still, moving, clip, 1)
     canonical = _gaussians(moving, MOVING_OPACITY)
@@ -74,14 +77,14 @@ def seed_field(
 
 
 def seed_timesteps(still: Points, moving: Points, clip: TimeSpan) -> DynamicCloud:
-    """One Gaussian a point, the moving ones at the first timestep."""
+    """Return Gaussians of which the moving ones are at the first timestep."""
     canonical = _gaussians(moving, MOVING_OPACITY)
     motion = TimestepMotion.started(canonical.means)
     return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
 
 
 def _in_bodies(points: Points, owners: np.ndarray, bodies: Bodies) -> Points:
-    """The same points, those of a body in its frame with the spacing that all of them together have there."""
+    """Return the points with those of a body in its frame, spaced as all points of the body are together there."""
     positions, gaps = points.positions.copy(), points.spacing.copy()
     for k in range(len(bodies)):
         for i, instant_s in enumerate(bodies.instants_s):
@@ -93,7 +96,7 @@ def _in_bodies(points: Points, owners: np.ndarray, bodies: Bodies) -> Points:
 
 
 def _knots(values: np.ndarray) -> Tensor:
-    """[K, 2 I + 1, D] knots of values [K, I, D] in the middles of I equal parts: the ends and borders between them."""
+    """Return knots [K, 2 I + 1, D] at the borders and in the middles of I equal parts, from values [K, I, D] there."""
     if values.shape[1] == 1:
         return torch.from_numpy(np.repeat(values, 3, axis=1).astype(np.float32))
     before, after = 2 * values[:, :1] - values[:, 1:2], 2 * values[:, -1:] - values[:, -2:-1]

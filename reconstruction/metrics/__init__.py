@@ -1,1 +1,1 @@
-"""Image and depth metrics, and the floors a reconstruction must beat."""
+"""Metrics of images, depths and poses."""

@@ -9,13 +9,16 @@ Depth = NDArray[np.float32]
 
 
 def abs_rel(depth: Depth, truth: Depth, mask: NDArray[np.bool_] | None = None) -> float:
-    """Mean of |depth - truth| / truth where both exist; NaN where nothing is left."""
+    """Return the mean of |depth - truth| / truth of maps [H, W] in m where both exist and in `mask`; NaN for none."""
     kept = _both(depth, truth, mask)
     return float(np.mean(np.abs(depth[kept] - truth[kept]) / truth[kept])) if kept.any() else math.nan
 
 
 def delta_1_25(depth: Depth, truth: Depth, mask: NDArray[np.bool_] | None = None) -> float:
-    """Share of pixels with a true depth whose ratio to it is below 1.25 both ways; a missing depth counts as wrong."""
+    """Return the share of pixels [H, W] with a true depth whose ratio to it is below 1.25 both ways.
+
+    Depths are in m; a missing one counts as wrong. NaN where there is no true depth in `mask`.
+    """
     wanted = np.isfinite(truth) if mask is None else np.isfinite(truth) & mask
     if not wanted.any():
         return math.nan

@@ -7,24 +7,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
-WINDOW, SIGMA = 11, 1.5  # pixels
+WINDOW, SIGMA = 11, 1.5  # px
 K1, K2 = 0.01, 0.03
 
 
 def psnr_db(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio in dB with data range `white`; infinite for equal images, NaN for an empty mask."""
+    """Return the peak signal-to-noise ratio in dB of images [H, W] with data range `white`.
+
+    Infinite for equal images, NaN for an empty mask [H, W].
+    """
     error = (image.astype(np.float64) - truth.astype(np.float64)) ** 2
     mean = float(np.mean(error if mask is None else error[mask])) if mask is None or mask.any() else math.nan
     return math.inf if mean == 0 else -10 * math.log10(mean / white**2)
 
 
 def ssim(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | None = None) -> float:
-    """Mean of `ssim_map` over all pixels or a mask; NaN for an empty one."""
+    """Return the mean of `ssim_map` over all pixels or a mask [H, W]; NaN for an empty one."""
     return mean_over(ssim_map(image, truth, white), mask)
 
 
 def ssim_map(image: Image, truth: Image, white: float) -> NDArray[np.float64]:
-    """Structural similarity [H, W] with data range `white`: Gaussian window of sigma 1.5, population covariance.
+    """Return the structural similarity [H, W] of images [H, W] with data range `white`.
+
+    The window is a Gaussian of 1.5 px, the covariance that of the population.
 
     Source: Wang et al., "Image quality assessment: from error visibility to structural similarity", TIP 2004, eq. 13.
     """
@@ -38,7 +43,7 @@ def ssim_map(image: Image, truth: Image, white: float) -> NDArray[np.float64]:
 
 
 def mean_over(values: NDArray[np.float64], mask: NDArray[np.bool_] | None) -> float:
-    """Mean over all pixels [H, W] or a mask; NaN for an empty one."""
+    """Return the mean over all pixels [H, W] or a mask; NaN for an empty one."""
     if mask is None:
         return float(values.mean())
     return float(values[mask].mean()) if mask.any() else math.nan

@@ -1,4 +1,4 @@
-"""LPIPS with AlexNet: the distance of two images in a network's features, for those who have its weights.
+"""LPIPS with AlexNet: the distance of two images in the features of a network whose weights the user brings.
 
 Zhang et al., "The unreasonable effectiveness of deep features as a perceptual metric", CVPR 2018. The weights of the
 layers come with torchmetrics; the network's are torchvision's `alexnet*.pth`, which the user brings. Nothing is
@@ -26,7 +26,7 @@ _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 class Lpips:
-    """Distance of display images [H, W] in 0..1 (0 is equal), at least 63 pixels a side.
+    """Distance of display images [H, W] in 0 to 1, at least 63 pixels a side; 0 for equal ones.
 
     Raises BadRunError where `weights` does not hold AlexNet's features.
     """
@@ -44,7 +44,7 @@ class Lpips:
 
     @torch.no_grad()
     def __call__(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
-        """The distance of two images of one size."""
+        """Return the distance of two display images [H, W] in 0 to 1."""
         total = 0.0
         for a, b, head in zip(self._features(image), self._features(truth), self._heads, strict=True):
             total += float(functional.conv2d((_unit(a) - _unit(b)) ** 2, head).mean())

@@ -1,4 +1,4 @@
-"""How natural an image looks without a truth to compare with: BRISQUE and NIQE, from parameters the user brings.
+"""Scores of images without a truth to compare with: BRISQUE and NIQE, from parameters that the user brings.
 
 No maintained wheel ships the parameters of both (the one with BRISQUE's builds libsvm from source), and nothing is
 downloaded. BRISQUE is OpenCV's, with its sample files `brisque_model_live.yml` and `brisque_range_live.yml`; NIQE is
@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from reconstruction.errors import BadRunError
 
 PATCH = 96
-_SHAPES = np.arange(0.2, 10.001, 0.001)  # of a generalised Gaussian
+_SHAPES = np.arange(0.2, 10.001, 0.001)  # shapes of a generalised Gaussian that are tried
 _gammas = [np.array([math.gamma(k / shape) for shape in _SHAPES]) for k in (1, 2, 3)]
 _RATIOS = _gammas[1] ** 2 / (_gammas[0] * _gammas[2])
 Pixels = NDArray[np.uint8]
 
 
 def brisque(pixels: Pixels, model: Path, spans: Path) -> float:
-    """OpenCV's BRISQUE of an 8-bit grey image [H, W]; raises BadRunError where the parameters cannot be read."""
+    """Return OpenCV's BRISQUE of 8-bit grey `pixels` [H, W]; raises BadRunError for parameters that cannot be read."""
     try:
         judge = getattr(cv2.quality, "QualityBRISQUE_compute")  # noqa: B009  OpenCV's type stubs lack it
         return float(judge(pixels, str(model), str(spans))[0])
@@ -53,7 +53,7 @@ class Niqe:
             ) from error
 
     def __call__(self, pixels: Pixels) -> float:
-        """NIQE of an 8-bit grey image [H, W] of at least two patches of 96 pixels; NaN for a smaller one."""
+        """Return the NIQE of an 8-bit grey image [H, W]; NaN for one with less than two patches of 96 pixels."""
         features = niqe_features(pixels)
         if len(features) < 2:
             return math.nan
@@ -63,7 +63,7 @@ class Niqe:
 
 
 def niqe_features(pixels: Pixels) -> NDArray[np.float64]:
-    """Features [P, 36] of the whole patches of an 8-bit image [H, W]; those without a finite feature are left out."""
+    """Return features [P, 36] of the whole patches of an 8-bit image [H, W], without patches of infinite ones."""
     rows, columns = (side // PATCH for side in pixels.shape)
     image = pixels[: rows * PATCH, : columns * PATCH].astype(np.float64)
     if not rows * columns:
@@ -82,14 +82,14 @@ def niqe_features(pixels: Pixels) -> NDArray[np.float64]:
 
 
 def _even(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The image without its local mean and contrast (7x7 Gaussian of 7/6)."""
+    """Return the image [H, W] without its local mean and contrast (7x7 Gaussian of 7/6 px)."""
     mean = cv2.GaussianBlur(image, (7, 7), 7 / 6, borderType=cv2.BORDER_REPLICATE)
     power = cv2.GaussianBlur(image**2, (7, 7), 7 / 6, borderType=cv2.BORDER_REPLICATE)
     return (image - mean) / (np.sqrt(np.abs(power - mean**2)) + 1)
 
 
 def _patch_features(patch: NDArray[np.float64]) -> list[float]:
-    """Shape and width of the values, then shape, mean and both widths of the products with four neighbours."""
+    """Return shape and width of the values, then shape, mean and both widths of products with four neighbours."""
     shape, left, right = fit_asymmetric(patch)
     found = [shape, (left + right) / 2]
     for shift in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -99,7 +99,7 @@ def _patch_features(patch: NDArray[np.float64]) -> list[float]:
 
 
 def fit_asymmetric(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Shape and the widths left and right of zero of the asymmetric generalised Gaussian that fits by its moments."""
+    """Return shape, left and right width of the asymmetric generalised Gaussian with the moments of `values`."""
     below, above = values[values < 0], values[values > 0]
     if not below.size or not above.size:
         return math.nan, math.nan, math.nan

@@ -1,4 +1,4 @@
-"""How far estimated cameras lie from the true ones, once a similarity has laid one rig on the other."""
+"""Errors of estimated cameras against the true ones, once a similarity has laid one rig on the other."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ class PoseErrors:
 
     @property
     def rotation_deg(self) -> float:
-        """Mean angle between estimated and true camera axes."""
+        """Return the mean angle between estimated and true camera axes."""
         return float(np.degrees(np.linalg.norm(self.turns_rad, axis=1)).mean())
 
     @property
     def translation_percent(self) -> float:
-        """Mean distance between estimated and true centres, in percent of the distance to the object."""
+        """Return the mean distance of estimated from true centres, in percent of the distance to the object."""
         return float(100 * np.linalg.norm(self.shifts_m, axis=1).mean() / self.distance_m)
 
 
 def pose_errors(estimated: Rig, true: Rig, distance_m: float) -> PoseErrors:
-    """Compare the cameras that both rigs have; see `rigs.similarity.align` for the alignment."""
+    """Compare the cameras that both rigs have, as `rigs.similarity.align` aligns them; `distance_m` to the object."""
     moved = align(estimated, true).carry_rig(estimated)
     pairs = [(camera, true.camera(camera.id)) for camera in moved.cameras if camera.id in true.ids]
     turns = [rotvec_of(a.cam_from_rig.rotation @ b.cam_from_rig.rotation.T) for a, b in pairs]

@@ -1,4 +1,4 @@
-"""How much of the true edges an image keeps, over all pixels or a mask."""
+"""The share of the true edges that an image keeps."""
 
 import math
 
@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
-EDGE_SHARE = 0.1  # of the masked pixels: those where truth is steepest
+EDGE_SHARE = 0.1  # share of the masked pixels that count as edges: the steepest ones
 
 
 def edge_sharpness(image: Image, truth: Image, mask: NDArray[np.bool_] | None = None) -> float:
-    """The image's gradient along the truth's over the truth's own, least squares over the steepest masked pixels.
+    """Return the least-squares ratio of the image's gradient to the truth's, over the steepest masked pixels.
 
-    1 where every edge is as steep as in truth, less where it is blurred or elsewhere, 0 where there is none; noise
-    hardly moves it. Sobel 3x3. NaN where the mask is empty or the truth has no edge in it.
+    Images are [H, W]. 1 where every edge is as steep as in truth, less where it is blurred or displaced, 0 where there
+    is none; noise hardly changes it. Sobel 3x3. NaN where the mask [H, W] is empty or the truth has no edge in it.
     """
     kept = np.ones(truth.shape, dtype=bool) if mask is None else mask
     dx, dy = _gradient(truth)

@@ -1,4 +1,4 @@
-"""Points of the sweep to the field that training starts from: cells around them, opaque next to a point.
+"""The field that training starts from: cells around the points of the sweep, opaque next to a point.
 
 Letters: D layers, H rows, W columns, N points.
 """
@@ -19,17 +19,17 @@ from reconstruction.radiance_fields.radiance_field import RadianceField
 from reconstruction.scene_model import TimeSpan
 from rigs.camera import Camera
 
-AROUND = (3, 3, 4)  # nodes (rows, columns, layers) from a point within which there are cells
-SOLID = (2, 2, 0)  # within which they start opaque: one layer, lest a surface start in front of its points
-LIGHT = ((0, 0, 0), (1, 1, 0), SOLID, AROUND)  # a cell starts as bright as the points within the first that has any
-OPAQUE, CLEAR = 8.0, -4.5  # raw densities: all, and 0.01 of the light a layer
+AROUND = (3, 3, 4)  # reach of cells around a point, in nodes (rows, columns, layers)
+SOLID = (2, 2, 0)  # reach of opaque cells: one layer, so that no surface starts in front of its points
+LIGHT = ((0, 0, 0), (1, 1, 0), SOLID, AROUND)  # reaches tried in turn for points that give a cell its light
+OPAQUE, CLEAR = 8.0, -4.5  # raw densities that take all, and 0.01 of the light in a layer
 INSTANTS = 9  # knots of time
 
 
 def seed_cells(still: tuple, moving: tuple, clip: TimeSpan, cameras: Sequence[Camera]) -> RadianceField:
-    """A field around points, each kind as positions [N, 3] in m and intensities [N] in spikes per tick.
+    """Return a field around points, each kind as positions [N, 3] in m and intensities [N] in spikes per tick.
 
-    The moving ones are canonical: where they are at rest before the deformation is learnt.
+    The moving points are canonical: their places before any deformation is learnt.
     """
     frustum = Frustum.around(np.concatenate([still[0], moving[0]]), cameras)
     parts = [_cells(frustum, *points) for points in (still, moving)]
@@ -40,7 +40,7 @@ def seed_cells(still: tuple, moving: tuple, clip: TimeSpan, cameras: Sequence[Ca
 
 
 def _cells(frustum: Frustum, positions: np.ndarray, intensities: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
-    """Flat nodes (sorted int32) of the cells around points, their raw densities and intensities."""
+    """Return the flat nodes [K] (sorted int32) of the cells around points [N, 3], raw densities and intensities [K]."""
     nodes = np.rint(np.nan_to_num(frustum.nodes(positions), nan=-1.0)).astype(np.int64)
     inside = ((nodes >= 0) & (nodes < frustum.shape)).all(axis=1)
     if not inside.any():
@@ -59,7 +59,7 @@ def _cells(frustum: Frustum, positions: np.ndarray, intensities: np.ndarray) -> 
 
 
 def _gathered(grid: NDArray[np.float32], reach: tuple[int, int, int]) -> NDArray[np.float32]:
-    """The sum [H * W * D] of a grid [H, W, D] over all nodes within `reach` of each."""
+    """Return the sums [H * W * D] of a grid [H, W, D] over the nodes within `reach` of each."""
     rows, columns, layers = (2 * r + 1 for r in reach)
     options = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
     flat = cv2.boxFilter(grid.reshape(-1, grid.shape[2]), -1, (layers, 1), **options).reshape(grid.shape)

@@ -1,4 +1,4 @@
-"""The projective grid of a field: pixels of a camera in the middle of the array, layers even in inverse depth.
+"""The projective grid of a field: pixels of a camera in the middle of the array, and layers even in inverse depth.
 
 A straight ray is straight in it, so a march needs no division. Letters: D layers, H rows, W columns, R rays, N points.
 Source of the space: the normalised device coordinates of Mildenhall et al., "NeRF", ECCV 2020; here bounded.
@@ -17,10 +17,10 @@ from torch import Tensor
 from rigs.camera import Camera
 from rigs.transform import Transform
 
-LAYER_PX = 1.0  # parallax between neighbouring layers, seen from the camera farthest out
+LAYER_PX = 1.0  # parallax between neighbouring layers for the outermost camera
 MOST_LAYERS = 192
-MARGIN = 4  # nodes on every side of the outermost points
-OUTLIERS = 0.2  # percent of the points at either end that do not count
+MARGIN = 4  # nodes beyond the outermost points on every side
+OUTLIERS = 0.2  # percent of the points that are ignored at either end
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Frustum:
 
     @classmethod
     def around(cls, points: NDArray[np.float64], cameras: Sequence[Camera]) -> Frustum:
-        """What holds `points` [N, 3], for a middle camera that looks as `cameras` do on average."""
+        """Return a frustum that holds `points` [N, 3] in m, of a camera amid `cameras` with their mean direction."""
         centers = np.stack([c.center for c in cameras])
         middle = centers.mean(axis=0)
         forward = np.mean([c.cam_from_rig.rotation[2] for c in cameras], axis=0)
@@ -61,25 +61,25 @@ class Frustum:
 
     @property
     def middle_from_rig(self) -> Transform:
-        """The pose of the middle camera."""
+        """Return the pose of the middle camera."""
         return Transform.from_quat_wxyz(np.array(self.pose[:4]), np.array(self.pose[4:]))
 
     def nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where points [N, 3] of the rig frame are, as (y, x, w) [N, 3]; NaN behind the middle camera."""
+        """Return points [N, 3] in m of the rig frame as nodes (y, x, w) [N, 3]; NaN behind the middle camera."""
         x, y, z = self.middle_from_rig.apply(points).T
         z = np.where(z > 0, z, np.nan)
         columns = self.focal[0] * x / z - self.corner[0], self.focal[1] * y / z - self.corner[1]
         return np.stack([columns[1], columns[0], (self.nearest - 1 / z) / self.step], axis=1)
 
     def positions(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The inverse of `nodes`, for nodes in front of infinity."""
+        """Return nodes (y, x, w) [N, 3] in front of infinity as points [N, 3] in m of the rig frame."""
         y, x, w = nodes.T
         z = 1 / (self.nearest - w * self.step)
         spots = [(x + self.corner[0]) * z / self.focal[0], (y + self.corner[1]) * z / self.focal[1], z]
         return self.middle_from_rig.inverse().apply(np.stack(spots, axis=1))
 
     def rays(self, camera: Camera, columns: NDArray, rows: NDArray) -> Rays:
-        """The rays of `camera` through the centres of R pixels."""
+        """Return the rays of `camera` through the centres of the pixels in `columns` [R] and `rows` [R]."""
         spots = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1)
         turn = self.middle_from_rig.rotation @ camera.cam_from_rig.rotation.T
         across = (spots - [camera.cx, camera.cy, 0]) / [camera.fx, camera.fy, 1] @ turn.T
@@ -95,17 +95,17 @@ class Frustum:
         return Rays(packed, torch.from_numpy(forward), float(origin[2]))
 
     def depths(self, rays: Rays, layers: Tensor) -> Tensor:
-        """Depth [R] in m along the camera's z of what the rays meet at `layers` [R], NaN kept."""
+        """Return depths [R] in m along the camera's z of what the rays meet at `layers` [R], keeping NaN."""
         z = 1 / (self.nearest - layers.double() * self.step)
         return ((z - rays.origin_z) / rays.forward).float()
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """R rays: `lines` [R, 6] float32 hold x and y at layer 0, their change a layer, path over depth, the first layer.
+    """R rays. `lines` [R, 6] float32: x and y at layer 0, their change a layer, path over depth, the first layer.
 
-    `forward` [R] float64: how far into the frustum a ray goes for each metre of its camera's depth; NaN and a line far
-    outside where it does not. `origin_z`: the camera's own depth in it, m.
+    `forward` [R] float64: depth in the frustum for each metre of the camera's depth; NaN, with a line far outside,
+    where a ray does not enter. `origin_z`: the camera's own depth in the frustum, m.
     """
 
     lines: Tensor

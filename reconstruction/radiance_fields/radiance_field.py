@@ -1,4 +1,4 @@
-"""A radiance field: grey light and density in cells around the surfaces, some still, some moved by a deformation.
+"""A radiance field: grey light and density in cells around surfaces, some of them moved by a deformation.
 
 Sources: Zhu et al., "SpikeNeRF", CVPR 2024 (a radiance field learnt from spikes); Fridovich-Keil et al., "Plenoxels",
 CVPR 2022 (sparse cells in place of a network); Pumarola et al., "D-NeRF", CVPR 2021 (one canonical space and a
@@ -25,17 +25,16 @@ from reconstruction.rendering.render import NEAR_M
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 
-REACH = (3, 3, 2)  # blocks around moving cells from which the deformation may lead to them
-SMOOTH = 2e-3  # weight of what neighbouring knots differ by, squared, in nodes
+REACH = (3, 3, 2)  # blocks around moving cells within which the deformation may lead to them
+SMOOTH = 2e-3  # weight of squared differences between neighbouring knots, in nodes
 
 
 @dataclass
 class RadianceField:
-    """`still` [N] and `moving` [M] int32: the nodes that hold a cell, flat and sorted; over `clip`.
+    """Cells at the nodes `still` [N] and `moving` [M] int32, flat and sorted; see `scene_model.SceneModel`.
 
-    `densities` and `intensities` [N + M]: raw densities (`march` says of what) and light in spikes per tick;
-    `offsets` [T, h, w, d, 3]: where moving samples are read, in nodes, [0, 1, 1, 1, 3] where nothing moves. `light`:
-    the gain of each of the clip's planes; one alone where the light is steady.
+    `densities` [N + M] are raw, as `march` reads them; `intensities` [N + M] are in spikes per tick. `offsets`
+    [T, h, w, d, 3], in nodes, say where moving samples are read; they are [0, 1, 1, 1, 3] where nothing moves.
     """
 
     frustum: Frustum
@@ -60,12 +59,12 @@ class RadianceField:
         return len(self.still) + len(self.moving)
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
-        """Every learnt tensor by a stable name."""
+        """Yield every learnt tensor with its name."""
         for name in ("densities", "intensities", "offsets"):
             yield f"field.{name}", getattr(self, name)
 
     def at(self, instant_s: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Densities, intensities and offsets [h, w, d, 3] at one instant, as `march` takes them; differentiable."""
+        """Return densities, intensities and offsets [h, w, d, 3] at an instant, as `march` takes them."""
         u = self.clip.fraction(instant_s)
         intensities = self.intensities
         if len(self.light) > 1:
@@ -77,7 +76,7 @@ class RadianceField:
         return self.densities, intensities, torch.lerp(self.offsets[low], self.offsets[low + 1], place - low)
 
     def positions(self, instant_s: float) -> Tensor:
-        """The nodes of all cells [N + M, 3] in the rig frame, m; where they are read from, at any instant."""
+        """Return the nodes of all cells [N + M, 3] in m in the rig frame, the same at any instant."""
         flat = torch.cat([self.still, self.moving]).long()
         nodes = torch.stack(torch.unravel_index(flat, self.frustum.shape), 1)
         return torch.from_numpy(self.frustum.positions(nodes.double().numpy())).float()
@@ -111,18 +110,18 @@ class RadianceField:
         }
 
     def advance(self, done: float) -> float:
-        """How much of the training lies behind, of which a field makes one stage."""
+        """Return `done`: a field is trained in one stage."""
         return done
 
     def penalty(self) -> Tensor | None:
-        """Neighbouring knots of the deformation differ little, in space and time."""
+        """Return the weighted squared differences of the deformation's neighbouring knots, None where nothing moves."""
         if not len(self.moving):
             return None
         gaps = [self.offsets.diff(dim=axis).square().mean() for axis in range(4) if self.offsets.shape[axis] > 1]
         return SMOOTH * torch.stack(gaps).sum()
 
     def variation(self, cells: Tensor) -> Tensor:
-        """How much `cells` [K] differ from their neighbours, a mean of L1; raw densities count a tenth."""
+        """Return the mean absolute difference of `cells` [K] int64 to their neighbours; raw densities count a tenth."""
         _, columns, layers = self.frustum.shape
         beside = (self.nodes[cells].long() + torch.tensor([[columns * layers], [layers], [1]])).clamp_max(self.last)
         others = [grid.lookup.view(-1)[beside] for grid in self.grids]
@@ -135,11 +134,11 @@ class RadianceField:
         return total
 
     def opacity(self) -> Tensor:
-        """How much of the light each cell takes [N + M], in [0, 1]."""
+        """Return the share of the light that each cell takes, [N + M] in 0 to 1, without gradients."""
         return 1 - torch.exp(-softplus(self.densities.detach()))
 
     def state(self) -> dict[str, Any]:
-        """Plain tensors, numbers and names, for a checkpoint."""
+        """Return tensors, numbers and names, for a checkpoint."""
         return {
             "model": self.kind,
             "clip": [self.clip.first_s, self.clip.last_s],
@@ -150,7 +149,7 @@ class RadianceField:
 
     @classmethod
     def from_state(cls, state: dict) -> RadianceField:
-        """The inverse of `state`; raises ReconstructionError for tensors it does not know."""
+        """Return the field whose `state` this is; raises ReconstructionError for tensors it does not know."""
         try:
             learnt = {name.removeprefix("field."): tensor for name, tensor in state["tensors"].items()}
             kept = {name: state[name] for name in ("light", "still", "moving")}
@@ -164,7 +163,7 @@ class RadianceField:
 
 
 def grid_of(nodes: Tensor, first: int, shape: tuple[int, int, int], reach: tuple[int, int, int]) -> Grid:
-    """Cells numbered from `first` on at flat `nodes`, met by samples up to `reach` blocks away."""
+    """Return the grid of `shape` with cells numbered from `first` on at flat `nodes`, met within `reach` blocks."""
     lookup = torch.full(shape, -1, dtype=torch.int32)
     lookup.view(-1)[nodes.long()] = torch.arange(first, first + len(nodes), dtype=torch.int32)
     blocks = [-(-size // block) for size, block in zip(shape, BLOCK, strict=True)]

@@ -53,7 +53,7 @@ def test_it_is_a_network_with_the_input_given_again_half_way(cloud_of, field_of)
 
 
 def test_gradients_agree_with_numerical_ones(cloud_of, field_of):
-    cloud = cloud_of(3).to(torch.float64)
+    cloud = GaussianCloud(*(tensor.double() for tensor in vars(cloud_of(3)).values()))
     motion = DeformationMotion(**{name: t.double() for name, t in field_of(DeformationMotion, cloud_of(3)).tensors()})
     leaves = [t.requires_grad_() for name, t in (*list(vars(cloud).items())[1:], *motion.tensors()) if name != "box"]
 

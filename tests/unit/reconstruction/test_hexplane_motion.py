@@ -53,7 +53,7 @@ def test_samples_are_the_product_of_six_bilinear_ones(cloud_of, field_of):
 
 
 def test_gradients_agree_with_numerical_ones(cloud_of, field_of):
-    cloud = cloud_of(3).to(torch.float64)
+    cloud = GaussianCloud(*(tensor.double() for tensor in vars(cloud_of(3)).values()))
     motion = HexPlaneMotion(**{name: t.double() for name, t in field_of(HexPlaneMotion, cloud_of(3)).tensors()})
     learnt = [t.requires_grad_() for name, t in (*vars(cloud).items(), *motion.tensors()) if name != "box"]
 
