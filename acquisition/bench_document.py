@@ -1,7 +1,5 @@
 """The document every bench prints."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time

@@ -1,7 +1,5 @@
 """Lists what the modules of a package define, so that a new file is all that a new choice takes."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Mapping

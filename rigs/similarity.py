@@ -1,7 +1,5 @@
 """Similarities: cameras alone leave open where a scene lies, how it is turned and how large it is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reads and writes rigs as TOML files, and lists the rigs that come with the package."""
 
-from __future__ import annotations
-
 import datetime
 import importlib.resources
 import re

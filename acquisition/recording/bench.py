@@ -5,8 +5,6 @@ of files. Rates are in MB/s (10^6 bytes). They are compared with the disk's own 
 and one measured after.
 """
 
-from __future__ import annotations
-
 import mmap
 import shutil
 import threading

@@ -1,7 +1,5 @@
 """The one thread that brings a stream's chunks from its ring to its file."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Callable

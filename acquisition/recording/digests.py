@@ -1,7 +1,5 @@
 """Digests of a stream: xxh3-64 of every block of planes, SHA-256 of the whole file."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from collections.abc import Callable

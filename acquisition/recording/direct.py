@@ -1,7 +1,5 @@
 """A file written past the page cache, in aligned chunks, with its space reserved ahead."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

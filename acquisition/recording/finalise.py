@@ -1,7 +1,5 @@
 """Makes a recording of what a killed recorder left: the blocks its journals prove, and nothing behind them."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import os

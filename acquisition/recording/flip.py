@@ -8,8 +8,6 @@ ways.
 Letters: H rows, W columns of the reduced pictures, C cameras, D depths.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -73,16 +71,10 @@ def _reduced(image: Floats, step: int) -> Floats:
 def _seen(reference: Camera, other: Camera, picture: Floats, depth: float) -> Floats:
     """Return what `other` sees at `depth` metres along the axis of `reference`, by its pixels [H, W]; NaN outside."""
     v, u = np.mgrid[0.5 : reference.height, 0.5 : reference.width]
-    x, y = (u - reference.cx) / reference.fx * depth, (v - reference.cy) / reference.fy * depth
-    in_reference = np.stack([x, y, np.full_like(x, depth)], axis=-1)
-    in_rig = (in_reference - reference.cam_from_rig.translation) @ reference.cam_from_rig.rotation
-    at = in_rig @ other.cam_from_rig.rotation.T + other.cam_from_rig.translation
-    with np.errstate(divide="ignore", invalid="ignore"):
-        column = np.floor(at[..., 0] / at[..., 2] * other.fx + other.cx)
-        row = np.floor(at[..., 1] / at[..., 2] * other.fy + other.cy)
-    inside = (at[..., 2] > 0) & (column >= 0) & (column < other.width) & (row >= 0) & (row < other.height)
-    rows, columns = (np.where(inside, index, 0).astype(np.int64) for index in (row, column))
-    return np.where(inside, picture[rows, columns], np.nan)
+    rays = np.stack([(u - reference.cx) / reference.fx, (v - reference.cy) / reference.fy, np.ones_like(u)], axis=-1)
+    pixels, inside = other.project(reference.cam_from_rig.inverse().apply(depth * rays).reshape(-1, 3))
+    columns, rows = np.where(inside[:, None], pixels, 0).astype(np.int64).T
+    return np.where(inside, picture[rows, columns], np.nan).reshape(u.shape)
 
 
 def _correlation(a: Floats, b: Floats) -> Floats:

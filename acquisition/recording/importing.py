@@ -1,7 +1,5 @@
 """Makes a recording of `.dat` files that another program wrote."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import re

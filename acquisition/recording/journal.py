@@ -9,8 +9,6 @@ their lines; so `finalise` reads every block back and compares it with the line'
 the cameras are armed and started, and everything once at the end, before the recording takes its name.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import deque

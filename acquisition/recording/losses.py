@@ -1,7 +1,5 @@
 """Lists the planes of a stream that were lost."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from acquisition.recording.manifest import Gap

@@ -1,7 +1,5 @@
 """`recording.json`: the contents of a recording, and the digests that prove them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The memory is an anonymous mapping, aligned to pages as direct writes want it. I
 recorder` shows that one process feeds nine files at the disk's own rate on less than a core.
 """
 
-from __future__ import annotations
-
 import mmap
 import threading
 from collections import deque

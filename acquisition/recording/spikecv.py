@@ -1,7 +1,5 @@
 """Reads and writes SpikeCV's `config.yaml`, the sidecar of its `.dat` files, which holds their size."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path

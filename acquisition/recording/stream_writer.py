@@ -1,7 +1,5 @@
 """One camera's `.dat` in the making: a ring of chunks, digests, losses, and the thread that writes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Proves that a recording is what was written, or names the file and the block that is not."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ The code words are facts of the two families: the first of OpenCV's DICT_4X4_50 
 "AprilTag: a robust and flexible visual fiducial system", ICRA 2011), a 1 a white cell, row by row from the top left.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The parts of a scene: textured convex shapes, rigidly joined into bodies that move."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args

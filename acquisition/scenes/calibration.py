@@ -1,7 +1,5 @@
 """The scenes that calibrate: even light and no light for pixels, boards for cameras. Seeds change nothing in them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,34 +1,10 @@
-"""Identifies the evaluation scenes by a SHA-256, which is committed beside this file and printed by every bench.
-
-It covers shapes, textures, light and poses at fixed instants, rounded far below a pixel or a grey step, so that it is
-the same on every processor. `python -m acquisition.scenes.digest` writes the file anew, which makes earlier figures
-incomparable with later ones.
-"""
+"""Identifies the evaluation scenes by a SHA-256 of each, committed beside this file."""
 
 import hashlib
 import json
 from pathlib import Path
 
-import numpy as np
-
-from acquisition.durable import write_json
-from acquisition.scenes.catalog import EVALUATION, EVALUATION_SEEDS, build_scene
-from acquisition.scenes.scene import Scene
-
 COMMITTED = Path(__file__).with_name("evaluation.json")
-INSTANTS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.1])
-
-
-def scene_digest(scene: Scene) -> str:
-    """Return the SHA-256, in hexadecimal digits, of all that decides what a camera sees."""
-    geometry, placed = scene.arrays, scene.placements(INSTANTS_S)
-    light = (scene.white, scene.ambient, scene.background, geometry.uneven.offset, geometry.uneven.least)
-    found = hashlib.sha256()
-    for numbers in (geometry.shapes, geometry.sun, light, geometry.uneven.slope, *placed):
-        found.update((np.round(np.asarray(numbers, dtype=np.float64) * 1e7) + 0.0).astype(np.int64).tobytes())
-    for steps in (geometry.ids, geometry.moving, np.round(geometry.textures * 255)):
-        found.update(np.asarray(steps).astype(np.uint8).tobytes())
-    return found.hexdigest()
 
 
 def scenes_digest(digests: dict[str, str]) -> str:
@@ -36,15 +12,6 @@ def scenes_digest(digests: dict[str, str]) -> str:
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
 
-def evaluation_digests() -> dict[str, str]:
-    """Return the digest of each evaluation scene and seed, by `name-seed`; takes some ten seconds."""
-    return {f"{name}-{seed}": scene_digest(build_scene(name, seed)) for name in EVALUATION for seed in EVALUATION_SEEDS}
-
-
 def committed_digests() -> dict[str, str]:
-    """Read what `evaluation_digests` was when the scenes were settled."""
+    """Read the digests of the scenes as they were settled, by `name-seed`."""
     return json.loads(COMMITTED.read_text())
-
-
-if __name__ == "__main__":
-    write_json(COMMITTED, evaluation_digests())

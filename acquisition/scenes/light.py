@@ -1,7 +1,5 @@
 """Light that changes with time or place."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

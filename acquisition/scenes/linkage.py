@@ -1,7 +1,5 @@
 """Closed-form motion of things that are joined: limbs on hinges, and a sheet of narrow strips."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Misplaces the cameras of a rig, as a rig that was not built as its nominal file says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

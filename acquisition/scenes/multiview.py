@@ -4,8 +4,6 @@ The scenes are those of `acquisition.scenes.random`, made as wide as a rig's fie
 and often a floor. The rigs vary the lab rig's grid: spacing, distance, lens and which of its places are taken.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

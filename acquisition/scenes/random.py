@@ -1,7 +1,5 @@
 """Draws random scenes to train networks on: clutter of every kind, still to fast, 0.01 to 0.95 spikes a tick."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Letters: n instants, P shapes, K textures of S x S texels, H rows, W columns, s samples a side of a pixel.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import os
@@ -149,20 +147,13 @@ class Raycaster:
         self._trace((rotations, positions, gains), frames.intensity, frames.depth, frames.ids)
         return frames
 
-    def _trace(
-        self,
-        placements: tuple[Floats, Floats, Floats | None],
-        intensity: NDArray,
-        depth: NDArray | None,
-        ids: NDArray | None,
-    ) -> None:
+    def _trace(self, placements: tuple[Floats, Floats, Floats | None], *images: NDArray | None) -> None:
         rotations, positions = self._checked(*placements[:2])
         gains = np.ones(len(rotations)) if placements[2] is None else placements[2]
         if gains.shape != rotations.shape[:1]:
             raise AcquisitionError(f"found gains {gains.shape}", f"one for each of {len(rotations)} instants")
-        gains = np.ascontiguousarray(gains, dtype=np.float64)
-        arrays = (rotations, positions, gains, intensity, depth, ids)
-        _raycast_frames(self._scene, self._view, self._still, len(rotations), *arrays)
+        poses = (rotations, positions, np.ascontiguousarray(gains, dtype=np.float64))
+        _raycast_frames(self._scene, self._view, self._still, len(rotations), *poses, *images)
 
     def _checked(self, rotations: Floats, positions: Floats) -> tuple[Floats, Floats]:
         count = (len(rotations), self._scene.count)

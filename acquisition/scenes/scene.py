@@ -1,7 +1,5 @@
 """A scene of moving bodies under one sun, seen by any pinhole camera at any instants."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import NamedTuple

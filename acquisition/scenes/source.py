@@ -1,7 +1,5 @@
 """Simulates a camera: renders a scene and fires its sensor, a few planes ahead of the reader."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The stress scenes: each has one thing that reconstructions stumble over. None is for development or evaluation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -6,8 +6,6 @@ Every k-th plane of each camera has four images [H, W]: `camRC/000120.npy` (floa
 nerfstudio's and exact. The light is the paper's clean frame (CI), the blur its blurred frame (BI).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Letters: T planes, N instants, K kernels, H rows (row 0 at the top), W columns, B bytes of a plane.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The layout of a spike plane in bytes, which a `.dat` does not state itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

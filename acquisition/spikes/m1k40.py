@@ -8,8 +8,6 @@ of the first whole plane of the file. Planes carry no number, so whole planes lo
 Letters: N segments, S = 2000 segments of a plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ what is above it, and fires at most once a tick; light above one spike per tick 
 2^-40 spike, so ten million ticks lose nothing. At the start the charge is uniform below the threshold.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 from typing import Literal

@@ -6,8 +6,6 @@ boundary are really 15 apart, and differ as pixels 15 apart do. On a real record
 A picture that is upside down shows no such trace; the pictures of several cameras do (`recording.flip`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Reads cameras in any of the formats the project knows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

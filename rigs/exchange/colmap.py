@@ -1,7 +1,5 @@
 """Reads and writes COLMAP model folders, as text or binary; image names are camera ids (camRC or camRC.png)."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """nerfstudio's `transforms.json`: camera-to-world matrices in OpenGL axes (x right, y up, z backward)."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from maintenance.scene_digests import evaluation_digests, scene_digest
 
 from acquisition.scenes import natural
 from acquisition.scenes.catalog import (
@@ -14,7 +15,7 @@ from acquisition.scenes.catalog import (
     STRESS,
     build_scene,
 )
-from acquisition.scenes.digest import committed_digests, evaluation_digests, scene_digest, scenes_digest
+from acquisition.scenes.digest import committed_digests, scenes_digest
 from rigs.camera import Camera
 from rigs.transform import Transform
 
