@@ -1,4 +1,4 @@
-"""How a client of the service sends requests and reads answers."""
+"""Sends the requests of a client of the service, and reads the answers."""
 
 from __future__ import annotations
 

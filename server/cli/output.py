@@ -1,4 +1,4 @@
-"""What commands print on standard output: one JSON document, or text in columns."""
+"""Prints answers on standard output: one JSON document, or text in columns."""
 
 import json
 from collections.abc import Sequence

@@ -3,18 +3,8 @@
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
-from server.routes.parameters import (
-    PNG,
-    Cursor,
-    IdempotencyKey,
-    IfNoneMatch,
-    Limit,
-    Named,
-    TheServices,
-    Word,
-    located,
-    png,
-)
+from server.routes import parameters
+from server.routes.parameters import IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -25,11 +15,11 @@ router = APIRouter(tags=["captures"])
 @router.get("/captures", response_model=Captures)
 def captures(
     services: TheServices,
-    rig: Word = None,
-    name: Named = None,
+    rig: parameters.Word = None,
+    name: parameters.Named = None,
     status: Status | None = None,
-    cursor: Cursor = None,
-    limit: Limit = 100,
+    cursor: parameters.Cursor = None,
+    limit: parameters.Limit = 100,
 ) -> Response:
     """List captures, newest first."""
     page = services.captures.page(Filter("capture", rig=rig, name=name, before=cursor), status, limit)
@@ -56,13 +46,13 @@ def manifest(capture_id: str, services: TheServices) -> ManifestInfo:
     return services.previews.manifest(capture_id)
 
 
-@router.get("/captures/{capture_id}/preview", responses=PNG, response_class=Response)
+@router.get("/captures/{capture_id}/preview", responses=parameters.PNG, response_class=Response)
 def preview(capture_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
     """Show all cameras in one PNG: the mean of planes from the middle, brightened for the eye."""
     return png(if_none_match, services.previews.sheet(capture_id))
 
 
-@router.get("/captures/{capture_id}/preview/{camera_id}", responses=PNG, response_class=Response)
+@router.get("/captures/{capture_id}/preview/{camera_id}", responses=parameters.PNG, response_class=Response)
 def camera_preview(
     capture_id: str, camera_id: str, services: TheServices, if_none_match: IfNoneMatch = None
 ) -> Response:

@@ -8,17 +8,8 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
 from server.etags import tag
-from server.routes.parameters import (
-    Cursor,
-    IdempotencyKey,
-    IfNoneMatch,
-    Limit,
-    Named,
-    TheServices,
-    Word,
-    located,
-    not_modified,
-)
+from server.routes import parameters
+from server.routes.parameters import IdempotencyKey, IfNoneMatch, TheServices, located, not_modified
 from server.schemas.job_types import BatchRequest, JobRequest, PriorityRequest, RestartRequest
 from server.schemas.jobs import Artefacts, Job, Jobs, Steps
 from server.schemas.progress import Status
@@ -52,13 +43,13 @@ def submit_batch(request: BatchRequest, services: TheServices, key: IdempotencyK
 @router.get("/jobs", response_model=Jobs)
 def jobs(
     services: TheServices,
-    type: Word = None,
-    rig: Word = None,
-    capture: Word = None,
-    name: Named = None,
+    type: parameters.Word = None,
+    rig: parameters.Word = None,
+    capture: parameters.Word = None,
+    name: parameters.Named = None,
     status: Status | None = None,
-    cursor: Cursor = None,
-    limit: Limit = 100,
+    cursor: parameters.Cursor = None,
+    limit: parameters.Limit = 100,
 ) -> Response:
     """List jobs, newest first."""
     page = services.jobs.page(Filter("job", type, rig, capture, name, cursor), status, limit)

@@ -1,4 +1,4 @@
-"""What routes share: how they reach the services, their parameters, and their answers."""
+"""Parameters and answers that several routes share, and their way to the services."""
 
 from typing import Annotated, Any, Protocol, TypeVar
 
