@@ -118,14 +118,19 @@ class MessageChannel:
 
 
 class MessageEnd:
-    """The device's end: answers commands by `read` and `write`, which raise StallError for what they do not do."""
+    """The device's end: answers commands by `read` and `write`, which raise StallError for what they do not do.
 
-    def __init__(self, read: Callable[[int], bytes], write: Callable[[int, bytes], None]):
-        self._read, self._write = read, write
+    Both pipes raise StallError where `profile` has none at that endpoint.
+    """
+
+    def __init__(self, profile: Profile, read: Callable[[int], bytes], write: Callable[[int, bytes], None]):
+        self._profile, self._read, self._write = profile, read, write
         self._replies: deque[bytes] = deque()
 
-    def take(self, data: bytes) -> None:
+    def take(self, endpoint: int, data: bytes) -> None:
         """Obey a command; bytes that are none are forgotten."""
+        if not endpoint or endpoint != self._profile.command_endpoint:
+            raise StallError
         command = Message.decode(data)
         if command is None or command.magic != COMMAND_MAGIC:
             return
@@ -138,6 +143,8 @@ class MessageEnd:
             note = DONE
         self._replies.append(Message(REPLY_MAGIC, command.request, note, command.number, answer).encode())
 
-    def give(self) -> bytes:
+    def give(self, endpoint: int) -> bytes:
         """Return the next reply; empty where there is none."""
+        if not endpoint or endpoint != self._profile.reply_endpoint:
+            raise StallError
         return self._replies.popleft() if self._replies else b""

@@ -87,7 +87,7 @@ class DeviceModel:
         self.run = DeviceRun(tick_rate_hz, clock or DeviceClock(), pace)
         self.stream = DeviceStream(self.run, source, self.faults)
         self.registers = DeviceRegisters(self.run, self.stream, self.command)
-        self._messages = MessageEnd(self.registers.read, self.registers.write)
+        self.messages = MessageEnd(profile, self.registers.read, self.registers.write)
 
     @property
     def state(self) -> State:
@@ -133,15 +133,3 @@ class DeviceModel:
         if (kind, request, value >> 8) == (_IN, _GET_DESCRIPTOR, descriptors.STRING) and number < len(strings):
             return descriptors.encode_string(number, strings)
         raise StallError
-
-    def take(self, endpoint: int, data: bytes) -> None:
-        """Take bytes sent to a bulk pipe: commands, where the profile has a pipe for them, else raises StallError."""
-        if not endpoint or endpoint != self.profile.command_endpoint:
-            raise StallError
-        self._messages.take(data)
-
-    def give(self, endpoint: int) -> bytes:
-        """Return the next reply to a command, empty where there is none; raises StallError for another pipe."""
-        if not endpoint or endpoint != self.profile.reply_endpoint:
-            raise StallError
-        return self._messages.give()

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 
 from acquisition.devices.device_clock import DeviceClock
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.discovery import CameraSetupError
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.registers import LinkCounters
+from acquisition.devices.usb_link import CameraSetupError
 
 LATE_S = 1e-3
 

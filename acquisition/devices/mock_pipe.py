@@ -105,7 +105,7 @@ class MockPipe:
         """Send all of `data` to another endpoint."""
         model = self._port.require()
         try:
-            model.take(endpoint, data)
+            model.messages.take(endpoint, data)
         except StallError as error:
             raise pipe_stalled() from error
 
@@ -113,7 +113,7 @@ class MockPipe:
         """Return what another endpoint has; there is nothing to wait for."""
         model = self._port.require()
         try:
-            data = model.give(endpoint)
+            data = model.messages.give(endpoint)
         except StallError as error:
             raise pipe_stalled() from error
         if not data:

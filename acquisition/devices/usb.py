@@ -10,7 +10,6 @@ from typing import TypeVar
 
 from usb.backend import IBackend
 
-from acquisition.devices.discovery import CameraSetupError
 from acquisition.devices.profile import Profile
 from acquisition.devices.protocol import Block, BlockParser, Damage, RepeatFilter
 from acquisition.devices.registers import (
@@ -25,7 +24,7 @@ from acquisition.devices.registers import (
     Status,
     TickRate,
 )
-from acquisition.devices.usb_link import UsbLink
+from acquisition.devices.usb_link import CameraSetupError, UsbLink
 from acquisition.errors import DeviceError
 from acquisition.recording.manifest import Trigger
 from acquisition.spikes.layout import PlaneLayout
@@ -84,24 +83,16 @@ class CameraRegisters:
 class BlockStream:
     """Finds blocks in a camera's stream.
 
-    `damages` counts the damaged stretches since `ensure_ready`, `repeats` the blocks that came twice and were left out.
+    Since `ensure_ready`, `parser` counts the damaged stretches and `repeated` the blocks that came twice.
     """
 
     layout: PlaneLayout
+    parser: BlockParser
+    repeated: RepeatFilter
 
     def __init__(self, link: UsbLink, registers: CameraRegisters):
         self._link, self._registers = link, registers
         self.learn_geometry()
-
-    @property
-    def damages(self) -> int:
-        """Return the number of damaged stretches."""
-        return self._parser.damages
-
-    @property
-    def repeats(self) -> int:
-        """Return the number of blocks that were left out."""
-        return self._repeated.repeats
 
     def learn_geometry(self) -> None:
         """Ask the camera how its planes and blocks lie in bytes."""
@@ -124,9 +115,9 @@ class BlockStream:
     def next_block(self, timeout_s: float) -> Block | None:
         """Return the next whole block, or None when `timeout_s` passed without new bytes."""
         while True:
-            found = self._parser.next()
+            found = self.parser.next()
             if isinstance(found, Block):
-                if self._repeated.is_repeat(found):
+                if self.repeated.is_repeat(found):
                     continue
                 return found
             if not isinstance(found, Damage) and not self._receive(timeout_s):
@@ -135,11 +126,11 @@ class BlockStream:
     def _receive(self, timeout_s: float) -> bool:
         with self._link.named():
             data = self._link.transfers.read(timeout_s)
-        self._parser.feed(data)
+        self.parser.feed(data)
         return len(data) > 0
 
     def _forget(self) -> None:
-        self._parser, self._repeated = BlockParser(self._block_bytes), RepeatFilter()
+        self.parser, self.repeated = BlockParser(self._block_bytes), RepeatFilter()
 
 
 class CameraClock:

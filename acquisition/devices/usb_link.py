@@ -1,11 +1,11 @@
-"""The USB device behind a camera: its pipe, its control channel, and errors that name the camera."""
+"""Finds the USB device behind a camera, and holds its pipe and its control channel; errors name the camera."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-from collections.abc import Iterator
-from typing import cast
+from collections.abc import Iterable, Iterator
+from typing import Any, cast
 
 import usb.core
 import usb.util
@@ -13,9 +13,8 @@ from usb.backend import IBackend
 
 from acquisition.devices import sysfs
 from acquisition.devices.control_channel import MessageChannel, RequestChannel
-from acquisition.devices.discovery import device_profile, find_camera
 from acquisition.devices.libusb_pipe import LibusbPipe
-from acquisition.devices.profile import Profile
+from acquisition.devices.profile import Profile, profile_of
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.stream import BulkStream, StreamingBackend
 from acquisition.errors import DeviceError
@@ -27,6 +26,12 @@ _ADVICE = {
     errno.EBUSY: ("another program holds it", "stop that program"),
     errno.EIO: ("the transfer failed on the wire", "change its cable or port"),
 }
+
+
+class CameraSetupError(DeviceError):
+    """A rig and the cameras that are connected do not fit together."""
+
+    exit_code = 2
 
 
 class UsbLink:
@@ -93,3 +98,33 @@ class UsbLink:
             return DeviceError(found, f"{self.profile.queued_mb:g} MB a camera", do, where=where)
         found, do = _ADVICE.get(error.errno or 0, (str(error.strerror), "reconnect it"))
         return DeviceError(found, do=do, where=where)
+
+
+def find_camera(camera: Camera, backend: IBackend) -> usb.core.Device:
+    """Return the device with the camera's serial, of any profile; raises CameraSetupError where there is none."""
+    if not camera.serial:
+        raise CameraSetupError("found no serial in the rig", "the one on the camera", "add it", where=camera.id)
+    devices = usb.core.find(find_all=True, backend=backend, custom_match=device_profile)
+    serials = []
+    for device in cast(Iterable[usb.core.Device], devices or ()):
+        serial = serial_of(device)
+        if serial == camera.serial:
+            return device
+        serials.append(serial)
+    connected = ", ".join(sorted(serials)) or "none"
+    found = f"found no camera with serial {camera.serial} (connected: {connected})"
+    raise CameraSetupError(found, do="check its cable and power", where=camera.id)
+
+
+def serial_of(device: usb.core.Device) -> str:
+    """Return the serial number of a device, or that it cannot be read."""
+    try:
+        return str(device.serial_number)
+    except (usb.core.USBError, ValueError):  # one that may not be opened; a serial is only needed from ours
+        return "unreadable"
+
+
+def device_profile(device: usb.core.Device) -> Profile | None:
+    """Return the profile of a device on the bus; None for one that is no camera."""
+    found = cast(Any, device)  # pyusb sets the fields of its descriptor at run time
+    return profile_of(found.idVendor, found.idProduct)

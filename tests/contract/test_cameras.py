@@ -17,12 +17,12 @@ from maintenance.usb_models import CameraOnUsb
 
 from acquisition.devices.device_clock import DeviceClock, Pace
 from acquisition.devices.device_model import DeviceModel
-from acquisition.devices.discovery import serial_of
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.protocol import Block, BlockStatus
-from acquisition.devices.registers import LinkCounters, Sensitivity, State, Status
+from acquisition.devices.registers import LinkCounters, Request, Sensitivity, State, Status
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
+from acquisition.devices.usb_link import serial_of
 from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
@@ -187,7 +187,7 @@ def test_all_planes_arrive_bit_for_bit(bench, camera):
     assert camera.registers.read(Status).state is State.ARMED
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
-    assert camera.stream.damages == 0
+    assert camera.stream.parser.damages == 0
     assert camera.registers.read(Status).emitted_planes == len(PLANES)
 
 
@@ -220,10 +220,10 @@ def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
     bench.fire()
     assert camera.read_block(0.2).first_plane == 0
     assert camera.read_block(0.2) is None
-    assert len(camera.stream._parser._buffer) == 512
+    assert len(camera.stream.parser._buffer) == 512
     release(bench.model)
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
-    assert camera.stream.damages == 0
+    assert camera.stream.parser.damages == 0
 
 
 @pytest.mark.parametrize("sent", [0, 512, 576 + 512])
@@ -236,7 +236,7 @@ def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
     first = camera.read_block(0.2)
     assert first is None or sent > 576
     np.testing.assert_array_equal(np.concatenate([*([first.packed] if first else []), read_all(camera)]), PLANES)
-    assert camera.stream.damages == 0
+    assert camera.stream.parser.damages == 0
 
 
 def test_a_damaged_block_is_dropped_and_counted(bench, camera):
@@ -244,7 +244,7 @@ def test_a_damaged_block_is_dropped_and_counted(bench, camera):
     camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
-    assert camera.stream.damages == 1
+    assert camera.stream.parser.damages == 1
 
 
 def test_an_unplugged_camera_is_named_at_once_and_ever_after(bench, camera):
@@ -344,7 +344,7 @@ def test_a_repeated_block_is_left_out(bench, camera, monkeypatch):
     camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
-    assert (camera.stream.repeats, camera.stream.damages) == (3, 0)
+    assert (camera.stream.repeated.repeats, camera.stream.parser.damages) == (3, 0)
 
 
 def test_every_block_tells_a_pulse_and_its_time(bench):
@@ -395,6 +395,14 @@ def test_a_camera_that_does_not_fit_the_rig_is_refused(bench, change, rate, mess
         UsbCamera.open(dataclasses.replace(CAMERA, **change), rate, bench.backend)
     assert caught.value.exit_code == 2
     UsbCamera.open(CAMERA, RATE, bench.backend).close()  # and is not held
+
+
+def test_an_answer_that_is_no_register_names_the_camera(bench, camera):
+    read = bench.model.registers.read
+    answers = {Request.STATUS: b"short"}
+    bench.model.messages._read = bench.model.registers.read = lambda request: answers.get(request) or read(request)
+    with pytest.raises(DeviceError, match=r"^cam12: found 5 B in the status register, expected 32"):
+        camera.registers.read(Status)
 
 
 def test_a_camera_in_use_says_so(bench, camera):

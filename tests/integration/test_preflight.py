@@ -188,7 +188,9 @@ def test_the_usb_memory_follows_the_queue_of_each_camera_s_profile(bench, monkey
     deep = dataclasses.replace(FT60X, name="deep", product_id=0x1234, in_flight=64)  # 16 MB
     known = {profile.name: profile for profile in (DIRECT, FT60X, deep)}
     monkeypatch.setattr(profile_module, "members", lambda *_: known)
-    bench.models[0].profile, bench.models[1].profile = deep, FT60X
+    for number, profile in enumerate((deep, FT60X)):
+        bench.models[number] = DeviceModel(bench.models[number].serial, Dark(), RIG.tick_rate_hz, profile=profile)
+    bench.backend = MockBackend(bench.models)
     assert bench.checks()["USB memory"].expected == f"at least {16 + 4 + 7 * 8 + 16} MB for 9 cameras"
     bench.backend.unplug(bench.models[1].serial)  # which profile it has is not known: the largest queue is assumed
     assert bench.checks()["USB memory"].expected == f"at least {16 + 16 + 7 * 8 + 16} MB for 9 cameras"

@@ -80,7 +80,8 @@ class CameraOnUsb:
 
     def __init__(self, model: DeviceModel):
         self.model, self.stream_endpoint = model, model.profile.stream_endpoint
-        self.stream, self.take, self.give, self.wake = model.stream.send, model.take, model.give, model.run.wake
+        self.stream, self.wake = model.stream.send, model.run.wake
+        self.take, self.give = model.messages.take, model.messages.give
 
     def control(self, kind: int, request: int, value: int, index: int, data: bytes = b"") -> bytes:
         """Answer a control request; raises StallError for one the camera does not know."""

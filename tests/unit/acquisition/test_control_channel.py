@@ -46,10 +46,10 @@ def test_a_damaged_or_cut_message_is_none(message, data):
 
 @given(st.binary(max_size=200))
 def test_nonsense_is_none_and_gets_no_answer(data):
-    end = MessageEnd(lambda request: b"", lambda request, given: None)
-    end.take(data)
+    end = MessageEnd(FT60X, lambda request: b"", lambda request, given: None)
+    end.take(FT60X.command_endpoint, data)
     assert Message.decode(data) is None
-    assert end.give() == b""
+    assert end.give(FT60X.reply_endpoint) == b""
 
 
 class Pipes:
@@ -57,7 +57,7 @@ class Pipes:
 
     def __init__(self, junk: list[bytes]):
         self.junk, self.done = junk, []
-        self.end = MessageEnd(self.register, self.do)
+        self.end = MessageEnd(FT60X, self.register, self.do)
 
     def register(self, request: int) -> bytes:
         if request == Request.STATUS:
@@ -71,11 +71,11 @@ class Pipes:
 
     def write(self, endpoint, data, timeout_s):
         assert endpoint == FT60X.command_endpoint
-        self.end.take(data)
+        self.end.take(endpoint, data)
 
     def read(self, endpoint, size, timeout_s):
         assert endpoint == FT60X.reply_endpoint
-        return self.junk.pop() if self.junk else self.end.give()
+        return self.junk.pop() if self.junk else self.end.give(endpoint)
 
 
 def test_stale_and_damaged_replies_are_passed_over():
