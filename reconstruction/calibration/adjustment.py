@@ -1,9 +1,10 @@
-"""Rig bundle adjustment: Levenberg-Marquardt over cameras, with what they look at eliminated (Schur complement).
+"""Rig bundle adjustment: Levenberg-Marquardt over the cameras, after their targets are eliminated (Schur complement).
 
-What is looked at is a set of blocks of any size: a point of the scene has 3 unknowns, the pose of a board 6.
-Robust losses by iterative reweighting; priors on every camera parameter; the covariance of cameras is the sandwich over
-blocks, which holds where residuals of one block err together. Letters: C cameras, G free parameters, L blocks of D
-unknowns, O observations. Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999.
+The targets are blocks of any size: a point of the scene has 3 unknowns, the pose of a board 6. Robust losses work by
+iterative reweighting; every camera parameter has a prior. The cameras' covariance is the sandwich over blocks, which
+also holds where the residuals of one block err together.
+Letters: C cameras, G free parameters, L blocks of D unknowns, O observations.
+Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999.
 """
 
 from dataclasses import dataclass

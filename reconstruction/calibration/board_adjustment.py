@@ -1,10 +1,10 @@
-"""Cameras from sightings of a board: poses, then lenses, then only as much of the lenses as the sightings call for.
+"""Cameras from sightings of a board: poses, then lenses, then only those parts of the lenses that the sightings show.
 
 Poses and one focal factor of all cameras are always free. Each camera's own focal length, its principal point, k1 and
-k2 are freed together, and what is not significant goes back to its nominal value, the least significant first: a group
-of n values stays while its Wald statistic is above n log(observed numbers), the price of a parameter in Schwarz,
-"Estimating the dimension of a model", 1978. Values that do not show only make the poses worse. p1 and p2 stay as they
-are: at these angles they are hardly to be told from a principal point.
+k2 are freed together. Then groups that are not significant go back to their nominal values, the least significant
+first: a group of n values stays while its Wald statistic is above n log(observed numbers), the price of a parameter in
+Schwarz, "Estimating the dimension of a model", 1978. Other values would only make the poses worse. p1 and p2 are never
+freed: at these angles they look almost like a principal point.
 
 Each pose of the board begins as one picture has it. A picture of a plane allows two poses (Collins and Bartoli,
 "Infinitesimal plane-based pose estimation", IJCV 2014); the other cameras tell which, and whose pose is the best.

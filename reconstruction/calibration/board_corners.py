@@ -1,12 +1,13 @@
 """Finds the points of a calibration board in one picture, to a few hundredths of a pixel.
 
-OpenCV's detector finds the tags in a picture made twice as large, for it wants cells of several pixels. What it found
-must lie as the board says (one homography, RANSAC); then each point is sought anew in the linear picture itself, by
-the straight edges that make it: borders between the squares of a ChArUco board meet in its points, the sides of a tag
-in its corners, whose diagonals meet in its middle. Each edge passes where the light, integrated across it, has stepped
-from the black level to the white one, so blur that is alike on both sides, be it of pixels, of interpolation or of
-motion, does not shift it. Without noise points are exact to 0.01 px; `cv2.cornerSubPix` errs by 0.04 px at squares.
-Corners of tags that move are found 0.01 px too far out, for dark pixels remember light longer; their middles are not.
+1. OpenCV's detector finds the tags, in a picture made twice as large because it wants cells of several pixels.
+2. Tags that do not lie as the board says are dropped (one homography, RANSAC).
+3. Each point is sought anew in the linear picture, by the straight edges that make it. Borders between the squares of a
+   ChArUco board meet in its points. The sides of a tag meet in its corners, and its diagonals in its middle.
+An edge passes where the light, integrated across it, has stepped from black to white. Blur that is alike on both sides
+does not shift it, whether it comes from pixels, interpolation or motion. Without noise points are exact to 0.01 px,
+where `cv2.cornerSubPix` errs by 0.04 px at squares. Corners of moving tags lie 0.01 px too far out, because dark pixels
+remember light longer; their middles do not.
 
 Letters: T tags, N points, B tags or points, E edges of each, S samples along an edge, O offsets across it.
 """

@@ -1,4 +1,4 @@
-"""Cameras from a recording of a calibration board: sightings, adjustment, a verdict, and what came out.
+"""Cameras from a recording of a calibration board: sightings, adjustment, a verdict and a report.
 
 The metres are the board's own; the nominal cameras say only where the rig's frame lies.
 """

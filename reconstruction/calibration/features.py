@@ -1,4 +1,4 @@
-"""Long-window images of every view, and their features: what natural-scene calibration matches between cameras.
+"""Long-window images of every view, and their features, which natural-scene calibration matches between cameras.
 
 Cameras are synchronised, so a mover is averaged alike in all views and need not be masked.
 Source: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004; RootSIFT: Arandjelovic &

@@ -1,7 +1,7 @@
-"""Features of pairs of views to tracks: matched, gated by the nominal rig, verified, joined.
+"""Matches features of pairs of views, gates them by the nominal rig, verifies them, and joins them to tracks.
 
-The gates come before the verification: on repeated texture a good part of what a fundamental matrix verifies is
-coherent and wrong, and between the cameras of one row it lies on the epipolar line, where only the depth tells.
+The gates come before the verification. On repeated texture a fundamental matrix verifies many matches that agree with
+one another and are wrong. Between the cameras of one row they lie on the epipolar line, where only the depth tells.
 Letters: V views, M matches of a pair, T tracks.
 """
 

@@ -1,4 +1,4 @@
-"""Tracks to sub-pixel: each view's patch is laid on that of the track's first view by an affine least-squares match.
+"""Refines tracks to sub-pixel: an affine least-squares match lays each view's patch on that of a middle view.
 
 Blob features sit off by a tenth of a pixel or two between views; the texture itself does not. Letters: P patches of
 S x S pixels. Source: Gruen, "Adaptive least squares correlation", 1985.

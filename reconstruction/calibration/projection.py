@@ -1,4 +1,4 @@
-"""Points through lenses to pixels, with every derivative: what calibration adjusts.
+"""Projects points through lenses to pixels, with every derivative that calibration needs.
 
 Pinhole and OpenCV's distortion (Brown, "Close-range camera calibration", 1971). Letters: C cameras, O observations.
 """

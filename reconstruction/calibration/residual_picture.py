@@ -1,4 +1,4 @@
-"""A picture of what a calibration leaves over: each camera's residual vectors, and how they spread."""
+"""Draws the residuals of a calibration: each camera's vectors, and their spread."""
 
 import io
 import math

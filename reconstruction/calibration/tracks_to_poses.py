@@ -1,6 +1,6 @@
-"""Tracks to cameras: triangulated from where the rig should be, then adjusted with less and less held.
+"""Turns tracks into cameras: triangulates from the nominal rig, then adjusts and holds less and less.
 
-A redescending loss at once, from a nominal rig, falls into wrong minima; so does a free focal length.
+From a nominal rig, a redescending loss falls into wrong minima at once, and so does a free focal length.
 Letters: T tracks, V views.
 """
 

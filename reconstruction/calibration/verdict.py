@@ -1,6 +1,6 @@
 """Decides whether cameras found from an ordinary scene can be trusted, and says which camera cannot, and why.
 
-A reprojection error tells nothing of a wrong minimum; how far the rig would have to be off its drawing does.
+A reprojection error does not reveal a wrong minimum; the distance of the rig from its drawing does.
 """
 
 import itertools

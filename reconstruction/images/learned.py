@@ -1,4 +1,6 @@
-"""Images by a trained network, as estimates."""
+"""Makes images by a trained network, as estimates."""
+
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -6,8 +8,13 @@ from torch import nn
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.estimate import Estimate
-from reconstruction.networks.image_inference import gathered, infer
-from reconstruction.networks.image_networks import ImageNetwork
+from reconstruction.networks.image_inference import gathered, infer, trained
+from reconstruction.networks.image_networks import ImageNetwork, image_network
+
+
+def estimated(name: str, stream: SpikeStream, plane: int, weights: Path | None) -> Estimate:
+    """Return the image at `plane` by the network `name` with `weights`, by default those that ship."""
+    return estimated_by(image_network(name), trained(name, weights), stream, plane)
 
 
 def estimated_by(network: ImageNetwork, module: nn.Module, stream: SpikeStream, plane: int) -> Estimate:

@@ -1,1 +1,1 @@
-"""The networks: how they are built, trained, stored and run."""
+"""The networks: their layers, their weights, their training and their use."""

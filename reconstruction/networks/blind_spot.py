@@ -2,9 +2,9 @@
 
 The rate read off one interval between spikes is right on average but off by up to a tick, and pixels are off
 independently. A network that has to guess it from everything else can therefore do no better than the light itself.
-What it may use: of its neighbours, all bins, through filters with a hole that later, dilated filters cannot fill; of
-the pixel itself, only what lies more than `GAP` ticks away. Where the guess and the interval differ by more than the
-interval's own error explains, the image leans towards the interval.
+It sees all bins of the neighbours, through filters with a hole that later, dilated filters cannot fill. Of the pixel
+itself it sees only spikes more than `GAP` ticks away. Where guess and interval differ by more than the interval's own
+error explains, the image leans towards the interval.
 Sources: Krull et al., "Noise2Void", CVPR 2019; Laine et al., "High-quality self-supervised deep image denoising",
 NeurIPS 2019 (guess and measurement joined); Wu et al., "Unpaired learning of deep image denoising", ECCV 2020 (dilated
 blind spot); Chen et al., "Self-supervised mutual learning for spike cameras", IJCAI 2022. The temporal gap is ours.

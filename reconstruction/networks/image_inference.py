@@ -1,4 +1,4 @@
-"""A trained network over a whole image: tiles where it is large, sizes that its stride does not divide."""
+"""Runs a trained network over a whole image: in tiles where it is large, padded where its stride asks for it."""
 
 import functools
 from pathlib import Path

@@ -1,7 +1,8 @@
-"""The networks by name: what each sees, how it is built, and what it is trained to do."""
+"""The image networks by name: their input, their module and their loss."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch.nn import functional
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.networks.blind_spot import BlindSpotNet, blind_rates, reversed_blind_rates
-from reconstruction.networks.rates import BINS, RAW_REACH, REACH, rates, raw_planes
+from reconstruction.networks.rates import BINS, RAW_REACH, REACH, planes_around, rates
 from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet
 from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet, window_means
 
@@ -90,7 +91,7 @@ def _mean(seen: Tensor) -> Tensor:
 IMAGE_NETWORKS: Mapping[str, ImageNetwork] = MappingProxyType(
     {
         "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet),
-        "published": ImageNetwork(raw_planes, _mean, PublishedSpk2ImgNet, reach=RAW_REACH),
+        "published": ImageNetwork(partial(planes_around, reach=RAW_REACH), _mean, PublishedSpk2ImgNet, reach=RAW_REACH),
         "blindspot": ImageNetwork(
             blind_rates,
             _mean_rate,

@@ -56,8 +56,3 @@ def rates(stream: SpikeStream, plane: int) -> Floats:
 def bin_rates(gathered: Floats) -> Floats:
     """Return the rates [BINS, H, W] between the edges from the charge [BINS + 1, H, W] at them."""
     return np.diff(gathered, axis=0) / np.diff(EDGES).astype(np.float32)[:, None, None]
-
-
-def raw_planes(stream: SpikeStream, plane: int) -> NDArray[np.uint8]:
-    """Return the 41 planes [41, H, W] of 0 and 1 around the instant at `plane`."""
-    return planes_around(stream, plane, RAW_REACH)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from reconstruction.networks.spk2imgnet_small import LEAST_SIGMA, ResidualBlock
+from reconstruction.networks.spk2imgnet_small import LEAST_SIGMA, ResidualBlock, doubled
 
 BLOCKS, LENGTH, STEP = 5, 13, 7
 SUB_WINDOWS = (13, 11, 9, 7)  # planes about the block's middle
@@ -105,11 +105,11 @@ class Alignment(nn.Module):
             here, there = pyramid[scale]
             found = functional.relu(self.compare[scale](torch.cat([here, there], dim=1)))
             if scale < SCALES - 1:
-                found = functional.relu(self.inherit[scale](torch.cat([found, 2 * _doubled(guide)], dim=1)))
+                found = functional.relu(self.inherit[scale](torch.cat([found, 2 * doubled(guide)], dim=1)))
             found = functional.relu(self.refine[scale](found))
             moved = self.move[scale](here, found)
             if scale < SCALES - 1:
-                moved = self.merge[scale](torch.cat([moved, _doubled(aligned)], dim=1))
+                moved = self.merge[scale](torch.cat([moved, doubled(aligned)], dim=1))
             guide, aligned = found, functional.relu(moved)
         return aligned
 
@@ -141,7 +141,3 @@ class PublishedSpk2ImgNet(nn.Module):
 
 def _convolution(channels: int, stride: int = 1) -> nn.Conv2d:
     return nn.Conv2d(channels, CHANNELS, 3, stride=stride, padding=1)
-
-
-def _doubled(x: Tensor) -> Tensor:
-    return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)

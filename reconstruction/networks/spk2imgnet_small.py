@@ -1,4 +1,4 @@
-"""The small tier of Spk2ImgNet: 0.2 M parameters that two cores train in an hour or two.
+"""The small Spk2ImgNet, which is ours: 0.2 M parameters that two cores train in an hour or two.
 
 In the spirit of the published one (several temporal windows of the same instant, features, residual blocks, fusion),
 but it sees rates between spikes instead of raw planes, 129 of them instead of 41, and its image is a choice, pixel by
@@ -67,3 +67,8 @@ def window_means() -> Tensor:
     offset = (torch.arange(BINS) - BINS // 2).abs()
     inside = (offset[None, :] <= torch.arange(BINS // 2 + 1)[:, None]).float() * width
     return (inside / inside.sum(dim=1, keepdim=True))[:, :, None, None]
+
+
+def doubled(x: Tensor) -> Tensor:
+    """Return features [N, C, H, W] at twice the size, bilinearly."""
+    return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)

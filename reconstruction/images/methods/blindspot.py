@@ -18,11 +18,9 @@ def blindspot(stream: SpikeStream, plane: int, weights: Path | None = None) -> E
 
     `weights` are one's own.
     """
-    from reconstruction.images.learned import estimated_by  # torch, which listing the methods does without
-    from reconstruction.networks.image_inference import trained
-    from reconstruction.networks.image_networks import image_network
+    from reconstruction.images.learned import estimated  # torch, which listing the methods does without
 
-    return estimated_by(image_network("blindspot"), trained("blindspot", weights), stream, plane)
+    return estimated("blindspot", stream, plane, weights)
 
 
 METHOD = ImageMethod("blindspot", blindspot, price_s=0.72, learned=True)

@@ -1,9 +1,9 @@
-"""Interpolated count: the charge of a short window over its length, were every interval's light constant.
+"""Interpolated count: the charge of a short window over its length, as if light were constant within every interval.
 
-A pixel collects the charge of one spike between two spikes, so the charge since the last spike is known at any instant
-from how far into its interval it lies. The difference of two such clocks is a count that is not whole: it has the
-blur of a short mean but no more quantisation than a long one, and dark pixels need no longer window: an interval longer
-than it fills it. It is the mean of TFI over the window's instants.
+Between two spikes a pixel collects the charge of one spike. So the charge since the last spike follows, at any instant,
+from the share of the interval that has passed. The difference of two such clocks is a count with a fraction. It has the
+blur of a short mean and the quantisation of a long one, and dark pixels need no longer window. It is the mean of TFI
+over the window's instants.
 Order: between TFI (a window of one plane) and TFP. Short windows suit whatever averages over many instants itself; they
 are noisier and less blurred. The window was chosen on `fan_and_ball`, seed 1, as targets of a training.
 Where no spike is within reach before or after an end, its clock is taken for half past; a pixel without any spike gets

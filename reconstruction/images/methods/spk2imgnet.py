@@ -25,11 +25,9 @@ def spk2imgnet(stream: SpikeStream, plane: int, tier: str = "small", weights: Pa
     """
     if tier not in TIERS or not (TIERS[tier] or weights):
         raise BadRunError(f"found the tier {tier!r} without weights", "small, or a tier and weights trained for it")
-    from reconstruction.images.learned import estimated_by  # torch, which listing the methods does without
-    from reconstruction.networks.image_inference import trained
-    from reconstruction.networks.image_networks import image_network
+    from reconstruction.images.learned import estimated  # torch, which listing the methods does without
 
-    return estimated_by(image_network(tier), trained(tier, weights), stream, plane)
+    return estimated(tier, stream, plane, weights)
 
 
 METHOD = ImageMethod("spk2imgnet", spk2imgnet, price_s=0.48, learned=True)

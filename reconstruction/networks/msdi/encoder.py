@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from reconstruction.networks.dust3r.blocks import Turns
 from reconstruction.networks.msdi.features import CHANNELS, PATCH
-from reconstruction.networks.spk2imgnet_small import ResidualBlock
+from reconstruction.networks.spk2imgnet_small import ResidualBlock, doubled
 
 FINE_WIDTH, MIDDLE_WIDTH, TOKEN_WIDTH = 24, 48, 96
 HEADS, BLOCKS = 4, 4  # blocks: self, cross, self, cross
@@ -70,8 +70,8 @@ class Encoder(nn.Module):
         at8 = self.down8(functional.relu(at4))
         tokens = self.trunk(at8.flatten(2).transpose(1, 2), seen, gate)
         grid = tokens.transpose(1, 2).unflatten(2, at8.shape[2:])
-        middle = self.merge4(at4 + _doubled(self.up4(grid)))
-        fine = self.merge2(at2 + _doubled(self.up2(functional.relu(middle))))
+        middle = self.merge4(at4 + doubled(self.up4(grid)))
+        fine = self.merge2(at2 + doubled(self.up2(functional.relu(middle))))
         return Encoded(tokens, middle, fine)
 
 
@@ -101,7 +101,3 @@ class Block(nn.Module):
             found = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
         tokens = tokens + self.proj(found)
         return tokens + self.mlp(self.norm2(tokens))
-
-
-def _doubled(x: Tensor) -> Tensor:
-    return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)

@@ -3,7 +3,7 @@
 DUSt3R's encoder (ViT-Large) looks at each view, its first decoder at each view beside all the others, so that any
 number of views in any order will do; its second decoder and its heads are left out. What comes out is added to the
 small tier's tokens; correlations, adjustment and sweep are the small tier's. The trunk's weights are the user's DUSt3R
-checkpoint, or random; all has to be trained (`train network --tier large --backbone FILE`), for no weights ship.
+checkpoint, or random; all has to be trained (`train msdi --tier large --backbone FILE`), for no weights ship.
 Sources: Wang et al., "DUSt3R", CVPR 2024; Spike4DGS (NeurIPS 2025), whose backbone starts from it.
 Letters: V views, N patches a view, D the small tier's dimensions.
 """

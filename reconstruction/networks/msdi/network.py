@@ -1,6 +1,6 @@
 """MSDI: rates of V views and their nominal rig to images, depth and residuals to that rig.
 
-Images are those of Spk2ImgNet's small tier, learnt on with the rest. The geometry sees them shrunk; poses are not
+Images are those of the small Spk2ImgNet, trained further with the rest. The geometry sees them shrunk; poses are not
 regressed but solved for from learnt correspondences (see `adjustment`), so that a network trained for an hour on a
 processor can be held to what the nominal rig allows. Letters: V views, N tokens a view, h, w the views' size,
 H, W the working size.

@@ -73,9 +73,8 @@ class Views:
 
     def to(self, kind: torch.dtype | torch.device) -> Views:
         """Return the same in another precision or on another device."""
-        return Views(
-            self.rotation.to(kind), self.center.to(kind), self.focal.to(kind), self.principal.to(kind), self.distance
-        )
+        parts = (self.rotation, self.center, self.focal, self.principal)
+        return Views(*(part.to(kind) for part in parts), distance=self.distance)
 
     def directions(self, pixels: Tensor) -> Tensor:
         """Return the directions [V, N, 3] of `pixels` [V, N, 2] in each view's own axes, with z = 1."""

@@ -1,8 +1,8 @@
 """The training of MSDI: one sample a step, jointly or with image and geometry apart.
 
-Images start from the weights of Spk2ImgNet's small tier. They are shown to the geometry as those weights make them, and
-every `IMAGE_EVERY`th step, from `image_from` on, as the network itself makes them: `joint`, geometry then also moves
-the image network; apart, it does not (the paper's ablation).
+The image network starts from the weights of the small Spk2ImgNet. The geometry sees images by those first weights. From
+step `image_from` on, every `IMAGE_EVERY`th step shows it images by the network as it is now. Then geometry also teaches
+the image network if the training is `joint`, and does not otherwise (the paper's ablation).
 """
 
 from dataclasses import dataclass

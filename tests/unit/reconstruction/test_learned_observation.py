@@ -8,7 +8,7 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.methods.tfi import tfi
 from reconstruction.networks.blind_spot import GAP, OWN, blind_rates, reversed_blind_rates
-from reconstruction.networks.rates import BINS, EDGES, REACH, charge, planes_around, rates, raw_planes
+from reconstruction.networks.rates import BINS, EDGES, REACH, charge, planes_around, rates
 
 
 def stream_of(planes):
@@ -101,4 +101,4 @@ def test_a_pixels_own_bins_do_not_know_the_planes_of_the_gap():
 
 def test_raw_planes_are_the_forty_one_around_the_instant():
     spikes = np.random.default_rng(5).integers(0, 2, (90, 3, 3)).astype(np.uint8)
-    assert np.array_equal(raw_planes(stream_of(spikes), 50), spikes[30:71])
+    assert np.array_equal(planes_around(stream_of(spikes), 50, 20), spikes[30:71])
