@@ -9,7 +9,7 @@ nobody knows. `msdi` takes 1 s a step on one core; on several GPUs: `torchrun --
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import click
 import torch
@@ -41,9 +41,10 @@ FIRST_SEED = click.option("--first-seed", type=int, default=0, show_default=True
 THREADS = click.option("--threads", type=int, default=0, help="Processor threads [default: as many as torch takes].")
 DEVICE = click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
 SELF_TAUGHT = "blindspot"
+Command = TypeVar("Command", bound=Callable[..., object])
 
 
-def _steps(steps: int, score_every: int) -> Callable[[Any], Any]:
+def _steps(steps: int, score_every: int) -> Callable[[Command], Command]:
     """Return the options of a training's length, with these defaults."""
     length = click.option("--steps", type=int, default=steps, show_default=True, help="Steps altogether.")
     scored = click.option("--score-every", default=score_every, show_default=True, help="Steps between scores.")
