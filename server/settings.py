@@ -84,7 +84,7 @@ class RigSource(BaseModel):
 
 
 class ServiceSettings(BaseSettings):
-    """What the web process and the worker share: the data folder, the rigs, and how a stage is run.
+    """The settings of the web process and the worker: the data folder, the rigs, and how a stage is run.
 
     `database` is a PostgreSQL URL; without one two SQLite files lie in the data folder.
     An upload is at most `max_upload_bytes` long and leaves `keep_free_bytes` of the disk.
@@ -158,8 +158,8 @@ def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> Ser
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
-        fault = first["msg"].removeprefix("Value error, ")
-        raise SettingsError(f"{fault}", do=f"mend the flag or SPIKE4DGS_{where.upper()}", where=where) from error
+        fault = str(first.get("ctx", {}).get("error", first["msg"]))
+        raise SettingsError(fault, do=f"mend the flag or SPIKE4DGS_{where.upper()}", where=where) from error
     if rig is None and devices is None:
         return settings
     source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")

@@ -1,1 +1,1 @@
-"""What travels over REST, one noun a file."""
+"""The bodies of requests and answers, one noun a file."""

@@ -57,7 +57,7 @@ class CalibrationChoice(Request):
 
 
 class CameraFindings(BaseModel):
-    """How well a camera was found: RMS residual, and one standard deviation of its turn, place and focal length."""
+    """The quality of one camera: RMS residual, and one standard deviation of its turn, place and focal length."""
 
     points: int
     residual_px: float

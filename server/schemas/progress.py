@@ -1,4 +1,4 @@
-"""What all requests, pages and reports of progress have in common."""
+"""The common parts of requests, of pages and of reports of progress."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Page(Items[Item], Generic[Item]):
 
 
 class Progress(BaseModel):
-    """How far a capture or job is: `fraction` of the current `stage`, and the seconds each stage has taken."""
+    """The progress of a capture or job: `fraction` of the current `stage`, and the seconds each stage has taken."""
 
     stage: str | None = None
     fraction: float = 0.0

@@ -28,7 +28,7 @@ class Webhook(BaseModel):
 
 
 class NewWebhook(Webhook):
-    """The same, with the secret that signs what it is sent; it is shown this once."""
+    """A new webhook with the secret that signs its messages, which is shown this once."""
 
     secret: str
 
@@ -52,7 +52,7 @@ class Deliveries(Items[Delivery]):
 
 
 class Trial(BaseModel):
-    """Whether a test delivery was accepted, and the answer."""
+    """The result of a test delivery: whether it was accepted, and the answer."""
 
     ok: bool
     said: str

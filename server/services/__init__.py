@@ -1,1 +1,1 @@
-"""What the routes ask for, one noun a file. Nothing here runs work; it is queued."""
+"""The services behind the routes, one noun a file. They queue work and never run it."""

@@ -1,4 +1,4 @@
-"""Whether a job can be done: what it works on is there, ready, and of the cameras that it names."""
+"""Admits jobs that can be done: the capture or job they work on is there, ready, and has the cameras they name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether work would be done."""
+"""Checks whether the service would do work that it is given."""
 
 from __future__ import annotations
 

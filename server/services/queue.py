@@ -1,4 +1,4 @@
-"""How entries come into being: kept first, queued second, so that none is lost in between; and how they go."""
+"""Makes and removes entries: each is kept first and queued second, so that none is lost in between."""
 
 from __future__ import annotations
 

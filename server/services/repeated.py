@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dbos import error as engine_errors
 from sqlalchemy.exc import SQLAlchemyError
 
+from server.store.database import reason_of
+
 _LOG = logging.getLogger(__name__)
 
 
@@ -40,5 +42,5 @@ class Repeated:
                 more, well = self._work(), True
             except (engine_errors.DBOSException, SQLAlchemyError, OSError) as error:
                 if well:
-                    _LOG.warning("the %s tries again after: %s", self._thread.name, str(error).splitlines()[0])
+                    _LOG.warning("the %s tries again after: %s", self._thread.name, reason_of(error))
                 more = well = False

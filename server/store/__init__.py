@@ -1,1 +1,1 @@
-"""What the service remembers: tables, folders and locks."""
+"""The memory of the service: tables, folders and locks."""

@@ -1,4 +1,4 @@
-"""What jobs have made: name, type, size and digest of every file, kept by the worker that made it."""
+"""The files that jobs made: name, type, size and digest of each, kept by the worker that made it."""
 
 from __future__ import annotations
 

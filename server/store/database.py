@@ -77,12 +77,12 @@ def _may_come(error: SQLAlchemyError) -> bool:
     return is_outage(error) and ("FATAL:" not in text or any(words in text for words in _PASSING))
 
 
-def reason_of(error: SQLAlchemyError) -> str:
-    """Return in one line what the database itself said."""
+def reason_of(error: Exception) -> str:
+    """Return in one line what went wrong, in the words of the database where it is the one that failed."""
     return _text(error).splitlines()[0]
 
 
-def _text(error: SQLAlchemyError) -> str:
+def _text(error: Exception) -> str:
     return str(getattr(error, "orig", error))
 
 

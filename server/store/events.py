@@ -1,4 +1,4 @@
-"""What happened to captures and jobs: numbered, so that a reader can go on where it stopped."""
+"""The events of captures and jobs: numbered, so that a reader can go on where it stopped."""
 
 from __future__ import annotations
 

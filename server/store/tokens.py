@@ -1,4 +1,4 @@
-"""Who may ask: tokens, of which only a digest is kept."""
+"""Tokens, which allow requests; only a digest of each is kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What clients have sent or are sending, one file each."""
+"""The files that clients have sent or are sending."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who wants to be told, and the messages owed to them: noted with the event itself, so that no crash comes between."""
+"""Webhooks and the messages owed to them: noted with the event itself, so that no crash comes in between."""
 
 from __future__ import annotations
 

@@ -6,11 +6,13 @@ import pytest
 from click.testing import CliRunner
 from pydantic import ValidationError
 
+from reconstruction.export.catalogue import FORMATS
+from reconstruction.run.configuration import CHOICES
 from rigs.errors import RigError
 from server.cli.main import cli
 from server.cli.serve import PortError, listening
 from server.schemas.captures import CaptureRequest
-from server.schemas.job_types import JOB_TYPES, ReconstructRequest
+from server.schemas.job_types import JOB_TYPES, ExportRequest, ReconstructRequest
 from server.settings import RigSource, ServiceSettings, SettingsError, settings_of
 from server.work.commands import reconstruct_arguments, record_arguments, task_arguments
 
@@ -123,3 +125,12 @@ def test_a_port_in_use_is_one_line_and_exit_2(tmp_path: Path) -> None:
 
 def test_localhost_is_an_address() -> None:
     assert ServiceSettings(host="localhost").host == "127.0.0.1"
+
+
+def test_a_job_may_choose_all_that_a_reconstruction_knows_but_what_needs_files_of_the_user() -> None:
+    asked = ReconstructRequest.model_json_schema()["properties"]
+    refused = {"init": {"dust3r"}, "images": {"interpolated", "clean", "blurred"}}
+    for name, names in CHOICES.items():
+        assert set(asked[name]["enum"]) == set(names) - refused.get(name, set())
+    served = ExportRequest.model_json_schema()["properties"]["format"]["enum"]
+    assert set(served) == set(FORMATS) - {"viewer"}
