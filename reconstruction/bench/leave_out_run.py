@@ -23,9 +23,8 @@ from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.pipeline.poses import posed
-from reconstruction.pipeline.run import reconstruct
-from reconstruction.pipeline.stages import composite_sources
+from reconstruction.pipeline.artefacts import posed, read_sources, read_white
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
@@ -72,8 +71,8 @@ def _reconstructed(job: Job) -> dict:
     run, row = _clocked(lambda: _run(job))
     plan = run.plan
     claims = {d.about: asdict(d) for d in plan.decisions}
-    row |= {f"seconds.{stage}": run.document["seconds"][stage] for stage in STAGES}
-    row |= {"steps": run.document["steps"], "model": plan.model, "views": len(plan.views)}
+    row |= {f"seconds.{stage}": run.document.seconds[stage] for stage in STAGES}
+    row |= {"steps": run.document.steps, "model": plan.model, "views": len(plan.views)}
     return row | _scores(run, load_cloud(run.checkpoint)) | {"decisions": claims}
 
 
@@ -113,8 +112,8 @@ def _trained(job: Job, channels: int) -> dict:
     cloud = DynamicCloud.from_state(load_checkpoint(run.snapshots()[0])["cloud"])
     for part in (cloud.still, cloud.moving):
         part.intensities = part.intensities.detach().repeat(1, channels)
-    views = [TrainingView(recording.rig.camera(v), s) for v, s in composite_sources(run, recording).items()]
-    settings = TrainerSettings("pixels", white=run.white(), tick_stride=run.config.tick_stride)
+    views = [TrainingView(recording.rig.camera(v), s) for v, s in read_sources(run, recording).items()]
+    settings = TrainerSettings("pixels", white=read_white(run), tick_stride=run.config.tick_stride)
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
     assert isinstance(trainer.image, ImageTerm)
     trainer.image = EveryChannel(trainer.image)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from reconstruction.bench.conventions import KnownRecording
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.sweep import SweepOptions, depth_range_m
-from reconstruction.pipeline.stages import swept_maps
+from reconstruction.pipeline.points_stage import swept_maps
 from rigs.rig import Rig
 from rigs.similarity import align
 

@@ -9,8 +9,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.bench.conventions import HOLDOUT, truth_of
 from reconstruction.evaluation.evaluate import HeldOut, held_out_camera, score_against_truth, score_floors
 from reconstruction.evaluation.truth import Truth
-from reconstruction.pipeline.poses import posed
-from reconstruction.pipeline.stages import composite_sources
+from reconstruction.pipeline.artefacts import posed, read_sources
 from reconstruction.run import configuration
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, model_from_state
@@ -40,17 +39,19 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)
     levels = [score_against_truth(cloud, held_out, truth, CURVE_INSTANTS) for cloud in clouds[:-1]]
-    seconds, unit = run.document["seconds"], clouds[-1].unit.lower()
+    told, made = run.document, run.document.elements
+    assert told.steps is not None
+    assert made is not None
     return {
-        "revision": run.document["revision"],
+        "revision": told.revision,
         "model": run.plan.model,
-        "steps": run.document["steps"],
-        "steps_per_s": run.document["steps"] / seconds["train"],
-        unit: sum(run.document[unit].values()),
-        "held_out_used": run.document.get("poses", {}).get("held_out_used", False),
+        "steps": told.steps,
+        "steps_per_s": told.steps / told.seconds["train"],
+        made.unit: made.total,
+        "held_out_used": bool((run.document.poses or {}).get("held_out_used")),
         **{m: last[m] for m in METRICS if m in last},
-        **{f"seconds.{s}": seconds[s] for s in STAGES},
-        **(score_floors(held_out, truth, composite_sources(run, own)) if floors else {}),
+        **{f"seconds.{s}": told.seconds[s] for s in STAGES},
+        **(score_floors(held_out, truth, read_sources(run, own)) if floors else {}),
         "curve": [
             {"seconds": state["seconds"], **{m: level[m] for m in ("psnr_db", "abs_rel") if m in level}}
             for state, level in zip(states, [*levels, last], strict=True)

@@ -82,7 +82,7 @@ def bench_viewpoints(runs: Sequence[tuple[KnownRecording, RunFolder]], progress:
             scores = _scores(scene, cloud, viewpoint.camera)
             about = {"scene": clip.scene, "seed": clip.seed, "line": viewpoint.line, "method": "auto"}
             place = {"along_m": viewpoint.along_m, "distance_m": viewpoint.distance_m}
-            spent_s = run.document["seconds"]["train"]
+            spent_s = run.document.seconds["train"]
             document.rows.append({**about, **place, **scores, "seconds": spent_s})
             progress(
                 (i + (j + 1) / len(found)) / len(runs), f"{clip.scene}: {viewpoint.line} {viewpoint.along_m:.2f} m"

@@ -1,1 +1,1 @@
-"""How good a run is: metrics against truth, the floors it must beat, and the error-against-time curve."""
+"""Scores a run: metrics against truth or spike counts, and the floors it must beat."""

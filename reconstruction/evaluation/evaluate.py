@@ -12,6 +12,7 @@ from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.floors import depth_blend, nearest_view
+from reconstruction.evaluation.resection import Counted, resected
 from reconstruction.evaluation.truth import Truth, TruthFrame, spread
 from reconstruction.images.composite import CompositeSource
 from reconstruction.metrics.depth import abs_rel, delta_1_25
@@ -20,29 +21,45 @@ from reconstruction.scene_model import SceneModel, View
 from rigs.camera import Camera
 from rigs.similarity import align
 
-INSTANTS = 8  # truth instants a run is scored on
-COUNT_WINDOW = 32  # planes a count error is taken over
+INSTANTS = 8  # truth instants that a run is scored on
+COUNT_WINDOW = 32  # planes that a count error is taken over
+PLACING_WINDOWS = 4  # windows of spikes that a camera is placed by
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The camera that is scored and the recording it belongs to."""
+    """The camera that is scored, and the recording it belongs to.
+
+    `resected`: whether odd windows of its spikes have placed it, so that even ones are left to score it.
+    """
 
     camera: Camera
     recording: Recording
+    resected: bool = False
+
+    def windows(self) -> tuple[int, list[int]]:
+        """Return how many planes a window has, and the first planes of those to score on."""
+        planes = len(self.recording.stream(self.camera.id))
+        window = max(1, min(COUNT_WINDOW, planes // 2 if self.resected else planes))
+        return window, list(range(0, planes - window + 1, window * (2 if self.resected else 1)))
 
 
 def score_against_truth(
     cloud: SceneModel, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
 ) -> dict[str, float]:
-    """Means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
-    return _mean_scores(_frames(held_out, truth, instants), truth.white, lambda f: _look(cloud, held_out, f))
+    """Return means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
+    clock = held_out.recording.rig.clock
+    return _mean_scores(
+        _frames(held_out, truth, instants),
+        truth.white,
+        lambda frame: cloud.look(held_out.camera, clock.instant_s(frame.plane)),
+    )
 
 
 def score_floors(
     held_out: HeldOut, truth: Truth, sources: Mapping[str, CompositeSource], progress: Progress = silent
 ) -> dict[str, float]:
-    """The same metrics of both floors, named nearest_view.* and depth_blend.*, on the same instants."""
+    """Return the same metrics of both floors, named nearest_view.* and depth_blend.*, on the same instants."""
     frames = _frames(held_out, truth, INSTANTS)
     rig = held_out.recording.rig
     scores: dict[str, list[dict[str, float]]] = {"nearest_view": [], "depth_blend": []}
@@ -58,13 +75,12 @@ def score_floors(
 
 
 def score_against_counts(cloud: SceneModel, held_out: HeldOut) -> dict[str, float]:
-    """Where no truth exists: errors of spike counts over 32-plane windows of the held-out camera, in spikes."""
-    stream = held_out.recording.stream(held_out.camera.id)
-    window = min(COUNT_WINDOW, len(stream))
+    """Return errors of spike counts over 32-plane windows of the held-out camera, in spikes, where no truth exists."""
+    stream, clock = held_out.recording.stream(held_out.camera.id), held_out.recording.rig.clock
+    window, firsts = held_out.windows()
     errors = []
-    for first in spread(list(range(0, len(stream) - window + 1, window)), INSTANTS):
-        middle = held_out.recording.rig.clock.instant_s(first + (window - 1) / 2)
-        expected = cloud.look(held_out.camera, middle).intensity * window
+    for first in spread(firsts, INSTANTS):
+        expected = cloud.look(held_out.camera, clock.instant_s(first + (window - 1) / 2)).intensity * window
         errors.append(expected - stream.counts(first, first + window))
     gaps = np.stack(errors)
     return {"counts.mae": float(np.abs(gaps).mean()), "counts.rmse": float(np.sqrt((gaps**2).mean()))}
@@ -73,7 +89,7 @@ def score_against_counts(cloud: SceneModel, held_out: HeldOut) -> dict[str, floa
 def held_out_camera(
     recording: Recording, camera_id: str, views: Sequence[str], truth: Truth | None
 ) -> tuple[HeldOut, Truth | None]:
-    """The camera to score and the truth to score against, both in the frame of the cameras `views` that trained.
+    """Return the camera to score and the truth to score against, both in the frame of the cameras `views` that trained.
 
     With truth it is the true camera, carried by the similarity that lays the true `views` on those of the recording's
     rig; where these are the true ones, that changes nothing.
@@ -87,25 +103,24 @@ def held_out_camera(
     return HeldOut(camera, recording), replace(truth, metre=similarity.scale)
 
 
-def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
-    camera_id = held_out.camera.id
-    frames = [truth.frame(camera_id, plane) for plane in spread(truth.planes(camera_id), instants)]
-    expected = (held_out.camera.height, held_out.camera.width)
-    if frames[0].intensity.shape != expected:
-        raise BadRunError(f"found truth of shape {frames[0].intensity.shape}", f"{expected} as {camera_id} records")
-    return frames
-
-
-def _look(cloud: SceneModel, held_out: HeldOut, frame: TruthFrame) -> View:
-    return cloud.look(held_out.camera, held_out.recording.rig.clock.instant_s(frame.plane))
-
-
-def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[TruthFrame], View]) -> dict[str, float]:
-    return _mean([score_view(view_of(frame), frame, white) for frame in frames])
+def placed_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:
+    """Return the held-out camera where odd windows of its spikes place it in the finished scene `cloud`."""
+    found = replace(held_out, resected=True)
+    stream, clock = held_out.recording.stream(held_out.camera.id), held_out.recording.rig.clock
+    window, even = found.windows()
+    odd = [first + window for first in even if first + 2 * window <= len(stream)]
+    counted = []
+    for first in spread(odd, PLACING_WINDOWS):
+        light = (stream.counts(first, first + window) / window).astype(np.float32)
+        counted.append(Counted(clock.instant_s(first + (window - 1) / 2), light))
+    return replace(found, camera=resected(cloud, held_out.camera, counted)) if counted else held_out
 
 
 def score_view(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
-    """psnr_db, ssim, abs_rel and delta_1_25 of one picture against the truth, and dynamic_ of each on moving pixels."""
+    """Return the scores of one picture against the truth: over all pixels, and dynamic_ of each over moving ones.
+
+    They are psnr_db, ssim, abs_rel and delta_1_25; `white` is the data range in spikes per tick.
+    """
     scores: dict[str, float] = {}
     alike = ssim_map(view.intensity, frame.intensity, white)
     masks: dict[str, NDArray[np.bool_] | None] = {"": None, "dynamic_": frame.moving}
@@ -117,8 +132,21 @@ def score_view(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
     return scores
 
 
+def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
+    camera_id = held_out.camera.id
+    frames = [truth.frame(camera_id, plane) for plane in spread(truth.planes(camera_id), instants)]
+    expected = (held_out.camera.height, held_out.camera.width)
+    if frames[0].intensity.shape != expected:
+        raise BadRunError(f"found truth of shape {frames[0].intensity.shape}", f"{expected} as {camera_id} records")
+    return frames
+
+
+def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[TruthFrame], View]) -> dict[str, float]:
+    return _mean([score_view(view_of(frame), frame, white) for frame in frames])
+
+
 def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Mean of each score over the instants that have it; a score no instant has is left out (JSON knows no NaN)."""
+    """Return the mean of each score over the instants that have it; a score that no instant has is left out."""
     means = {}
     for key in rows[0]:
         values = [row[key] for row in rows if np.isfinite(row[key])]

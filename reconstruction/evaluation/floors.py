@@ -1,4 +1,4 @@
-"""What a reconstruction must beat: views made without any training, from the same spikes at the same instants.
+"""Makes views without any training, from the same spikes at the same instants: a reconstruction must beat them.
 
 `nearest_view` is the closest training camera's image as it is. `depth_blend` sweeps depth in the four nearest training
 views, carries it into the wanted view, and blends the neighbours' pixels found along it.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.images.estimate import shrunk
-from reconstruction.initialization.consistency import consistent
+from reconstruction.initialization.depth_maps import consistent
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
@@ -27,18 +27,18 @@ from rigs.camera import Camera
 
 Image = NDArray[np.float32]
 Posed = tuple[Camera, Image]
-SPECK_PX = 5  # a stray point that lands before its surroundings is taken out
-VISIBLE = 0.02  # relative depth difference up to which a neighbour sees the same surface
+SPECK_PX = 5  # width of the median filter that removes stray points
+VISIBLE = 0.02  # relative difference in depth up to which a neighbour sees the same surface
 
 
 def nearest_view(wanted: Camera, views: Sequence[Posed]) -> Image:
-    """The image of the training camera nearest to `wanted`, resized to its size where they differ."""
+    """Return the image of the training camera nearest to `wanted`, resized to its size where they differ."""
     (nearest,) = neighbours(wanted, [camera for camera, _ in views], 1)
     return shrunk(views[nearest][1], wanted)
 
 
 def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
-    """A blend of the four nearest views, warped by their swept depth; holes are closed from their surroundings."""
+    """Return a blend of the four nearest views, warped by their swept depth; holes are closed from around them."""
     chosen = [views[i] for i in neighbours(wanted, [camera for camera, _ in views])]
     options = SweepOptions(*depth_range_m([camera for camera, _ in views]))
     swept = [sweep_view(view, [other for other in chosen if other is not view], options) for view in chosen]
@@ -54,7 +54,7 @@ def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
 
 
 def _carry(wanted: Camera, maps: Sequence[DepthMap]) -> Image:
-    """The nearest surface of all maps as `wanted` sees it [H, W], NaN where none falls."""
+    """Return the nearest surface of all maps as `wanted` sees it [H, W], NaN where none falls."""
     nearest = np.full(wanted.height * wanted.width, np.inf)
     for depth_map in maps:
         points = back_project(depth_map.camera, depth_map.depth)
@@ -84,7 +84,7 @@ def _close_holes(depth: Image) -> Image:
 
 
 def _sample(wanted: Camera, depth: Image, view: Posed, depth_map: DepthMap) -> tuple[Image, Image]:
-    """The neighbour's pixels along `depth` [H, W] and their weights: 1 where it sees that surface, else 0."""
+    """Return the neighbour's pixels along `depth` [H, W] and their weights: 1 where it sees that surface, else 0."""
     camera, image = view
     seen = camera.cam_from_rig.apply(back_project(wanted, np.nan_to_num(depth, nan=1.0)))
     z = np.maximum(seen[..., 2], 1e-6)

@@ -28,7 +28,7 @@ class TruthFrame:
 class Truth:
     """A truth folder; `white` is the data range of every metric, `movers` the object ids that move.
 
-    `metre` is how long a metre of the truth is in the frame it is compared in.
+    `metre` is the length of a metre of the truth in the frame it is compared in.
     """
 
     path: Path
@@ -38,7 +38,7 @@ class Truth:
 
     @classmethod
     def open(cls, path: Path) -> Truth:
-        """Raises BadRunError where `path` is no truth folder."""
+        """Open a truth folder; raises BadRunError where `path` is none."""
         try:
             scene = json.loads((path / "scene.json").read_text())
             return cls(path, float(scene["white"]), tuple(int(m["id"]) for m in scene["movers"]))
@@ -48,14 +48,14 @@ class Truth:
             ) from error
 
     def planes(self, camera_id: str) -> list[int]:
-        """The planes a camera has truth for; raises BadRunError where it has none."""
+        """Return the planes a camera has truth for; raises BadRunError where it has none."""
         planes = sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
         if not planes:
             raise BadRunError(f"found no truth of {camera_id}", f"{camera_id}/000000.npy and so on", where=self.path)
         return planes
 
     def frame(self, camera_id: str, plane: int) -> TruthFrame:
-        """The truth of one camera at one plane."""
+        """Return the truth of one camera at one plane; raises BadRunError where it cannot be read."""
         folder = self.path / camera_id
         try:
             intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
@@ -64,7 +64,7 @@ class Truth:
         return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
-        """The mean light [H, W] of the exposure centred on a plane, which `scene.json` states."""
+        """Return the mean light [H, W] of the exposure centred on a plane, whose length `scene.json` states."""
         file = self.path / camera_id / f"blur_{plane:06d}.npy"
         try:
             return np.load(file)
@@ -72,13 +72,13 @@ class Truth:
             raise BadRunError("found no readable blurred image", "one at each plane of truth", where=file) from error
 
     def cameras(self, tick_rate_hz: float) -> Rig | None:
-        """The true cameras; None in a truth that does not have them."""
+        """Return the true cameras; None in a truth that does not have them."""
         file = self.path / "cameras.json"
         return load_cameras(file, tick_rate_hz) if file.exists() else None
 
 
 def spread(planes: list[int], count: int) -> list[int]:
-    """At most `count` of the planes, evenly spread, the first and last included."""
+    """Return at most `count` of the planes, evenly spread, the first and last included."""
     if len(planes) <= count:
         return planes
     return [planes[i] for i in np.linspace(0, len(planes) - 1, count).round().astype(int)]

@@ -1,4 +1,4 @@
-"""Points of movers at a few instants to rigid bodies: which points belong together, and how they went.
+"""Finds rigid bodies among the points of movers at a few instants: which points belong together, and how they moved.
 
 Letters: I instants, n points. A body begins as a connected cluster, first where most are apart, and is followed from
 instant to instant both ways by soft registration, in which points match that are near and alike in brightness; it
@@ -18,34 +18,32 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.initialization.matching import ALIKE
-from reconstruction.initialization.nearest import nearest
-from reconstruction.initialization.points import Points
-from reconstruction.initialization.registration import Placed, nearest_of, register, sampled
+from reconstruction.initialization.points import Points, nearest
+from reconstruction.initialization.registration import ALIKE, Placed, nearest_of, register, sampled
 from rigs.transform import Transform
 
-LEAST_POINTS = 40  # of a cluster that may become a body
+LEAST_POINTS = 40  # points of a cluster that may become a body
 LINK = 3.0  # spacings within which points are one cluster
-LINK_APART = 2.0  # the same within a body that is doubtful as one piece
+LINK_APART = 2.0  # spacings within which points are one cluster in a body that may be several
 REACH = 2.5  # spacings within which a body explains a point
-LEAST_SHARE = 0.4  # of its points that a body must find again, else it is lost
-SURE = 0.6  # of its points explained: no second guess is tried
-LEAST_INSTANTS = 3  # a body must be seen at
-LEAST_LIKENESS = 0.4  # correlation of brightness between a point and its body, where the body has texture
-BETTER = 0.05  # by how much that correlation must exceed that of standing still, and its parts' its own
-DOUBTFUL = 0.6  # correlation below which a body may be several
-TEXTURE = 0.02  # spikes per tick: less spread of brightness than this is no texture
+LEAST_SHARE = 0.4  # least share of its points that a body finds again; with fewer it is lost
+SURE = 0.6  # share of points explained above which no second guess is tried
+LEAST_INSTANTS = 3  # instants at which a body is seen at least
+LEAST_LIKENESS = 0.4  # least correlation of brightness between points and their body, where it has texture
+BETTER = 0.05  # least gain in that correlation over standing still, and of a body's parts over the body
+DOUBTFUL = 0.6  # correlation of brightness below which a body may be several
+TEXTURE = 0.02  # spread of brightness, spikes per tick, below which a body has no texture
 LONE = f"in no cluster of {LEAST_POINTS} points"
 SHORT = f"followed over fewer than {LEAST_INSTANTS} instants"
 UNLIKE = f"not rigid: brightness correlates below {LEAST_LIKENESS}"
 STILL = "stands still: its light changes, not its place"
 LONGEST = max(map(len, (LONE, SHORT, UNLIKE, STILL)))
-START = 0.15  # of a body's radius: the first guess of how far off it is
+START = 0.15  # share of a body's radius by which a first guess may be off
 
 
 @dataclass(eq=False)
 class Body:
-    """A rigid mover: its points in its own frame, and rig from body at the instants it was seen at."""
+    """A rigid mover: its points in its own frame, and rig from body at the instants at which it was seen."""
 
     spacing: float  # m, of its points at one instant
     radius: float  # m, to its farthest point
@@ -56,18 +54,18 @@ class Body:
 
     @property
     def size(self) -> int:
-        """How many points it has, of all instants."""
+        """The number of its points, of all instants."""
         return sum(map(len, self.members.values()))
 
     def model(self, points: Placed, but: int | None = None) -> Placed:
-        """All its points in its own frame, without those of one instant."""
+        """Return all its points in its own frame, without those of the instant `but`."""
         parts = [
             points.select(members).moved(self.poses[i].inverse()) for i, members in self.members.items() if i != but
         ]
         return Placed.joined(parts)
 
     def predicted(self, instant: int) -> Transform:
-        """Where it should be, had it gone on as between the two nearest instants."""
+        """Return its pose if it moved on as it did between the two nearest instants."""
         if instant in self.poses:
             return self.poses[instant]
         known = sorted(self.poses, key=lambda i: abs(i - instant))[:2]
@@ -82,7 +80,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Which body each of n points rides on (-1: none) and how K bodies went at I instants, guessed where unseen."""
+    """The body that each of n points rides on (-1: none), and poses of K bodies at I instants, guessed where unseen."""
 
     owners: NDArray[np.int64]  # [n]
     quats_wxyz: NDArray[np.float64]  # [K, I, 4] rig from body, neighbours in one hemisphere
@@ -93,12 +91,12 @@ class Bodies:
 
     @property
     def attached(self) -> int:
-        """How many points ride on a body."""
+        """The number of points that ride on a body."""
         return int((self.owners >= 0).sum())
 
     @property
     def free(self) -> dict[str, int]:
-        """How many points ride on none, by reason."""
+        """The number of points that ride on none, by reason."""
         names, counts = np.unique(self.reasons[self.owners < 0], return_counts=True)
         return dict(zip(names.tolist(), counts.tolist(), strict=True))
 
@@ -107,7 +105,7 @@ class Bodies:
 
 
 def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
-    """The rigid bodies among the points of movers, swept at I instants (s), largest first; none where nothing holds."""
+    """Return the rigid bodies among the points of movers that were swept at I instants (s), largest first."""
     instants = len(instants_s)
     owners, reasons = np.full(len(points), -1, dtype=np.int64), np.full(len(points), LONE, dtype=f"<U{LONGEST}")
     bodies: list[Body] = []
@@ -129,9 +127,9 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
 
 
 def track_bodies(points: Points, instants_s: Sequence[float]) -> list[Body]:
-    """All that could be followed, largest first, good or not.
+    """Return every body that could be followed, largest first, good or not.
 
-    What moved in no one piece may be several that touch, and is looked at once more by a shorter link.
+    A body that did not move as one piece may be several that touch, and is looked at once more by a shorter link.
     """
     placed = Placed.of(points)
     bodies = _tracked(placed, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
@@ -139,7 +137,7 @@ def track_bodies(points: Points, instants_s: Sequence[float]) -> list[Body]:
 
 
 def _torn(body: Body, points: Placed, instants: int) -> list[Body]:
-    """The parts of a body that is doubtful as one piece, where most of it goes better in parts; else the body alone."""
+    """Return the parts of a doubtful body where most of it moves better in parts; else the body alone."""
     if len(body.members) < 2 or (body.likeness >= DOUBTFUL and not _fault(body, instants)):
         return [body]
     nowhere = np.zeros(0, dtype=np.int64)
@@ -153,7 +151,7 @@ def _torn(body: Body, points: Placed, instants: int) -> list[Body]:
 
 
 def _tracked(points: Placed, swept: Sequence[NDArray[np.int64]], link: float) -> list[Body]:
-    """The bodies among the points at indices `swept`, by instant; followed both ways from where most are apart."""
+    """Return the bodies among the points at indices `swept`, by instant, begun where most are apart."""
     gaps = [_spacing(points.select(which).positions) * link if len(which) >= LEAST_POINTS else 0.0 for which in swept]
     apart = [len(clusters(points, which, gap)) for which, gap in zip(swept, gaps, strict=True)]
     first = int(np.argmax(apart)) if apart else 0
@@ -174,13 +172,13 @@ def _by_size(bodies: list[Body]) -> list[Body]:
 
 
 def _outwards(first: int, instants: int) -> list[tuple[int, int]]:
-    """Every instant and the one it is followed from: from the first to the end, then back to the beginning."""
+    """Return every instant with the one it is followed from: from the first to the end, then back to the beginning."""
     later = [(i, i - 1) for i in range(first, instants)]
     return later + [(i, i + 1) for i in range(first - 1, -1, -1)]
 
 
 def _fault(body: Body, instants: int) -> str:
-    """Why a body is not to be trusted; empty where it is."""
+    """Return why a body is not to be trusted; empty where it is."""
     if len(body.members) < min(LEAST_INSTANTS, instants):
         return SHORT
     if body.likeness < LEAST_LIKENESS:
@@ -189,7 +187,7 @@ def _fault(body: Body, instants: int) -> str:
 
 
 def clusters(points: Placed, which: NDArray[np.int64], gap_m: float) -> list[NDArray[np.int64]]:
-    """Connected clusters of at least LEAST_POINTS among the points at indices `which`, largest first."""
+    """Return connected clusters of at least LEAST_POINTS among the points at indices `which`, largest first."""
     if len(which) < LEAST_POINTS:
         return []
     at = points.select(which).positions.double().numpy()
@@ -215,7 +213,7 @@ def _begin(points: Placed, instant: int, cluster: NDArray[np.int64]) -> Body:
 
 
 def _follow(body: Body, points: Placed, step: tuple[int, int], unclaimed: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Claim what the body explains at an instant, from the one before it; what is left. A lost body claims nothing."""
+    """Claim the points that the body explains at an instant, and return the others; a lost body claims none."""
     instant, before = step
     if len(unclaimed) < LEAST_POINTS or before not in body.members:
         return unclaimed
@@ -233,7 +231,7 @@ def _follow(body: Body, points: Placed, step: tuple[int, int], unclaimed: NDArra
 
 
 def _found(body: Body, model: Placed, target: Placed, step: tuple[int, int]) -> Transform | None:
-    """The better of two registrations: from where the body would be had it gone on, and from where it last was."""
+    """Return the better of two registrations: begun where the body would be had it moved on, and where it last was."""
     instant, before = step
     last, width = body.poses[before], max(START * body.radius, body.spacing)
     guesses = [last] if len(body.members) < 2 else [body.predicted(instant), last]
@@ -253,14 +251,14 @@ def _found(body: Body, model: Placed, target: Placed, step: tuple[int, int]) -> 
 
 
 def _explained(own: Placed, others: Placed, reach: float) -> float:
-    """Share of the points within `reach` of another that is as bright."""
+    """Return the share of the points that have another one as bright within `reach`."""
     near, which = nearest_of(own, others)
     alike = (own.intensities - others.intensities[which]).abs() <= 2 * ALIKE
     return float(((near <= reach) & alike.numpy()).mean())
 
 
 def _settle(body: Body, points: Placed) -> None:
-    """Register every instant once more against all others, so that errors do not add up; and judge the outcome."""
+    """Register every instant once more against all others, so that errors do not add up, and judge the outcome."""
     carried, resting = [], []
     for instant in sorted(body.members):
         own, others = points.select(body.members[instant]), sampled(body.model(points, but=instant))
@@ -273,7 +271,7 @@ def _settle(body: Body, points: Placed) -> None:
 
 
 def _likeness(own: Placed, others: Placed) -> float:
-    """Correlation of the brightness of points and of those nearest to them; 1 where there is no texture."""
+    """Return the correlation in brightness of points and those nearest to them; 1 where there is no texture."""
     twins = others.intensities[nearest_of(own, others)[1]]
     a, b = own.intensities - own.intensities.mean(), twins - twins.mean()
     spread = float(a.square().mean().sqrt())

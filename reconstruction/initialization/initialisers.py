@@ -10,15 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError, GeometryError
-from reconstruction.initialization.geometry import Geometry
-
-if TYPE_CHECKING:
-    from reconstruction.initialization.placement import Images
+from reconstruction.initialization.geometry import Geometry, Images
 
 MSDI_SHARE = 0.7  # share of MSDI itself in the time that MSDI with bundle adjustment takes
 

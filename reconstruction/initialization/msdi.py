@@ -17,7 +17,7 @@ from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.calibrated import displacement
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.consistency import AGREEING, confirmations
+from reconstruction.initialization.depth_maps import AGREEING, confirmations
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.sweep import DepthMap, back_project
 from reconstruction.networks.image_inference import MOST_GROUP

@@ -1,4 +1,4 @@
-"""Depth maps to the points that become Gaussians: a random sample of every view's consistent pixels.
+"""Turns depth maps into the points that become Gaussians: a random sample of every view's confirmed pixels.
 
 Letters: V views, N points.
 """
@@ -6,15 +6,15 @@ Letters: V views, N points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.initialization.nearest import nearest
 from reconstruction.initialization.sweep import DepthMap, back_project
 
-NEIGHBOURS = 3
+NEIGHBOURS = 3  # points that a point's spacing is measured to
+SINGLE_TREE = 4  # FLANN's name for the k-d tree that searches exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +30,18 @@ class Points:
         return len(self.positions)
 
     def select(self, which: NDArray) -> Points:
-        """The points at indices, or where a mask is true."""
+        """Return the points at indices, or where a mask is true."""
         return Points(self.positions[which], self.intensities[which], self.spacing[which], self.instants_s[which])
 
     @classmethod
     def none(cls) -> Points:
-        """No points."""
+        """Return no points."""
         return cls(np.zeros((0, 3)), np.zeros(0, np.float32), np.zeros(0), np.zeros(0))
 
     @classmethod
     def joined(cls, parts: Sequence[Points]) -> Points:
-        """All points of `parts`, in order."""
-        if not parts:
-            return cls.none()
-        return cls(
-            np.concatenate([p.positions for p in parts]),
-            np.concatenate([p.intensities for p in parts]),
-            np.concatenate([p.spacing for p in parts]),
-            np.concatenate([p.instants_s for p in parts]),
-        )
+        """Return all points of `parts`, in order."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts or [cls.none()]]) for f in fields(cls)))
 
 
 def sample_points(
@@ -59,7 +52,10 @@ def sample_points(
     instant_s: float,
     rng: np.random.Generator,
 ) -> Points:
-    """At most `count` points drawn evenly from the pixels that are wanted and have a depth, of all V views."""
+    """Return at most `count` points, drawn evenly from the pixels of all V views that are wanted and have a depth.
+
+    `images` [H, W] in spikes per tick and masks `wanted` [H, W] belong to the V `maps`; all points are of `instant_s`.
+    """
     positions, intensities = [], []
     for depth_map, image, mask in zip(maps, images, wanted, strict=True):
         kept = mask & np.isfinite(depth_map.depth)
@@ -76,9 +72,25 @@ def sample_points(
 
 
 def spacing(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean distance [N] in m to the nearest points; a point alone gets 1 cm."""
+    """Return the mean distance [N] in m from points [N, 3] to their nearest ones; a point alone gets 1 cm."""
     if len(positions) < 2:
         return np.full(len(positions), 0.01)
     near = min(NEIGHBOURS, len(positions) - 1) + 1
     gaps, _ = nearest(positions, positions, near)
     return np.maximum(gaps[:, 1:].mean(axis=1), 1e-5)
+
+
+def nearest(points: NDArray, others: NDArray, count: int = 1) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return distances [n, count] in m from each point [n, 3] to its nearest `others` [m, 3], and their indices.
+
+    The nearest comes first. Distances are exact to float32, also far from the origin. `others` holds at least `count`
+    points, `points` one. A k-d tree is searched, in place of a matrix of all distances.
+    """
+    import cv2  # which listing the methods does without
+
+    middle = others.mean(axis=0)
+    near, far = (np.ascontiguousarray(p - middle, dtype=np.float32) for p in (points, others))
+    indices, squared = cv2.flann.Index(far, {"algorithm": SINGLE_TREE}).knnSearch(near, count, params={})
+    order = np.argsort(squared, axis=1, kind="stable")
+    distances = np.sqrt(np.take_along_axis(squared, order, axis=1).astype(np.float64))
+    return distances, np.take_along_axis(indices, order, axis=1).astype(np.int64)

@@ -1,9 +1,9 @@
-"""Two samples of one rigid surface to the transform between them, without knowing which point is which.
+"""Finds the transform between two samples of one rigid surface, without knowing which point is which.
 
 Letters: n points of the target, m of the model. Every target point is matched softly with all model points, by distance
-and by brightness (`matching`); the rigid fit to the matches is closed form; the width of the matches follows the
+and by brightness, or with none; the rigid fit to the matches is closed form; the width of the matches follows the
 residuals down to `floor`. Cost: n x m a round, so both are thinned to MOST_POINTS. Needs a guess within a few widths.
-Source: Myronenko & Song, "Point set registration: coherent point drift", PAMI 2010.
+Sources: Myronenko & Song, "Point set registration: coherent point drift", PAMI 2010; Umeyama, PAMI 1991 (the fit).
 """
 
 from __future__ import annotations
@@ -16,16 +16,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.initialization.matching import rigid_fit, soft_matches
-from reconstruction.initialization.nearest import nearest
-from reconstruction.initialization.points import Points
+from acquisition.native import Address
+from reconstruction.initialization.points import Points, nearest
+from reconstruction.native import Double, Int, kernel
 from rigs.transform import Transform
 
-MOST_POINTS = 400
-ROUNDS = 20
+MOST_POINTS = 400  # points of either sample
+ROUNDS = 20  # most rounds of matching and fitting
 STRAY = 0.2  # share of the target that is expected to have no partner
-CROWDING = 0.1  # points lie on surfaces: most of the volume around them is empty
-LEAST_MATCHED = 3.0
+CROWDING = 0.1  # share of the volume around points that holds any: they lie on surfaces
+LEAST_MATCHED = 3.0  # sum of all matches below which there is nothing to fit
+MOST_UNLIKE = 40.0  # exponent beyond which a match is none
+ALIKE = 0.04  # spikes per tick by which the brightness of one surface point differs at two instants
+
+Cloud = tuple[NDArray[np.float32], NDArray[np.float32]]  # positions [n, 3] in m, intensities [n] in spikes per tick
+
+_soft_matches = kernel("soft_matches", *[Address, Address, Int] * 2, Address, *[Double] * 4, Address)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +43,7 @@ class Placed:
 
     @classmethod
     def of(cls, points: Points) -> Placed:
-        """The same points."""
+        """Return the same points."""
         return cls(
             torch.from_numpy(points.positions.astype(np.float32)),
             torch.from_numpy(points.intensities.astype(np.float32)),
@@ -45,38 +51,49 @@ class Placed:
 
     @classmethod
     def joined(cls, parts: Sequence[Placed]) -> Placed:
-        """All points of `parts`, in order."""
+        """Return all points of `parts`, in order."""
         return cls(torch.cat([p.positions for p in parts]), torch.cat([p.intensities for p in parts]))
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def select(self, which: NDArray) -> Placed:
-        """The points at indices or where a mask is true."""
+        """Return the points at indices or where a mask is true."""
         chosen = torch.from_numpy(which)
         return Placed(self.positions[chosen], self.intensities[chosen])
 
     def moved(self, pose: Transform) -> Placed:
-        """The points carried by `pose`."""
+        """Return the points carried by `pose`."""
         turn, shift = (np.asarray(a, np.float32) for a in (pose.rotation, pose.translation))
         return Placed(torch.from_numpy(self.positions.numpy() @ turn.T + shift), self.intensities)
 
 
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Sums over all pairs: of a match between 0 and 1, and of a match times what the field names."""
+
+    total: float
+    squared: float  # m^2, of the distances
+    model: NDArray[np.float64]  # [3] m
+    target: NDArray[np.float64]  # [3] m
+    cross: NDArray[np.float64]  # [3, 3] m^2, target by model
+
+
 def sampled(points: Placed) -> Placed:
-    """Every so-manieth point, at most MOST_POINTS."""
+    """Return at most MOST_POINTS points, evenly spread over their order."""
     if len(points) <= MOST_POINTS:
         return points
     return points.select(np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64))
 
 
 def nearest_of(points: Placed, others: Placed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """For each of n points the distance [n] in m to the nearest of the others, and which one that is."""
+    """Return for each of n points the distance [n] in m to the nearest of the others, and the index [n] of that one."""
     apart, which = nearest(points.positions.numpy(), others.positions.numpy())
     return apart[:, 0], which[:, 0]
 
 
 def register(model: Placed, target: Placed, guess: Transform, width: float, floor: float) -> Transform:
-    """Target from model, begun at `guess` with matches `width` metres wide, which narrow to half of `floor`."""
+    """Return target from model, begun at `guess` with matches `width` metres wide, which narrow to half of `floor`."""
     pose = guess
     volume = float((target.positions.amax(dim=0) - target.positions.amin(dim=0)).clamp_min(floor).prod())
     lever = float(model.positions.norm(dim=1).amax())
@@ -97,7 +114,30 @@ def register(model: Placed, target: Placed, guess: Transform, width: float, floo
     return pose
 
 
+def soft_matches(model: Cloud, target: Cloud, pose: Transform, width: float, stray: float) -> Matches:
+    """Match every target point with all model points where `pose` carries the model to the target.
+
+    Matches are `width` metres wide; `stray` weighs having none.
+    """
+    at, light, target_at, target_light = (np.ascontiguousarray(a, dtype=np.float32) for a in (*model, *target))
+    numbers = np.concatenate([pose.rotation.ravel(), pose.translation]).astype(np.float64)
+    sums = np.empty(17)
+    _soft_matches(
+        at, light, len(at), target_at, target_light, len(target_at), numbers, width, ALIKE, MOST_UNLIKE, stray, sums
+    )
+    return Matches(float(sums[0]), float(sums[1]), sums[2:5], sums[5:8], sums[8:].reshape(3, 3))
+
+
+def rigid_fit(matches: Matches) -> Transform:
+    """Return the pose that brings the model nearest to the target in the squares weighted by the matches."""
+    middle_model, middle_target = matches.model / matches.total, matches.target / matches.total
+    left, _, right = np.linalg.svd(matches.cross - np.outer(middle_target, matches.model))
+    mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    turn = left @ (mirror[:, None] * right)
+    return Transform(turn, middle_target - turn @ middle_model)
+
+
 def _apart(one: Transform, other: Transform, lever: float) -> float:
-    """How far, in metres, a point at the end of the lever lies from where the other pose puts it, at most."""
+    """Return how far, in metres, a point at the end of the lever lies at most from where the other pose puts it."""
     turn = float(np.linalg.norm(one.rotation - other.rotation))
     return float(np.linalg.norm(one.translation - other.translation)) + lever * turn

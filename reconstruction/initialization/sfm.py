@@ -24,17 +24,16 @@ from numpy.typing import NDArray
 
 from acquisition.progress import Progress, silent
 from reconstruction.errors import BadRunError, GeometryError
-from reconstruction.initialization.geometry import Geometry
-from reconstruction.initialization.placement import FEWEST_VIEWS, Images, laid_on, toned, usable_views
+from reconstruction.initialization.geometry import FEWEST_VIEWS, Geometry, Images, laid_on, toned, usable_views
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
 
 SEED = 0
-QUIET = 2  # errors and worse
-CAUCHY_PX = 0.25
-MOST_ERROR_PX = 2.0
-LEAST_ANGLE_DEG = 1.0  # between the rays to a point
+QUIET = 2  # level of COLMAP's log: errors and worse
+CAUCHY_PX = 0.25  # scale of the loss in the last adjustment
+MOST_ERROR_PX = 2.0  # most reprojection error of a point
+LEAST_ANGLE_DEG = 1.0  # least angle between the rays to a point
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class SfmOptions:
 
 
 def sfm(rig: Rig, images: Images, options: SfmOptions | None = None, progress: Progress = silent) -> Geometry:
-    """Poses, one shared focal length and points from `images`: camera id to [H, W], linear, spikes per tick.
+    """Return poses, one shared focal length and points from `images`: camera id to [H, W], linear, spikes per tick.
 
     A point's confidence is the number of views that see it. The same input gives the same result. Raises BadRunError
     for images that do not fit the rig and GeometryError, by name, for views that could not be placed.
@@ -75,14 +74,16 @@ def sfm(rig: Rig, images: Images, options: SfmOptions | None = None, progress: P
 
 
 def _shared_lens(rig: Rig) -> Camera:
-    """The pinhole that all views are seen through: the mean of the rig's lenses, without their distortion."""
+    """Return the pinhole that all views are seen through: the mean of the rig's lenses, without their distortion."""
     mean = {name: float(np.mean([getattr(c, name) for c in rig.cameras])) for name in ("fx", "fy", "cx", "cy")}
     first = rig.cameras[0]
     odd = next((c for c in rig.cameras if (c.width, c.height) != (first.width, first.height)), None)
     if odd:
-        sizes = f"{odd.width}x{odd.height}, expected {first.width}x{first.height} as of {first.id}"
         raise BadRunError(
-            f"found the size {sizes}", do="structure from motion takes one lens for all cameras", where=odd.id
+            f"found the size {odd.width}x{odd.height}",
+            f"{first.width}x{first.height} as of {first.id}",
+            "structure from motion takes one lens for all cameras",
+            where=odd.id,
         )
     return replace(first, **mean, distortion=(0.0, 0.0, 0.0, 0.0))
 
@@ -97,7 +98,7 @@ def _write_images(folder: Path, rig: Rig, lens: Camera, images: Mapping[str, NDA
 
 
 def _seen_through(lens: Camera, camera: Camera, image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What `camera` took [H, W] as `lens` would have taken it from the same place."""
+    """Return what `camera` took [H, W] as `lens` would have taken it from the same place."""
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel has its centre at zero
     size = (lens.width, lens.height)
     distortion = np.array(camera.distortion)
@@ -108,7 +109,10 @@ def _seen_through(lens: Camera, camera: Camera, image: NDArray[np.float32]) -> N
 
 @contextmanager
 def _quiet_pycolmap() -> Iterator[ModuleType]:
-    """pycolmap without its log on stderr. Loaded after OpenCV: the other way round the process dies on a PNG."""
+    """Yield pycolmap without its log on stderr.
+
+    It is loaded after OpenCV: the other way round the process dies on a PNG.
+    """
     try:
         import pycolmap
     except ImportError as error:
@@ -134,7 +138,7 @@ class _Run:
     progress: Progress
 
     def models(self, lens: Camera) -> list[Any]:
-        """The models found, largest first."""
+        """Return the models found, largest first."""
         self.pycolmap.set_random_seed(SEED)
         try:
             self.progress(0.0, "features")
@@ -191,7 +195,7 @@ class _Run:
         return mapping(*self._places, self.folder / "models", how)
 
     def _adjust(self, models: list[Any]) -> None:
-        """Once more with a loss that forgets what does not fit: without it movers pull, .05 degrees instead of .005."""
+        """Adjust once more with a loss that forgets what does not fit: without it movers pull by .05 degrees."""
         colmap = self.pycolmap
         how = colmap.BundleAdjustmentOptions()
         how.refine_focal_length = self.options.focal == "estimated"
@@ -213,7 +217,7 @@ class _Run:
 
 
 def _geometry(rig: Rig, views: tuple[str, ...], lens: Camera, models: list[Any], options: SfmOptions) -> Geometry:
-    """The largest model as cameras on the rig and points; GeometryError where it lacks views it may not lack."""
+    """Return the largest model as cameras on the rig and points; raises GeometryError where it lacks views it needs."""
     poses = (
         {image.name.removesuffix(".png"): image.cam_from_world() for image in models[0].images.values()}
         if models
@@ -222,7 +226,7 @@ def _geometry(rig: Rig, views: tuple[str, ...], lens: Camera, models: list[Any],
     absent = [c for c in views if c not in poses]
     if absent and (options.missing == "refuse" or len(poses) < FEWEST_VIEWS):
         advice = "give sharper or less noisy images, another peak threshold, or keep the rig's poses"
-        raise GeometryError(f"found no place for {', '.join(absent)} of {len(views)} views", "all", f"{advice}")
+        raise GeometryError(f"found no place for {', '.join(absent)} of {len(views)} views", "all", advice)
     (colmap_lens,) = models[0].cameras.values()
     x, y = colmap_lens.focal_length_x / lens.fx, colmap_lens.focal_length_y / lens.fy
     cameras = []

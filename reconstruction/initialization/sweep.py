@@ -41,7 +41,7 @@ class SweepOptions:
 
     @property
     def inverse_depths(self) -> NDArray[np.float64]:
-        """Hypotheses [D], far to near, uniform in inverse depth."""
+        """The hypotheses [D], far to near, uniform in inverse depth, in 1/m."""
         return np.linspace(1 / self.far_m, 1 / self.near_m, self.planes)
 
 
@@ -55,7 +55,7 @@ class DepthMap:
 
 
 def depth_range_m(cameras: Sequence[Camera]) -> tuple[float, float]:
-    """Nearest and farthest depth worth searching: half to four times the distance where the optical axes meet.
+    """Return the nearest and farthest depth worth searching: half to four times the distance where optical axes meet.
 
     Parallel axes never meet: then ten baselines stand for the object's distance.
     """
@@ -64,7 +64,7 @@ def depth_range_m(cameras: Sequence[Camera]) -> tuple[float, float]:
 
 
 def neighbours(camera: Camera, others: Sequence[Camera], count: int = SOURCES) -> list[int]:
-    """Indices into `others` of the `count` nearest cameras."""
+    """Return the indices into `others` of the `count` nearest cameras."""
     gaps = [float(np.linalg.norm(camera.center - other.center)) for other in others]
     return sorted(np.argsort(gaps, kind="stable")[:count].tolist())
 
@@ -72,7 +72,10 @@ def neighbours(camera: Camera, others: Sequence[Camera], count: int = SOURCES) -
 def sweep_view(
     reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], options: SweepOptions
 ) -> DepthMap:
-    """Depth of every pixel of the reference view, unchecked; all images linear, one size among the sources."""
+    """Return the depth of every pixel of the reference view, unchecked.
+
+    All images [H, W] are linear, in spikes per tick; those of the sources have one size.
+    """
     camera, image = reference
     stack = np.ascontiguousarray(np.stack([s for _, s in sources]), dtype=np.float32)
     homographies, epipoles = zip(*(plane_induced(camera, source) for source, _ in sources), strict=True)
@@ -86,7 +89,7 @@ def sweep_view(
 
 
 def back_project(camera: Camera, depth: Image) -> NDArray[np.float64]:
-    """Points [H, W, 3] in the rig frame of depths [H, W]."""
+    """Return the points [H, W, 3] in the rig frame, in m, of depths [H, W] in m along the camera's z."""
     height, width = depth.shape
     x = (np.arange(width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(height) + 0.5 - camera.cy) / camera.fy
@@ -95,7 +98,7 @@ def back_project(camera: Camera, depth: Image) -> NDArray[np.float64]:
 
 
 def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """K_s R K_r^-1 [9] and K_s t [3] of the homography that planes facing the reference induce."""
+    """Return K_s R K_r^-1 [9] and K_s t [3] of the homography that planes facing the reference induce."""
     source_from_reference = source.cam_from_rig @ reference.cam_from_rig.inverse()
     homography = source.K @ source_from_reference.rotation @ np.linalg.inv(reference.K)
     return homography.ravel(), source.K @ source_from_reference.translation

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.methods.definition import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds, Training
 
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
@@ -24,4 +24,4 @@ def _start(seeds: Seeds) -> DynamicCloud:
     return seed_timesteps(seeds.still, seeds.moving, seeds.clip)
 
 
-D3DGS = Method("d3dgs", _start, canonical=0.0, trainer={"ends_early": False})
+D3DGS = Method("d3dgs", _start, canonical=0.0, training=Training(ends_early=False))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
-
-from reconstruction.initialization.points import Points
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from reconstruction.initialization.bodies import Bodies
+    from reconstruction.initialization.points import Points
     from reconstruction.scene_model import SceneModel, TimeSpan
     from rigs.camera import Camera
 
@@ -31,15 +30,44 @@ class Seeds:
 
 
 @dataclass(frozen=True)
+class SpikeSampling:
+    """The spikes that a term on spikes looks at.
+
+    `every`: steps from one with the term to the next. `planes`: the shortest and the longest window. `size_px`: width
+    and height of the part of a view (None: all of it).
+    """
+
+    every: int = 2
+    planes: tuple[int, int] = (8, 33)
+    size_px: tuple[int, int] | None = (160, 128)
+
+
+@dataclass(frozen=True)
+class Training:
+    """The way a method is trained.
+
+    `ends_early`: whether a training that no longer gains may end before its budget. `holds_depth`: weight of the loss
+    on depths that the points stage confirmed; 0 is none. `deblurs`: whether a render is the mean of several instants
+    where movers get far. `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000
+    steps in 4DGS). `spikes`: what a term on spikes looks at.
+    """
+
+    ends_early: bool = True
+    holds_depth: float = 0.0
+    deblurs: bool = False
+    canonical_until: float = 3 / 17
+    spikes: SpikeSampling = field(default_factory=SpikeSampling)
+
+
+@dataclass(frozen=True)
 class Method:
     """`start` makes the model that is trained.
 
     `moves`: whether it knows motion; without, the whole clip is one still scene to it. `canonical`: the share of the
     clip at which alone movers are swept (None: at several instants). `supervision`: what it is published with, taken
-    where the operator leaves it open. `watched`: whether still Gaussians that turn out to move are let go. `trainer`:
-    fields of TrainerSettings that differ from the defaults. `gaussians`: how many, where the operator does not say.
-    `rays`: whether it is a radiance field, which learns from spikes of single rays: no other supervision, and no
-    refinement.
+    where the operator leaves it open. `watched`: whether still Gaussians that turn out to move are let go.
+    `gaussians`: how many, where the operator does not say. `rays`: whether it is a radiance field, which learns from
+    spikes of single rays: no other supervision, and no refinement.
     """
 
     name: str
@@ -50,4 +78,4 @@ class Method:
     watched: bool = False
     rays: bool = False
     gaussians: int = 48_000
-    trainer: Mapping[str, Any] = field(default_factory=dict)
+    training: Training = field(default_factory=Training)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.methods.definition import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds, Training
 
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
@@ -29,8 +29,8 @@ def _bases(seeds: Seeds) -> DynamicCloud:
 
 
 # Of held depths, 0.05 to 0.5 come to the same in depth on development recordings; more costs still ones light.
-TRAINER = {"holds_depth": 0.05, "deblurs": True}
-STATIC = Method("static", _linear, moves=False, trainer=TRAINER)
-LINEAR = Method("linear", _linear, watched=True, trainer=TRAINER)
-CUBIC = Method("cubic", _cubic, watched=True, trainer=TRAINER)
-BASES = Method("bases", _bases, watched=True, trainer=TRAINER)
+TRAINING = Training(holds_depth=0.05, deblurs=True)
+STATIC = Method("static", _linear, moves=False, training=TRAINING)
+LINEAR = Method("linear", _linear, watched=True, training=TRAINING)
+CUBIC = Method("cubic", _cubic, watched=True, training=TRAINING)
+BASES = Method("bases", _bases, watched=True, training=TRAINING)

@@ -12,14 +12,15 @@ integrated over instants where it moves; sensor noise as the variance of a count
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from reconstruction.methods.definition import Method, Seeds
+from reconstruction.methods.definition import Method, Seeds, SpikeSampling, Training
 
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
 
-SPIKES_ALONE: dict[str, Any] = {"spike_every": 1, "spike_px": None}
+SPIKES_ALONE = SpikeSampling(every=1, size_px=None)
 
 
 def _still(seeds: Seeds) -> DynamicCloud:
@@ -36,7 +37,11 @@ def _deformed(seeds: Seeds) -> DynamicCloud:
 
 
 SPIKEGS = Method(
-    "spikegs", _still, moves=False, supervision="counts", trainer={**SPIKES_ALONE, "spike_planes": (64, 4096)}
+    "spikegs",
+    _still,
+    moves=False,
+    supervision="counts",
+    training=Training(spikes=replace(SPIKES_ALONE, planes=(64, 4096))),
 )
 DY_SPIKEGS = Method(
     "dy-spikegs",
@@ -44,6 +49,6 @@ DY_SPIKEGS = Method(
     canonical=0.5,
     supervision="counts",
     watched=True,
-    trainer=SPIKES_ALONE,
+    training=Training(spikes=SPIKES_ALONE),
     gaussians=24_000,  # with 48,000 it makes two thirds of the steps in a minute, and is 0.4 dB behind
 )

@@ -1,4 +1,4 @@
-"""How much of a training is done, and the error of one asked to stop; light enough for stages without torch."""
+"""Measures how much of a training is done; light enough for stages without torch."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ class StoppedError(ReconstructionError):
 
 @dataclass
 class Budget:
-    """How much of a training is done, by seconds of the run or by steps; `spent_s` lies before this process."""
+    """Measures how much of a training is done, by seconds of the run or by steps.
+
+    `spent_s`: seconds of the run before this process. `before_training_s`: seconds of the run before its training.
+    """
 
     clock: Callable[[], float]
     started: float
@@ -28,11 +31,11 @@ class Budget:
     before_training_s: float = field(default=0.0)
 
     def elapsed_s(self) -> float:
-        """Wall seconds of the run so far, earlier stages and processes included."""
+        """Return the wall seconds of the run so far, earlier stages and processes included."""
         return self.spent_s + self.clock() - self.started
 
     def done(self, steps: int) -> float:
-        """The share of the training that lies behind, 0 to 1."""
+        """Return the share of the training that is done after so many steps, 0 to 1."""
         if self.steps is not None:
             return min(1.0, steps / self.steps)
         assert self.budget_s is not None
@@ -41,6 +44,6 @@ class Budget:
 
 
 def process_budget(run: RunFolder, started: float, clock: Callable[[], float] = time.monotonic) -> Budget:
-    """The budget of this process: stages finished by earlier processes count as spent."""
+    """Return the budget of this process: stages finished by earlier processes count as spent."""
     config = run.config
-    return Budget(clock, started, float(sum(run.document["seconds"].values())), config.budget_s, config.steps)
+    return Budget(clock, started, float(sum(run.document.seconds.values())), config.budget_s, config.steps)

@@ -1,4 +1,4 @@
-"""The watch of a training: once, after a part of it, the plan's still pixels are held against the spikes again."""
+"""Watches a training: once, after a part of it, the plan's still pixels are held against the spikes again."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.pipeline.stages import short_images
+from reconstruction.pipeline.artefacts import short_images, write_moving
+from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.plan import Decision
+from reconstruction.training.changed_pixels import look_again, unsettled
 from reconstruction.training.trainer import Trainer
 from reconstruction.training.view import TrainingView
-from reconstruction.training.watch import look_again, unsettled
 
 WATCH_AT = 0.25  # share of the training
 UNDONE = "straight paths for what the plan took for still"
@@ -33,7 +33,7 @@ class Watch:
 
     @property
     def note(self) -> str:
-        """What was undone, to go behind a line of progress; empty where nothing was."""
+        """What was undone, to stand behind a line of progress; empty where nothing was."""
         return f"; watch: {self.state['choice']}" if self.state and self.state["masks"] else ""
 
     def look(self, done: float, checkpoint: Callable[[], None]) -> None:
@@ -42,25 +42,27 @@ class Watch:
             return
         asked = self.run.config.model
         obeys = asked != "auto" and not METHODS[asked].watched
-        changed = {} if obeys else look_again(self.trainer.views)
-        views, freed = self.trainer.views, 0
+        views = self.trainer.views
+        changed = {} if obeys else look_again(views)
+        masks = {i: views[i].source.moving | mask for i, mask in changed.items()}
+        pixels, freed = sum(int(mask.sum()) for mask in changed.values()), 0
         if changed:
-            masks = {i: views[i].source.moving | mask for i, mask in changed.items()}
-            still = self.trainer.cloud.positions(self.trainer.cloud.clip.first_s)[: len(self.trainer.cloud.still)]
+            cloud = self.trainer.cloud
+            still = cloud.positions(cloud.clip.first_s)[: len(cloud.still)]
             which = unsettled(still, [view.camera for view in views], changed)
             freed = int(which.sum())
             self.trainer.unsettle(self._retargeted(masks), which)
-            pixels = sum(int(mask.sum()) for mask in changed.values())
             choice = f"{pixels} pixels of {len(changed)} views move after all, {freed} Gaussians with them"
             reason = f"spikes pooled over still pixels change; they get short images from step {self.trainer.steps} on"
         else:
-            masks, choice = {}, f"obeys --model {asked}" if obeys else "nothing undone"
+            choice = f"obeys --model {asked}" if obeys else "nothing undone"
             reason = "what was asked for is not undone" if obeys else f"still pixels of {len(views)} views stay so"
         packed = {views[i].camera.id: torch.from_numpy(np.packbits(mask)) for i, mask in masks.items()}
-        self.state = {"masks": packed, "choice": choice, "reason": reason}
+        facts = {"pixels": pixels, "views": len(changed), "gaussians": freed, "step": self.trainer.steps}
+        self.state = {"masks": packed, "choice": choice, "reason": reason, "facts": facts}
         if masks:
             checkpoint()
-        self._write()
+        self._write(self.state)
 
     def resume(self, state: dict | None) -> None:
         """Carry on after a watch that a checkpoint tells of."""
@@ -70,7 +72,7 @@ class Watch:
         numbers = {view.camera.id: i for i, view in enumerate(self.trainer.views)}
         masks = {numbers[name]: self._unpacked(name, packed.numpy()) for name, packed in state["masks"].items()}
         self.trainer.views = self._retargeted(masks)
-        self._write()
+        self._write(state)
 
     def _unpacked(self, name: str, packed: NDArray[np.uint8]) -> NDArray[np.bool_]:
         camera = next(view.camera for view in self.trainer.views if view.camera.id == name)
@@ -78,7 +80,7 @@ class Watch:
         return bits.reshape(camera.height, camera.width).astype(bool)
 
     def _retargeted(self, masks: Mapping[int, NDArray[np.bool_]]) -> list[TrainingView]:
-        """The training views, those of `masks` with these pixels moving."""
+        """Return the training views with the pixels of `masks`, by the number of the view, as moving ones."""
         views = list(self.trainer.views)
         for i, moving in masks.items():
             source = views[i].source
@@ -87,16 +89,14 @@ class Watch:
             views[i] = replace(views[i], source=retargeted, depth=depth and depth.without(moving))
         return views
 
-    def _write(self) -> None:
+    def _write(self, state: dict) -> None:
         """Bring masks and plan of the run folder up to what the checkpoint says; the same again where they are."""
-        assert self.state is not None
-        for name, packed in self.state["masks"].items():
-            self.run.write_array(f"plan/moving_{name}", self._unpacked(name, packed.numpy()))
-        plan, override = self.run.plan, "none"
-        if self.state["masks"]:
+        for name, packed in state["masks"].items():
+            write_moving(self.run, name, self._unpacked(name, packed.numpy()))
+        override = "none"
+        if state["masks"]:
             override = "--model static"
-            if plan.model == "static":
-                plan = plan.amended(Decision("motion", "linear", UNDONE, "--model"), model="linear")
-        plan = plan.amended(Decision("watch", self.state["choice"], self.state["reason"], override))
-        self.run.document["plan"] = plan.to_json()
-        self.run.save()
+            if self.run.plan.model == "static":
+                self.run.amend("train", Decision("motion", "linear", UNDONE, "--model"), model="linear")
+        facts = state.get("facts", {})  # none in the checkpoint of an earlier revision
+        self.run.amend("train", Decision("watch", state["choice"], state["reason"], override, facts=facts))

@@ -1,1 +1,1 @@
-"""What a person looks at: the report, the curve, the orbit."""
+"""Draws what a person looks at: the report, the curve, the orbit."""

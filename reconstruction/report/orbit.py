@@ -1,4 +1,4 @@
-"""A fly-through: the camera circles inside the array's opening while the clip plays."""
+"""Films a fly-through: the camera circles inside the array's opening while the clip plays."""
 
 import math
 from collections.abc import Iterator
@@ -17,11 +17,11 @@ from rigs.rig import Rig
 from rigs.transform import Transform
 
 FRAMES = 120
-SHARE = 0.8  # of the array's half width: inside what the cameras saw
+SHARE = 0.8  # share of the array's half width, so that the circle lies inside what the cameras saw
 
 
 def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRAMES) -> Iterator[Camera]:
-    """Cameras on an ellipse around `centre`, in its image plane, all looking at the point `distance_m` ahead of it."""
+    """Yield cameras on an ellipse around `centre`, in its image plane, that look at a point `distance_m` ahead."""
     world_from_centre = centre.cam_from_rig.inverse()
     spots = centre.cam_from_rig.apply(np.stack([c.center for c in rig.cameras]))
     radius = SHARE * np.abs(spots).max(axis=0)
@@ -59,6 +59,6 @@ def write_orbit(
 
 
 def side_by_side(left: Pixels, right: Pixels) -> Pixels:
-    """Grey [H, W] beside BGR [H, W, 3], each of an even width, as BGR."""
+    """Return grey [H, W] beside BGR [H, W, 3], each of an even width, as BGR."""
     width = 2 * (left.shape[1] // 2)
     return np.hstack([np.repeat(left[:, :width, None], 3, axis=2), right[:, :width]])

@@ -12,13 +12,13 @@ from reconstruction.report.display import Pixels
 
 
 def difference(image: NDArray[np.float32], truth: NDArray[np.float32], white: float) -> Pixels:
-    """Absolute difference [H, W, 3] in false colour; full scale is a fifth of `white`."""
+    """Return the absolute difference of images [H, W] in false colour [H, W, 3]; full scale is a fifth of `white`."""
     scaled = np.clip(np.abs(image - truth) / max(white, 1e-9) * 5, 0, 1)
     return np.asarray(cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_INFERNO), np.uint8)
 
 
 def depth_colours(depth: NDArray[np.float32], near_m: float, far_m: float) -> Pixels:
-    """Depth [H, W] in false colour [H, W, 3] (near is warm), uniform in inverse depth; black where unknown."""
+    """Return depth [H, W] in false colour [H, W, 3] (near is warm), uniform in inverse depth; black where unknown."""
     known = np.isfinite(depth) & (depth > 0)
     inverse = np.where(known, 1 / np.where(known, depth, 1), 0)
     scaled = np.clip((inverse - 1 / far_m) / max(1 / near_m - 1 / far_m, 1e-9), 0, 1)
@@ -28,7 +28,7 @@ def depth_colours(depth: NDArray[np.float32], near_m: float, far_m: float) -> Pi
 
 
 def encode_png(pixels: Pixels) -> bytes:
-    """PNG of 8-bit grey [H, W] or BGR [H, W, 3]."""
+    """Return a PNG of 8-bit grey [H, W] or BGR [H, W, 3]."""
     done, data = cv2.imencode(".png", pixels)
     if not done:
         raise ReconstructionError(f"found an image of shape {pixels.shape} that cannot be encoded as PNG")

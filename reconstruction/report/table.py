@@ -1,4 +1,4 @@
-"""The scores of a run beside its floors, as a person reads them; light enough for a process without torch."""
+"""Lays out the scores of a run beside its floors; light enough for a process without torch."""
 
 from dataclasses import dataclass
 
@@ -16,14 +16,14 @@ LINES = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest vi
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """Headings of the columns, and lines of a name and one cell a column ("-" where there is no score)."""
+    """Headings of the columns, and lines: a name and one cell a column ("-" where there is no score)."""
 
     headings: tuple[str, ...]
     lines: tuple[tuple[str, tuple[str, ...]], ...]
 
 
 def score_table(metrics: dict) -> ScoreTable:
-    """The table of a `metrics.json` document; columns and lines without any score are left out."""
+    """Return the table of a `metrics.json` document; columns and lines without any score are left out."""
     columns = {key: spec for key, spec in COLUMNS.items() if key in metrics}
     lines = []
     for name, prefix in LINES.items():

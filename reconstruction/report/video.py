@@ -1,4 +1,4 @@
-"""Pictures to an H.264 video, whole or absent."""
+"""Writes pictures as an H.264 video, whole or not at all."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.durable import made_aside
 from reconstruction.report.display import Pixels
 
-RATE_HZ = 24
+RATE_HZ = 24  # pictures a second
 VIDEO = {"preset": "veryfast", "crf": "18", "movflags": "+faststart"}  # half of the default preset's time, as good
 
 

@@ -1,4 +1,4 @@
-"""What an operator may choose about a reconstruction."""
+"""The choices that an operator has about a reconstruction; importing them loads no torch."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
-from acquisition.members import members
 from reconstruction.errors import BadRunError
 from reconstruction.images import catalogue as image_catalogue
 from reconstruction.initialization.initialisers import INITIALISERS
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.training.term import Supervision
+from reconstruction.training.term import supervisions
 
 DEFAULT_BUDGET_S = 120.0
 STAGES = ("plan", "poses", "images", "points", "train", "report")
-SUPERVISIONS = members("reconstruction.training.supervision", Supervision)
+SUPERVISIONS = supervisions()
 CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "model": ("auto", *METHODS),
@@ -57,8 +56,8 @@ class ReconstructionConfig:
         for name, names in CHOICES.items():
             if getattr(self, name) not in names:
                 raise BadRunError(f"found {name} {getattr(self, name)!r}", f"one of {', '.join(names)}")
-        if self.supervision in SUPERVISIONS and SUPERVISIONS[self.supervision].refused:
-            chosen = SUPERVISIONS[self.supervision]
+        chosen = SUPERVISIONS.get(self.supervision)
+        if chosen and chosen.refused:
             raise BadRunError(f"found supervision {chosen.name!r}: {chosen.refused}", do=chosen.instead)
         if (self.budget_s is None) == (self.steps is None):
             raise BadRunError("found both or neither of a budget in seconds and a number of steps", "one of them")

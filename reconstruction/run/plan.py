@@ -1,9 +1,9 @@
-"""Looks at the spikes once and decides what this scene needs; everything left out is listed with its reason."""
+"""Looks at the spikes once and decides what this scene needs; lists all that it leaves out, each with its reason."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,81 +15,30 @@ from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
-from reconstruction.run.configuration import RENAMED, ReconstructionConfig
-from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work, spoken
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.decisions import Decision, Plan
+from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
 from rigs.rig import Rig
 
-DARK_RATE = 1e-4  # spikes per pixel and tick; below it a view carries no picture
+DARK_RATE = 1e-4  # spikes per pixel and tick below which a view carries no picture
 STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
-LEAST_VIEWS = 2
-TWIN_PLANES = 32  # at the start of two streams that tell whether they are one
-LIGHT_VIEWS = 4  # enough to see the light of the whole scene
-INSTANTS = 8  # at which movers are swept
-A_PIXEL = 2  # Gaussians at most for each pixel of a view
-GAUSSIAN_FLOATS = 12  # of a still one
-UNADJUSTED = ("sfm", "dust3r")  # poses that no covariance vouches for are refined in training
-BEST_METHOD = "adaptive"  # of those without a network, on single images
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One choice: what it is about, what was chosen, why, which option overrides it, and what it saves.
-
-    `saves_s` (seconds of one thread) and `saves_bytes` are against what `reason` names; None: nothing, or not known.
-    """
-
-    about: str
-    choice: str
-    reason: str
-    override: str
-    saves_s: float | None = None
-    saves_bytes: int | None = None
-
-    def __str__(self) -> str:
-        """One line for a person: `about: choice (saves 12 s, 40 MB): reason; override --x`."""
-        saved = spoken(self.saves_s, self.saves_bytes)
-        price = f" ({saved})" if saved else ""
-        override = "" if self.override == "none" else f"; override {self.override}"
-        return f"{self.about}: {self.choice}{price}: {self.reason}{override}"
-
-
-@dataclass(frozen=True)
-class Plan:
-    """`views` train; `model` to `init` are concrete; the cap splits into still and moving Gaussians."""
-
-    views: tuple[str, ...]
-    model: str
-    images: str
-    supervision: str
-    moving_gaussians: int
-    still_gaussians: int
-    decisions: tuple[Decision, ...]
-    init: str = "sweep"
-    refine: bool = False
-
-    def amended(self, decision: Decision, **changes: object) -> Plan:
-        """The plan after a later stage has seen more: `decision` in place of the one about the same thing."""
-        kept = tuple(d for d in self.decisions if d.about != decision.about)
-        return replace(self, decisions=(*kept, decision), **changes)
-
-    def to_json(self) -> dict:
-        """Plain values, as kept in `run.json`."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: dict) -> Plan:
-        """The inverse of `to_json`; what an earlier revision said beyond that is passed over."""
-        decisions = tuple(Decision(**d) for d in document["decisions"])
-        known = {f.name: document[f.name] for f in fields(cls) if f.name in document}
-        supervision = RENAMED.get(document["supervision"], document["supervision"])
-        views = tuple(document["views"])
-        return cls(**(known | {"views": views, "decisions": decisions, "supervision": supervision}))
+LEAST_VIEWS = 2  # training views
+TWIN_PLANES = 32  # first planes of two streams, which tell whether they are one
+LIGHT_VIEWS = 4  # views that are enough to see the light of the whole scene
+INSTANTS = 8  # instants at which movers are swept
+A_PIXEL = 2  # most Gaussians for each pixel of a view
+GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
+UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
+BEST_METHOD = "adaptive"  # best image method without a network, on single images
 
 
 def make_plan(
     config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream]
 ) -> tuple[Plan, dict[str, NDArray[np.bool_]], Light]:
-    """The plan, each training view's mask of moving pixels [H, W], the light; reads no stream but the training ones."""
+    """Return the plan, each training view's mask of moving pixels [H, W], and the light.
+
+    Reads no stream but those of the training views. Raises BadRunError for what cannot be done.
+    """
     decisions: list[Decision] = []
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
@@ -111,7 +60,7 @@ def make_plan(
 
 
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
-    """A radiance field learns from the spikes of single rays, whose cameras stand as they are."""
+    """Refuse what a radiance field cannot do: it learns from the spikes of single rays of cameras that stand still."""
     if method.rays and config.refine == "on":
         raise BadRunError(f"found --refine on with --model {method.name}, which cannot refine poses", do="leave it out")
     if method.rays and config.supervision != "auto":
@@ -128,14 +77,14 @@ def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStr
 
 
 def _share(masks: Mapping[str, NDArray[np.bool_]]) -> float:
-    """The share of all pixels that move."""
+    """Return the share of all pixels that move."""
     return float(np.mean([mask.mean() for mask in masks.values()]))
 
 
 def _choose_targets(
     config: ReconstructionConfig, work: Work, share: float, method: Method, decisions: list[Decision]
 ) -> tuple[str, str]:
-    """The image method and the supervision."""
+    """Return the names of the image source and of the supervision."""
     images, supervision = config.images, config.supervision
     if images == "auto":
         images, count = "interpolated", work.images(config.tick_stride)
@@ -153,7 +102,7 @@ def _choose_targets(
 
 
 def _economies(config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int]) -> list[Decision]:
-    """Instants and Gaussians: what is kept small from the start."""
+    """Return what is kept small from the start: the instants and the Gaussians."""
     stride, (still, moving) = config.tick_stride, counts
     fewer = work.images(1) - work.images(stride)
     kept = round(fewer * work.pixels * share) * FLOAT_BYTES
@@ -170,7 +119,7 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
 
 
 def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
-    """What no reconstruction does."""
+    """Return what no reconstruction does."""
     calibrated = sum(rig.camera(view).pixels is not None for view in views)
     if calibrated:
         maps = f"maps of {calibrated} views are there, but training does not read them"
@@ -184,7 +133,7 @@ def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
 
 
 def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
-    """How the cameras are found; the stage that does it says what came of it."""
+    """Return the initialiser; the poses stage says what came of it."""
     if config.init != "auto":
         return config.init
     init = "natural" if rig.poses == "nominal" else "sweep"
@@ -223,7 +172,7 @@ def _training_views(
 
 
 def _refuse_twins(views: Sequence[str], streams: Mapping[str, SpikeStream]) -> None:
-    """Two cameras never fire alike: the same planes that are not silent are one file under two names."""
+    """Refuse one file under two names: two cameras that see light never fire alike."""
     seen: dict[bytes, str] = {}
     for view in views:
         planes = streams[view].window(0, min(TWIN_PLANES, len(streams[view])))
@@ -261,10 +210,10 @@ def _choose_model(
 
 
 def _split(cap: int, method: Method, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
-    """Still and moving Gaussians of the cap: movers get more than their share, the more where each is seen for a while.
+    """Split the cap into still and moving Gaussians: movers get more than their share of the pixels.
 
-    What rides on a body is seen all along: with half as many, `fan_and_ball` gained 0.5 dB over the whole view and lost
-    as much on movers.
+    They get most where a Gaussian is seen for a part of the clip only. One that rides on a body is seen all along: with
+    half as many, `fan_and_ball` gained 0.5 dB over the whole view and lost as much on movers.
     """
     if not method.moves:
         return cap, 0

@@ -1,4 +1,4 @@
-"""What work costs, so that a plan can say what leaving it out saves.
+"""Prices of the work in a run, so that a plan can say what leaving it out saves.
 
 Unit costs are seconds of one thread, the least of two or three tries of processor time on a 2-core x86-64 virtual
 machine: the development recording `fan_and_ball` seed 1 (eight training views of 400x250, 400 planes, 21% of the pixels
@@ -29,8 +29,8 @@ STEP_S = 0.0225
 VARIATION_STEP_S = 0.0424
 SPLATS_S = 6.7e-7
 FLOAT_BYTES = 4
-KEPT_COPIES = 3  # a trained number and Adam's two moments
-VIEW_DEPENDENT = 3 * 16 - 1  # numbers more a Gaussian: three channels of third-degree harmonics against one grey
+KEPT_COPIES = 3  # of a trained number: itself and Adam's two moments
+VIEW_DEPENDENT = 3 * 16 - 1  # extra numbers a Gaussian: three channels of third-degree harmonics, not one grey
 
 
 @dataclass(frozen=True)
@@ -49,64 +49,56 @@ class Work:
 
     @property
     def scale(self) -> float:
-        """Pixels of a view over those the unit costs were measured with."""
+        """Pixels of a view, in pixels of the views that unit costs were measured with."""
         return self.pixels / MEASURED_PX
 
     def step_s(self) -> float:
-        """Seconds of one step: a part that grows with the Gaussians and one that grows with the pixels."""
+        """Return the seconds of one step: a part that grows with the Gaussians and one that grows with the pixels."""
         return SPLATS_S * self.gaussians + (STEP_S - SPLATS_S * MEASURED_GAUSSIANS) * self.scale
 
     def likely_steps(self) -> int:
-        """Steps of the run: those asked for, or as many as the budget pays for on one thread."""
+        """Return the steps of the run: those asked for, or as many as the budget pays for on one thread."""
         if self.steps is not None:
             return self.steps
         assert self.budget_s is not None
         return round(self.budget_s / self.step_s())
 
     def _steps_s(self, share: float) -> float:
-        """Seconds of all steps, times `share`."""
+        """Return the seconds of a `share` of all steps."""
         return self.likely_steps() * self.step_s() * share
 
     def movers_s(self, instants: int) -> float:
-        """Seconds of looking for movers at `instants`; where nothing moves none are found, so no step carries any."""
+        """Return the seconds of looking for movers at `instants`; steps without any cost nothing more."""
         return self.scale * self.views * (instants * SWEEP_MOVERS_S + BACKGROUND_S)
 
     def view_s(self, instants: int) -> float:
-        """Seconds of preparing one more view: its background, its sweep, and those of movers at `instants`."""
+        """Return the seconds of preparing one more view: background, sweep, and sweeps of movers at `instants`."""
         return self.scale * (BACKGROUND_S + SWEEP_S + instants * SWEEP_MOVERS_S)
 
     def poses_s(self) -> float:
-        """Seconds of finding the poses of nine views: matching grows little with the size of the pictures."""
+        """Return the seconds of finding the poses of nine views; matching grows little with the pictures' size."""
         return POSES_S * self.scale**0.5
 
     def images(self, stride: int) -> int:
-        """Target images of a run with one for every `stride` planes: all there are, or one a step if that is less."""
+        """Return the target images of a run with one for every `stride` planes: all, or one a step if that is less."""
         return min(self.views * max(1, self.planes // stride), self.likely_steps())
 
     def instants_s(self) -> float:
-        """Seconds of the extra instants that `image-variation` renders in every step."""
+        """Return the seconds of the extra instants that `image-variation` renders in every step."""
         return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
 
     def second_instants_s(self, share: float) -> float:
-        """Seconds of a second instant rendered in a share of the steps."""
+        """Return the seconds of a second instant rendered in a share of the steps."""
         return share * self.instants_s() / 2
 
     def splats_s(self, count: int) -> float:
-        """Seconds of `count` more Gaussians through all steps."""
+        """Return the seconds of `count` more Gaussians through all steps."""
         return self.likely_steps() * count * SPLATS_S
 
     def image_s(self, method: str) -> float:
-        """Seconds of one target image."""
+        """Return the seconds of one target image."""
         return price_s(method) * self.scale
 
     def colour_bytes(self) -> int:
-        """Bytes of colours that depend on the viewing direction, with their moments."""
+        """Return the bytes of colours that depend on the viewing direction, with their moments."""
         return VIEW_DEPENDENT * KEPT_COPIES * FLOAT_BYTES * self.gaussians
-
-
-def spoken(saves_s: float | None, saves_bytes: int | None) -> str:
-    """`saves 12 s, 40 MB`, or nothing where neither is known."""
-    parts = [] if saves_s is None else [f"{saves_s:.0f} s" if saves_s >= 10 else f"{saves_s:.1f} s"]
-    if saves_bytes is not None:
-        parts.append(f"{saves_bytes / 1e6:.0f} MB" if saves_bytes >= 1e7 else f"{saves_bytes / 1e6:.1f} MB")
-    return f"saves {', '.join(parts)}" if parts else ""

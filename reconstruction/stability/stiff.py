@@ -25,8 +25,9 @@ from reconstruction.bench.conventions import HOLDOUT
 from reconstruction.bench.score_run import held_out_with_truth
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.pipeline.run import reconstruct
-from reconstruction.pipeline.training import trainer_of
+from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.train_stage import Beginning, settle_motion, trainer_of
+from reconstruction.rendering.render import Backend
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
@@ -101,10 +102,19 @@ class StiffScene:
     def _train(self, seed: int, model: str, *, exact: bool) -> Trained:
         run = self.run(seed, model)
         kind = ("reference", torch.float64) if exact else ("native", torch.float32)
-        trainer = trainer_of(run, self.recording, *kind)
+        trainer = _trainer(run, self.recording, *kind)
         losses = _stepped(trainer, 0, self.extent.steps, self.extent.steps)
         camera, truth = held_out_with_truth(self.recording, run.plan.views)
         return Trained(losses, score_against_truth(_single(trainer.cloud), camera, truth)["psnr_db"])
+
+
+def _trainer(
+    run: RunFolder, recording: Recording, backend: Backend = "native", dtype: torch.dtype = torch.float32
+) -> Trainer:
+    """Return the trainer that the train stage would begin with."""
+    beginning = Beginning.of(run, recording)
+    settle_motion(run, recording, beginning)
+    return trainer_of(run, recording, beginning, backend, dtype)
 
 
 def _single(cloud: SceneModel) -> SceneModel:
@@ -139,7 +149,7 @@ def _resumed(scene: StiffScene) -> Observation:
     """Train half, keep it on disk, load it into a new trainer, and train the other half."""
     seed, steps = scene.extent.seeds[0], scene.extent.steps
     run, kept = scene.run(seed, "auto"), scene.folder / f"{scene.name}.pt"
-    first, second = (trainer_of(run, scene.recording) for _ in range(2))
+    first, second = (_trainer(run, scene.recording) for _ in range(2))
     losses = _stepped(first, 0, steps // 2, steps)
     save_checkpoint(kept, first.state())
     second.restore(load_checkpoint(kept))

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.losses.counts import cumulative_loss
+from reconstruction.methods.definition import SpikeSampling
 from reconstruction.training.image_term import ImageTerm, learnt_planes
-from reconstruction.training.term import SpikeSampling
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 

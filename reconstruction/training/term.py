@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from acquisition.members import members
 
 if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
     from reconstruction.gaussians.dynamic import DynamicCloud
+    from reconstruction.methods.definition import SpikeSampling
     from reconstruction.training.image_term import ImageTerm
     from reconstruction.training.view import TrainingView
 
@@ -26,17 +30,6 @@ class Term(Protocol[M]):
 
 
 @dataclass(frozen=True)
-class SpikeSampling:
-    """The spikes that a spike term looks at.
-
-    `planes`: the shortest and the longest window. `size_px`: width and height of the part of a view (None: all of it).
-    """
-
-    planes: tuple[int, int] = (8, 33)
-    size_px: tuple[int, int] | None = (160, 128)
-
-
-@dataclass(frozen=True)
 class Supervision:
     """A loss that the operator may choose by `name`, beside or in place of the comparison with images.
 
@@ -48,3 +41,9 @@ class Supervision:
     term: Callable[[ImageTerm, SpikeSampling], Term[DynamicCloud] | None]
     refused: str = ""
     instead: str = ""
+
+
+@functools.cache
+def supervisions() -> Mapping[str, Supervision]:
+    """Return every supervision by its name."""
+    return members("reconstruction.training.supervision", Supervision)

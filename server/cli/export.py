@@ -6,7 +6,7 @@ import click
 
 from reconstruction.export.catalogue import FORMATS, check_target, checked_format, export_scene
 from reconstruction.export.scene import Choices
-from reconstruction.pipeline.export import trained_scene
+from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.folder import RunFolder
 from server.cli.options import PATH
 from server.cli.progress import progress_of

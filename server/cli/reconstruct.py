@@ -11,7 +11,7 @@ from acquisition.durable import write_array
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from rigs.exchange.nerfstudio import load_frames
@@ -90,6 +90,7 @@ def reconstruct_command(
 @click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
 def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     """Render RUN from any cameras at any time, with depth."""
+    from reconstruction.pipeline.artefacts import read_white
     from reconstruction.report.display import grey
     from reconstruction.report.pictures import write_png
     from reconstruction.training.checkpoint import load_cloud
@@ -97,7 +98,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     run = RunFolder.open(run_folder)
     cloud = load_cloud(run.checkpoint)
     frames = load_frames(cameras)
-    white = run.white()
+    white = read_white(run)
     out.mkdir(parents=True, exist_ok=True)
     progress = progress_of("render")
     for i, frame in enumerate(frames):
@@ -115,8 +116,8 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
 @json_option
 def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> None:
     """Score RUN on its held-out camera, beside the floors it must beat."""
-    from reconstruction.pipeline.poses import posed
-    from reconstruction.pipeline.report import evaluate_run
+    from reconstruction.pipeline.artefacts import posed
+    from reconstruction.pipeline.report_stage import evaluate_run
 
     run = RunFolder.open(run_folder)
     if run.config.holdout is None:

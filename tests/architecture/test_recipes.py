@@ -148,9 +148,10 @@ def test_a_supervision_term_is_two_files(copy):
 
         from typing import TYPE_CHECKING
 
-        from reconstruction.training.term import SpikeSampling, Supervision
+        from reconstruction.training.term import Supervision
 
         if TYPE_CHECKING:
+            from reconstruction.methods.definition import SpikeSampling
             from reconstruction.training.image_term import ImageTerm
             from reconstruction.training.spike_term import SpikeTerm
 

@@ -16,7 +16,7 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from reconstruction.evaluation.truth import Truth
 from reconstruction.metrics.poses import pose_errors
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.rig import object_distance_m
 from server.app import create_app
@@ -79,4 +79,4 @@ def test_a_calibration_serves_the_captures_after_it(tmp_path: Path) -> None:
     run = reconstruct(after.path, tmp_path / "run", config, lambda stage: silent, last="poses")
     (decision,) = (decision for decision in run.plan.decisions if decision.about == "poses")
     assert (decision.choice, decision.reason) == ("not estimated", "the rig's poses are calibrated")
-    assert "poses" not in run.document
+    assert run.document.poses is None

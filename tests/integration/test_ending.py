@@ -10,8 +10,8 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.pipeline.budget import Budget
-from reconstruction.pipeline.run import reconstruct
-from reconstruction.pipeline.training import train_stage
+from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.train_stage import train_stage
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.training import ending
 from reconstruction.training.checkpoint import load_checkpoint
@@ -54,5 +54,5 @@ def test_it_ends_early_with_its_last_state_on_the_curve(recording, tmp_path, mon
 
 def test_steps_are_exact(recording, tmp_path, monkeypatch):
     run, _ = trained(recording, tmp_path / "run", monkeypatch, budget_s=None, steps=60)
-    assert run.document["steps"] == 60
-    assert "stopped_early" not in run.document
+    assert run.document.steps == 60
+    assert run.document.stopped_early is None

@@ -12,7 +12,7 @@ from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.session.record import simulate
 from reconstruction.export.catalogue import FORMATS
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.exchange.nerfstudio import load_frames
 from rigs.toml import catalog_rig

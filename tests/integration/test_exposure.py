@@ -5,7 +5,7 @@ import torch
 
 from acquisition.progress import silent
 from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 

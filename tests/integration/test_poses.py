@@ -20,9 +20,9 @@ from reconstruction.evaluation.evaluate import held_out_camera
 from reconstruction.evaluation.truth import Truth
 from reconstruction.initialization.initialisers import InitOptions, initialise
 from reconstruction.metrics.poses import pose_errors
+from reconstruction.pipeline.artefacts import posed
 from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.poses import posed
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.rig import object_distance_m
 from rigs.similarity import Similarity
@@ -70,7 +70,8 @@ def test_a_nominal_rig_is_calibrated_from_its_scene(whole, tmp_path):
     recording, true = Recording.open(whole), true_rig(whole)
     assert off(recording.rig, true).rotation_deg > 1
     assert off(posed(run, recording).rig, true).rotation_deg < 0.03
-    assert run.document["poses"]["held_out_used"]
+    assert run.document.poses is not None
+    assert run.document.poses["held_out_used"] is False
     (decision,) = (d for d in run.plan.decisions if d.about == "poses")
     assert "tracks" in decision.reason
     assert not run.plan.refine
@@ -111,14 +112,16 @@ def test_without_a_checkpoint_dust3r_says_what_to_give(whole):
 
 def test_what_cannot_be_trusted_is_refused_and_the_nominal_rig_refined(small, tmp_path):
     run = reconstruct(small, tmp_path / "run", SMALL, quiet)
-    assert "tracks" in run.document["poses"]["refused"]
+    assert run.document.poses is not None
+    assert "tracks" in str(run.document.poses["refused"])
     assert run.plan.init == "sweep"
     assert run.plan.refine
     recording = Recording.open(small)
     assert posed(run, recording).rig is recording.rig
     refined = posed(run, recording, refined=True).rig
     assert off(refined, recording.rig).rotation_deg > 1e-4
-    assert set(run.document["refinement"]) == set(run.plan.views)
+    assert run.document.refinement is not None
+    assert set(run.document.refinement) == set(run.plan.views)
     metrics = json.loads((run.path / "metrics.json").read_text())
     assert metrics["psnr_db"] > 10
     assert metrics["poses.drawn.rotation_deg"] == metrics["poses.found.rotation_deg"]

@@ -15,8 +15,8 @@ from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.catalogue import export_scene
 from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.export import trained_scene
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from rigs.toml import catalog_rig
@@ -140,8 +140,9 @@ def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tm
     assert cloud.motion.kind == {"dy-spikegs": "deformation"}.get(model, model)
     assert len(cloud.moving) > 20
     if model == "bases":
-        found = run.document["bodies"]
-        assert found["attached"] + sum(found["free"].values()) == len(cloud.moving)
+        found = run.document.bodies
+        assert found is not None
+        assert found.attached + sum(found.free.values()) == len(cloud.moving)
 
 
 def test_a_stage_before_its_predecessor_is_refused(recording, tmp_path):

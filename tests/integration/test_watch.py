@@ -10,8 +10,8 @@ import torch
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.run import reconstruct
-from reconstruction.pipeline.training import trainer_of
+from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.train_stage import Beginning, trainer_of
 from reconstruction.pipeline.watch import Watch
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
@@ -33,7 +33,8 @@ def blind(small_recording, tmp_path_factory):
     run = reconstruct(small_recording, path, CONFIG, quiet, stage="plan")
     for view in run.plan.views:
         run.write_array(f"plan/moving_{view}", np.zeros_like(run.read_array(f"plan/moving_{view}")))
-    run.document["plan"] |= {"model": "static", "still_gaussians": CONFIG.gaussians, "moving_gaussians": 0}
+    still = {"model": "static", "still_gaussians": CONFIG.gaussians, "moving_gaussians": 0}
+    run.document.planned = replace(run.plan, **still)
     run.save()
     for stage in ("poses", "images", "points"):
         reconstruct(small_recording, path, CONFIG, quiet, stage=stage)
@@ -58,6 +59,11 @@ def trained(small_recording, blind, out, kills=()):
     return reconstruct(small_recording, out, CONFIG, quiet, stage="train")
 
 
+def beginning_trainer(run, path):
+    recording = Recording.open(path)
+    return trainer_of(run, recording, Beginning.of(run, recording))
+
+
 @pytest.fixture(scope="module")
 def whole(small_recording, blind, tmp_path_factory):
     return trained(small_recording, blind, tmp_path_factory.mktemp("runs") / "whole")
@@ -66,10 +72,10 @@ def whole(small_recording, blind, tmp_path_factory):
 def test_what_moves_after_all_is_not_held_in_depth(small_recording, blind, whole, tmp_path):
     shutil.copytree(blind, tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
-    trainer = trainer_of(run, Recording.open(small_recording))
+    trainer = beginning_trainer(run, small_recording)
     Watch(run, trainer).resume(load_checkpoint(whole.checkpoint)["watch"])
-    anew = trainer_of(whole, Recording.open(small_recording))
-    before = trainer_of(RunFolder.open(blind), Recording.open(small_recording))
+    anew = beginning_trainer(whole, small_recording)
+    before = beginning_trainer(RunFolder.open(blind), small_recording)
     for now, later, then in zip(trainer.views, anew.views, before.views, strict=True):
         assert now.depth is not None
         assert later.depth is not None
@@ -85,7 +91,10 @@ def test_what_moves_after_all_is_not_held_in_depth(small_recording, blind, whole
 def test_what_moves_is_found_and_the_plan_says_so(whole):
     plan = RunFolder.open(whole.path).plan
     assert plan.model == "linear"
-    assert any(d.about == "watch" and "move after all" in d.choice for d in plan.decisions)
+    watch = plan.decision("watch")
+    assert watch is not None
+    assert watch.facts["pixels"] > 0
+    assert "move after all" in watch.choice
     assert any(d.about == "motion" and d.choice == "linear" for d in plan.decisions)
     assert len(load_cloud(whole.checkpoint).moving) > 0
     assert any(whole.read_array(f"plan/moving_{view}").any() for view in plan.views)
@@ -105,7 +114,7 @@ def test_killed_between_checkpoint_and_masks_it_ends_in_the_same_state(
     whole, small_recording, blind, tmp_path, monkeypatch
 ):
     shutil.copytree(blind, tmp_path / "run")
-    monkeypatch.setattr("reconstruction.pipeline.watch.Watch._write", lambda self: 1 / 0)
+    monkeypatch.setattr("reconstruction.pipeline.watch.Watch._write", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         reconstruct(small_recording, tmp_path / "run", CONFIG, quiet, stage="train")
     assert RunFolder.open(tmp_path / "run").plan.model == "static"
@@ -122,7 +131,7 @@ def test_an_override_is_obeyed(small_recording, blind, tmp_path):
     shutil.copytree(blind, tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
     config = replace(CONFIG, model="static")
-    run.document["configuration"] = config.to_json()
+    run.document.configuration = config
     run.save()
     run = reconstruct(small_recording, run.path, config, quiet, stage="train")
     assert run.plan.model == "static"

@@ -20,7 +20,7 @@ from reconstruction.bench.paper.method import Cell, Effort
 from reconstruction.bench.score_run import score_run
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.run import reconstruct
+from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 
@@ -154,7 +154,7 @@ def _is_of_this_code(row: dict) -> bool:
 
 def _reduce(out: Path) -> None:
     """Delete all of a run but its documents, poses and last state; the rest is large and can be made again."""
-    snapshots = RunFolder(out, {}).snapshots()
+    snapshots = sorted((out / "snapshots").glob("*.pt"))
     kept = {out / SCORES, out / "run.json", out / "poses", out / "snapshots", *snapshots[-1:]}
     for path in [*out.iterdir(), *snapshots]:
         if path not in kept:

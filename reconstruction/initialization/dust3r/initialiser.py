@@ -18,8 +18,7 @@ from acquisition.progress import Progress, part, silent
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.dust3r.alignment import aligned
 from reconstruction.initialization.dust3r.pairs import PairMaps, complete, rays_of, sampled_pixels
-from reconstruction.initialization.geometry import Geometry
-from reconstruction.initialization.placement import Images, laid_on, toned, usable_views
+from reconstruction.initialization.geometry import Geometry, Images, laid_on, toned, usable_views
 from reconstruction.networks.dust3r.checkpoint import load_network
 from reconstruction.networks.dust3r.network import Dust3r
 from rigs.camera import Camera

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from reconstruction.training.supervision.counts import count_term
 from reconstruction.training.supervision.image_variation import image_variation_term
-from reconstruction.training.term import SpikeSampling, Supervision, Term
+from reconstruction.training.term import Supervision, Term
 
 if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
     from reconstruction.gaussians.dynamic import DynamicCloud
+    from reconstruction.methods.definition import SpikeSampling
     from reconstruction.training.image_term import ImageTerm
     from reconstruction.training.view import TrainingView
 

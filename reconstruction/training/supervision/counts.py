@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.training.term import SpikeSampling, Supervision
+from reconstruction.training.term import Supervision
 
 if TYPE_CHECKING:
+    from reconstruction.methods.definition import SpikeSampling
     from reconstruction.training.image_term import ImageTerm
     from reconstruction.training.spike_term import SpikeTerm
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from references.stereo import matches_of, soft_matches_reference
 
 from reconstruction.initialization.bodies import LONE, STILL, UNLIKE, Bodies, find_bodies
-from reconstruction.initialization.matching import Matches, rigid_fit, soft_matches, soft_matches_reference
 from reconstruction.initialization.points import Points, spacing
-from reconstruction.initialization.registration import Placed, register
+from reconstruction.initialization.registration import Placed, register, rigid_fit, soft_matches
 from rigs.transform import Transform
 
 INSTANTS = 5
@@ -66,7 +66,7 @@ def test_the_rigid_fit_finds_the_pose_of_known_pairs():
     rng = np.random.default_rng(0)
     model = rng.normal(size=(20, 3))
     true = Transform(turn(2.5) @ turn(-1.1, "x"), np.array([1.0, -2.0, 3.0]))
-    found = rigid_fit(Matches.of(model, true.apply(model), np.eye(20), np.zeros((20, 20))))
+    found = rigid_fit(matches_of(model, true.apply(model), np.eye(20), np.zeros((20, 20))))
     np.testing.assert_allclose(found.rotation, true.rotation, atol=1e-7)
     np.testing.assert_allclose(found.translation, true.translation, atol=1e-7)
 
@@ -74,7 +74,7 @@ def test_the_rigid_fit_finds_the_pose_of_known_pairs():
 def test_points_in_a_plane_are_fitted_by_a_rotation_not_a_mirror():
     rng = np.random.default_rng(0)
     flat = rng.normal(size=(20, 3)) * [1, 1, 0]
-    found = rigid_fit(Matches.of(flat, flat @ turn(3.0).T, np.eye(20), np.zeros((20, 20))))
+    found = rigid_fit(matches_of(flat, flat @ turn(3.0).T, np.eye(20), np.zeros((20, 20))))
     assert np.linalg.det(found.rotation) == pytest.approx(1)
 
 

@@ -15,7 +15,7 @@ from reconstruction.initialization.dust3r.initialiser import (
     padded_images,
     predicted,
 )
-from reconstruction.initialization.placement import toned
+from reconstruction.initialization.geometry import toned
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.networks.dust3r.network import Architecture, Dust3r, PointMap
 from rigs.toml import catalog_rig

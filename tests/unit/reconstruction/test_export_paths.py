@@ -15,7 +15,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.export import catalogue
 from reconstruction.export.catalogue import FORMATS, export_scene
 from reconstruction.export.scene import Choices
-from reconstruction.pipeline.export import trained_scene
+from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from rigs.errors import RigError

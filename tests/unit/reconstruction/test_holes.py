@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.initialization.holes import filled
+from reconstruction.initialization.depth_maps import filled
 from reconstruction.initialization.sweep import DepthMap
 from rigs.toml import catalog_rig
 

@@ -36,8 +36,8 @@ from reconstruction.images.flicker import Light
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.plan import STILL_SHARE
+from reconstruction.training.changed_pixels import changed_pixels
 from reconstruction.training.image_term import ImageTerm
-from reconstruction.training.watch import changed_pixels
 from rigs.clock import RigClock
 from rigs.toml import catalog_rig
 

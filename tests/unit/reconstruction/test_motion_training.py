@@ -24,6 +24,7 @@ from reconstruction.images.background import background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
+from reconstruction.methods.definition import Training
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
@@ -89,7 +90,7 @@ def view() -> TrainingView:
 
 
 def trainer_of(kind: str, view: TrainingView, speed: float = 0.0) -> Trainer:
-    return Trainer(cloud(kind, speed), [view], TrainerSettings("pixels", canonical_until=0.3), CLOCK, seed=1)
+    return Trainer(cloud(kind, speed), [view], TrainerSettings("pixels", Training(canonical_until=0.3)), CLOCK, seed=1)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -135,7 +136,7 @@ def test_a_motion_is_learnt_from_standing_still(kind, view, monkeypatch):
     for planes in ("coarse_space", "coarse_time", "fine_space", "fine_time"):
         monkeypatch.setitem(HexPlaneMotion.rates, planes, Rate(5e-2, deforms=True))
     trainer = trainer_of(kind, view)
-    trainer = Trainer(trainer.cloud, [view], TrainerSettings("pixels", canonical_until=0.0), CLOCK, seed=1)
+    trainer = Trainer(trainer.cloud, [view], TrainerSettings("pixels", Training(canonical_until=0.0)), CLOCK, seed=1)
     for _ in range(60):
         trainer.step(0.2)
     now, then = (trainer.cloud.at(u * CLIP.last_s).means[-2:, 0].detach() for u in (0.9, 0.1))

@@ -16,7 +16,7 @@ from reconstruction.bench.paper.method import Change
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.truth import Truth
 from reconstruction.images.composite import CompositeSource
-from reconstruction.pipeline.training import _given
+from reconstruction.pipeline.train_stage import _given
 from rigs.toml import catalog_rig
 
 PLANES, SEED = 60, 5
@@ -89,7 +89,7 @@ class Still(CompositeSource):
 
 def test_clean_and_blurred_images_are_the_truths_own(recording):
     truth = Truth.open(recording.truth)
-    found = {kind: _given({"cam11": Still()}, recording, kind)["cam11"] for kind in ("clean", "blurred")}
+    found = {kind: _given("cam11", Still(), recording, kind) for kind in ("clean", "blurred")}
     planes = truth.planes("cam11")
     for kind, prefix in (("clean", ""), ("blurred", "blur_")):
         assert found[kind].instants(4).tolist() == planes
@@ -104,4 +104,4 @@ def test_a_truth_without_blurred_images_says_so(recording, tmp_path):
     with pytest.raises(BadRunError, match="found no readable blurred image, expected one at each plane of truth"):
         Truth.open(tmp_path).blurred("cam11", 0)
     with pytest.raises(BadRunError, match="found no truth, expected a simulated recording for the images `blurred`"):
-        _given({}, replace(recording, path=tmp_path / "elsewhere"), "blurred")
+        _given("cam11", Still(), replace(recording, path=tmp_path / "elsewhere"), "blurred")

@@ -11,7 +11,8 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.run.configuration import CHOICES, ReconstructionConfig
-from reconstruction.run.plan import Plan, make_plan
+from reconstruction.run.decisions import Plan
+from reconstruction.run.plan import make_plan
 from rigs.errors import RigError
 from rigs.toml import catalog_rig
 

@@ -14,7 +14,7 @@ CONFIG = ReconstructionConfig(steps=5, budget_s=None)
 
 
 def start(tmp_path, config=CONFIG):
-    return RunFolder.start(tmp_path / "run", config, tmp_path / "rec", {})
+    return RunFolder.start(tmp_path / "run", config, tmp_path / "rec", "revision")
 
 
 def test_an_unfinished_run_resumes_with_the_same_configuration(tmp_path):
@@ -32,7 +32,7 @@ def test_another_configuration_is_refused(tmp_path):
 
 def test_a_finished_run_is_not_overwritten(tmp_path):
     run = start(tmp_path)
-    run.document["status"] = "finished"
+    run.document.status = "finished"
     run.save()
     with pytest.raises(BadRunError, match="found a finished run"):
         start(tmp_path)
@@ -41,7 +41,7 @@ def test_a_finished_run_is_not_overwritten(tmp_path):
 def test_the_last_stage_finishes_the_run(tmp_path):
     start(tmp_path).finish_stage("report", 1.5, last=True)
     document = RunFolder.open(tmp_path / "run").document
-    assert (document["status"], document["seconds"]) == ("finished", {"report": 1.5})
+    assert (document.status, document.seconds) == ("finished", {"report": 1.5})
 
 
 def test_a_folder_of_other_things_is_refused(tmp_path):

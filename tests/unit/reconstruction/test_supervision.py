@@ -17,6 +17,7 @@ from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
 from reconstruction.losses.counts import absolute_loss, robust_loss, square_loss
+from reconstruction.methods.definition import SpikeSampling, Training
 from reconstruction.rendering.render import render
 from reconstruction.run.configuration import SUPERVISIONS
 from reconstruction.scene_model import Rate, TimeSpan
@@ -24,7 +25,6 @@ from reconstruction.training import image_term, spike_term
 from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.spike_term import SpikeTerm
-from reconstruction.training.term import SpikeSampling
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.variation_term import ImageVariationTerm
 from reconstruction.training.view import TrainingView
@@ -124,7 +124,7 @@ def test_an_image_of_nine_planes_is_rendered_as_their_mean_where_a_mover_gets_fa
 
 
 def test_a_training_that_goes_on_knows_how_many_instants_an_image_takes():
-    view, settings = seen(cloud(0.8)), TrainerSettings("pixels", image_planes=9, deblurs=True)
+    view, settings = seen(cloud(0.8)), TrainerSettings("pixels", Training(deblurs=True), image_planes=9)
     one, two = (Trainer(cloud(0.8), [view], settings, CLOCK, seed=0) for _ in range(2))
     assert one.exposure is not None
     assert two.exposure is not None
@@ -153,7 +153,7 @@ def test_spikes_alone_teach_whole_views_from_the_first_step(monkeypatch):
     view, model = seen(cloud(0.0)), cloud(0.0)
     model.moving.means[:] += torch.tensor([0.05, 0.0, 0.0])
     monkeypatch.setitem(GaussianCloud.rates, "means", Rate(4e-3, "scene"))
-    settings = TrainerSettings("counts", spike_every=1, spike_px=None, spike_planes=(8, 64))
+    settings = TrainerSettings("counts", Training(spikes=SpikeSampling(1, (8, 64), None)))
     trainer, sizes = Trainer(model, [view], settings, CLOCK, seed=0), []
     part_of = spike_term.part_with_mover
     monkeypatch.setattr(spike_term, "part_with_mover", lambda *a: sizes.append(part_of(*a).camera.width) or part_of(*a))
@@ -169,7 +169,7 @@ def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
     view, still = seen(cloud(0.0)), cloud(0.0)
     motionless = PolynomialMotion.at_rest(torch.zeros(0), 1.0)
     still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), motionless, CLIP)
-    term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), LOSSES[norm], SpikeSampling((32, 33), None)), []
+    term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), LOSSES[norm], SpikeSampling(planes=(32, 33), size_px=None)), []
     monkeypatch.setattr(image_term, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
     term(still, view, np.random.default_rng(0))
     assert len(renders) == (1 if norm == "counts" else 4)

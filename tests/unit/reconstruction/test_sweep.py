@@ -6,8 +6,9 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from references.stereo import confirmations_reference, sweep_view_reference
 
-from reconstruction.initialization.consistency import confirmations, confirmations_reference, consistent
+from reconstruction.initialization.depth_maps import confirmations, consistent
 from reconstruction.initialization.points import Points, sample_points, spacing
 from reconstruction.initialization.sweep import (
     DepthMap,
@@ -17,7 +18,6 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
-from reconstruction.initialization.sweep_reference import sweep_view_reference
 from rigs.camera import Camera
 from rigs.transform import Transform
 

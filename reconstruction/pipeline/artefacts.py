@@ -1,0 +1,171 @@
+"""The artefacts that several stages read, each by the one file name it has in a run folder.
+
+plan -> plan/light.npy, plan/moving_camRC.npy; poses -> poses/rig.toml; images ->
+images/{image,trusted,stuck}_camRC.npy; points -> points/{still,moving}_*.npy, points/depth_camRC.npy, and
+points/bodies_*.npy for the model `bases`; train -> checkpoint.pt, snapshots/, poses/refined.toml; report ->
+poses/held_out.toml, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durable import write_durably
+from acquisition.recording.reader import Recording
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.background import Background
+from reconstruction.images.catalogue import GIVEN, ImageMethod, method_for
+from reconstruction.images.composite import CompositeSource
+from reconstruction.images.flicker import Light
+from reconstruction.initialization.points import Points
+from reconstruction.run.decisions import Plan
+from reconstruction.run.folder import RunFolder
+from rigs.camera import Camera
+from rigs.rig import Rig
+from rigs.toml import dump_rig, load_rig
+
+if TYPE_CHECKING:
+    from reconstruction.initialization.bodies import Bodies
+
+FOUND_RIG, REFINED_RIG, HELD_OUT_RIG = "poses/rig.toml", "poses/refined.toml", "poses/held_out.toml"
+SWEPT = "interpolated"  # image method by which points are found where the target images are given
+WHITE_PERCENTILE = 99.9
+Kind = Literal["still", "moving"]
+Mask = NDArray[np.bool_]
+Arrays = TypeVar("Arrays")
+
+
+def write_light(run: RunFolder, light: Light) -> None:
+    """Write the gain of each plane."""
+    run.write_array("plan/light", light.gains)
+
+
+def read_light(run: RunFolder) -> Light:
+    """Read the gain of each plane."""
+    return Light(run.read_array("plan/light"))
+
+
+def write_moving(run: RunFolder, view: str, moving: Mask) -> None:
+    """Write the pixels [H, W] of a view that ever see a mover."""
+    run.write_array(f"plan/moving_{view}", moving)
+
+
+def read_moving(run: RunFolder, view: str) -> Mask:
+    """Read the pixels [H, W] of a view that ever see a mover."""
+    return run.read_array(f"plan/moving_{view}")
+
+
+def write_background(run: RunFolder, view: str, background: Background) -> None:
+    """Write the background of a view."""
+    _write(run, "images/{}_" + view, background)
+
+
+def read_background(run: RunFolder, view: str) -> Background:
+    """Read the background of a view."""
+    return _read(run, "images/{}_" + view, Background)
+
+
+def write_points(run: RunFolder, kind: Kind, points: Points) -> None:
+    """Write the points of the still scene, or of the movers."""
+    _write(run, f"points/{kind}_{{}}", points)
+
+
+def read_points(run: RunFolder, kind: Kind) -> Points:
+    """Read the points of the still scene, or of the movers."""
+    return _read(run, f"points/{kind}_{{}}", Points)
+
+
+def write_depth(run: RunFolder, view: str, depth: NDArray[np.float32]) -> None:
+    """Write the confirmed depth [H, W] of a view in m, NaN where none is."""
+    run.write_array(f"points/depth_{view}", depth)
+
+
+def read_depth(run: RunFolder, view: str) -> NDArray[np.float32]:
+    """Read the confirmed depth [H, W] of a view in m, NaN where none is."""
+    return run.read_array(f"points/depth_{view}")
+
+
+def write_bodies(run: RunFolder, bodies: Bodies) -> None:
+    """Write the rigid bodies of a run whose model is `bases`."""
+    _write(run, "points/bodies_{}", bodies)
+
+
+def read_bodies(run: RunFolder) -> Bodies:
+    """Read the rigid bodies of a run whose model is `bases`."""
+    from reconstruction.initialization.bodies import Bodies  # torch, which no other model needs here
+
+    return _read(run, "points/bodies_{}", Bodies)
+
+
+def read_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
+    """Return the images of every training view, by its id, from the artefacts of the plan and images stages."""
+    plan, light, sources = run.plan, read_light(run), {}
+    for view in plan.views:
+        stream, moving = recording.stream(view), read_moving(run, view)
+        method = short_images(plan, stream, moving)
+        sources[view] = CompositeSource(stream, read_background(run, view), moving, method, light)
+    return sources
+
+
+def short_images(plan: Plan, stream: SpikeStream, moving: Mask) -> ImageMethod:
+    """Return the method that images what moves; where the target images are given, the one that finds points."""
+    return method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)
+
+
+def read_white(run: RunFolder) -> float:
+    """Return the intensity shown as white, spikes per tick, from the still images; raises BadRunError without them."""
+    return white_of([read_background(run, view) for view in run.plan.views])
+
+
+def white_of(backgrounds: list[Background]) -> float:
+    """Return the 99.9th percentile of the still images, spikes per tick, as a mean over the views."""
+    return float(np.mean([np.percentile(still.image, WHITE_PERCENTILE) for still in backgrounds]))
+
+
+def posed(run: RunFolder, recording: Recording, *, refined: bool = False) -> Recording:
+    """Return the recording with the cameras that the poses stage found, or as it is where nothing was to be found.
+
+    `refined`: with those that the training made of them, where it did.
+    """
+    names = (REFINED_RIG, FOUND_RIG) if refined else (FOUND_RIG,)
+    file = next((run.path / name for name in names if (run.path / name).exists()), None)
+    return recording if file is None else with_cameras(recording, load_rig(file))
+
+
+def with_cameras(recording: Recording, rig: Rig) -> Recording:
+    """Return the recording with the cameras of `rig` in place of its own; calibrations of pixels stay."""
+    pixels = {camera.id: camera.pixels for camera in recording.rig.cameras}
+    return replace(recording, rig=replace(rig, cameras=tuple(replace(c, pixels=pixels[c.id]) for c in rig.cameras)))
+
+
+def write_rig(path: Path, rig: Rig) -> None:
+    """Write a rig without its files of pixels, which lie beside the recording."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_durably(path, dump_rig(replace(rig, cameras=tuple(replace(c, pixels=None) for c in rig.cameras))))
+
+
+def write_held_out(run: RunFolder, rig: Rig, camera: Camera) -> None:
+    """Write the held-out camera's place in a rig of its own."""
+    write_rig(run.path / HELD_OUT_RIG, replace(rig, cameras=(camera,)))
+
+
+def read_held_out(run: RunFolder) -> Camera | None:
+    """Return the held-out camera in the place that the report found for it; None where it found none."""
+    file = run.path / HELD_OUT_RIG
+    return load_rig(file).cameras[0] if file.exists() else None
+
+
+def _write(run: RunFolder, name: str, arrays: object) -> None:
+    """Write every field of a dataclass of arrays under `name` with the field's name filled in."""
+    for f in fields(arrays):  # pyright: ignore[reportArgumentType]
+        run.write_array(name.format(f.name), getattr(arrays, f.name))
+
+
+def _read(run: RunFolder, name: str, kind: type[Arrays]) -> Arrays:
+    """Read a dataclass of arrays that `_write` wrote."""
+    return kind(*(run.read_array(name.format(f.name)) for f in fields(kind)))  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,18 @@
+"""Finds the background of every training view: what stays when the movers are taken away."""
+
+from __future__ import annotations
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.images.background import background
+from reconstruction.pipeline.artefacts import read_light, read_moving, write_background
+from reconstruction.run.folder import RunFolder
+
+
+def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Find and keep the background of every training view."""
+    views, light = run.plan.views, read_light(run)
+    for i, view in enumerate(views):
+        found = background(recording.stream(view), read_moving(run, view), light)
+        write_background(run, view, found)
+        progress((i + 1) / len(views), f"background of {view}, {int(found.stuck.sum())} stuck pixels")

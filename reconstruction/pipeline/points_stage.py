@@ -1,0 +1,115 @@
+"""Finds the points that training starts from: the still scene is swept once, the movers at several instants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.errors import StereoError
+from reconstruction.images.composite import CompositeSource
+from reconstruction.images.estimate import shrunk
+from reconstruction.initialization.depth_maps import consistent, filled
+from reconstruction.initialization.points import Points, sample_points
+from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions, depth_range_m, neighbours, sweep_view
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.pipeline import artefacts
+from reconstruction.run.document import BodyCounts
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import INSTANTS
+from rigs.camera import Camera
+
+CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
+LEAST_POINTS = 200  # points of the still scene
+LEAST_SHARE = 0.3  # least share of pixels with a confirmed depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
+MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
+
+
+def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Sweep the still scene once and the movers at several instants; raises StereoError when too little agrees."""
+    plan, sources = run.plan, artefacts.read_sources(run, recording)
+    rng = np.random.default_rng(run.config.seed)
+    cameras = [recording.rig.camera(view) for view in plan.views]
+    planes = moving_planes(recording.planes, plan.model)
+    swept = planes if plan.moving_gaussians else []
+    rounds = 1 + len(swept)
+    still = _still_points(run, sources, cameras, rng, lambda message: progress(1 / rounds, message))
+    artefacts.write_points(run, "still", still)
+    parts = []
+    count = plan.moving_gaussians // (CANONICAL if len(swept) == 1 else INSTANTS)
+    for i, plane in enumerate(swept):
+        parts.append(_moving_points(sources, cameras, (plane, recording.rig.clock.instant_s(plane)), count, rng))
+        progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
+    moving = Points.joined(parts)
+    artefacts.write_points(run, "moving", moving)
+    if plan.model == "bases":
+        from reconstruction.initialization.bodies import find_bodies  # torch, which no other model needs here
+
+        bodies = find_bodies(moving, [recording.rig.clock.instant_s(plane) for plane in planes])
+        artefacts.write_bodies(run, bodies)
+        run.document.bodies = BodyCounts(len(bodies), bodies.attached, bodies.free)
+        progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
+
+
+def moving_planes(planes: int, model: str) -> list[int]:
+    """Return the planes at which movers are swept: the middles of equal parts of the clip, or the canonical one."""
+    canonical = METHODS[model].canonical
+    if canonical is not None:
+        return [min(int(canonical * planes), planes - 1)]
+    return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
+
+
+def swept_maps(cameras: Sequence[Camera], images: Sequence[Image], options: SweepOptions) -> list[DepthMap]:
+    """Return the depth of every view against its nearest neighbours, NaN where other views do not confirm it."""
+    maps = []
+    for i, camera in enumerate(cameras):
+        others = [(c, images[j]) for j, c in enumerate(cameras) if j != i]
+        near = [others[j] for j in neighbours(camera, [c for c, _ in others])]
+        maps.append(sweep_view((camera, images[i]), near, options))
+    return consistent(maps, options)
+
+
+def _still_points(
+    run: RunFolder,
+    sources: Mapping[str, CompositeSource],
+    cameras: Sequence[Camera],
+    rng: np.random.Generator,
+    report: Callable[[str], None],
+) -> Points:
+    """Sweep the backgrounds, and keep each view's depth where two others confirm it and nothing ever moves."""
+    stills = [source.background.image for source in sources.values()]
+    maps = swept_maps(cameras, stills, SweepOptions(*depth_range_m(cameras)))
+    share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
+    report(f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
+    for (view, source), found in zip(sources.items(), maps, strict=True):
+        still = source.background.trusted & ~source.moving
+        artefacts.write_depth(run, view, np.where(still, found.depth, np.float32(np.nan)))
+    masks, whole = [source.background.trusted for source in sources.values()], [filled(m) for m in maps]
+    points = sample_points(whole, stills, masks, run.plan.still_gaussians, 0.0, rng)
+    if len(points) < LEAST_POINTS or share < LEAST_SHARE:
+        raise StereoError(
+            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels",
+            f"{LEAST_POINTS} and {LEAST_SHARE:.0%}",
+            "check the poses, and that the scene is lit and textured",
+        )
+    return points
+
+
+def _moving_points(
+    sources: Mapping[str, CompositeSource],
+    cameras: Sequence[Camera],
+    at: tuple[int, float],
+    count: int,
+    rng: np.random.Generator,
+) -> Points:
+    """Return points of what moves `at` a plane and its instant in seconds, swept at half resolution."""
+    plane, instant_s = at
+    half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
+    whole = [s.at(plane) for s in sources.values()]
+    seen = [s.movers(image, plane).astype(np.float32) for s, image in zip(sources.values(), whole, strict=True)]
+    images, masks = ([shrunk(a, c) for a, c in zip(some, half, strict=True)] for some in (whole, seen))
+    near, far = depth_range_m(cameras)
+    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
+    return sample_points(maps, images, [mask > 0.5 for mask in masks], count, instant_s, rng)

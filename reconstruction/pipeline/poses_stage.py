@@ -1,0 +1,61 @@
+"""Finds where the training cameras stand, or leaves them where the rig file has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.errors import GeometryError
+from reconstruction.initialization.initialisers import InitOptions, initialise
+from reconstruction.pipeline.artefacts import FOUND_RIG, write_rig
+from reconstruction.run.decisions import Decision
+from reconstruction.run.folder import RunFolder
+from rigs.rig import Rig
+
+REFINE_SD_DEG = 0.03  # degrees of doubt in a rotation above which training refines the poses: a fifth of a pixel
+
+
+def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Find the training cameras where the plan says so; what `auto` cannot trust is refused, and the nominal rig kept.
+
+    Reads the training cameras alone; the held-out one keeps its nominal pose and gets the focal factor found. Raises
+    GeometryError where a method that was asked for by name finds no cameras to trust.
+    """
+    init = run.plan.init
+    options = InitOptions(run.config.seed, run.config.dust3r_checkpoint)
+    try:
+        found = initialise(init, recording, run.plan.views, options, progress)
+    except GeometryError as error:
+        if run.config.init != "auto":
+            raise
+        run.document.poses = {"init": "sweep", "refused": str(error), "held_out_used": False}
+        run.amend("poses", Decision("poses", "nominal, as given", str(error), "--init"), init="sweep")
+        _refine(run, "they are nominal")
+        progress(1.0, f"nominal poses kept: {error}")
+        return
+    if found.rig is recording.rig:
+        return
+    write_rig(run.path / FOUND_RIG, _with_shared_focal(found.rig, recording.rig, run.plan.views))
+    run.document.poses = {"init": init, "held_out_used": False, **found.report}
+    reason = str(found.report.get("summary", "the rig's poses are nominal"))
+    run.amend("poses", Decision("poses", f"found by {init}", reason, "--init"))
+    if float(found.report.get("rotation_sd_deg", 0.0)) > REFINE_SD_DEG:  # type: ignore[arg-type]
+        _refine(run, f"they are known to no better than {REFINE_SD_DEG:g} degrees")
+
+
+def _refine(run: RunFolder, reason: str) -> None:
+    """Have training refine the poses, unless that was forbidden."""
+    if run.config.refine != "off":
+        decision = Decision("refinement", "poses, gains and lags in training", reason, "--refine")
+        run.amend("poses", decision, refine=True)
+
+
+def _with_shared_focal(found: Rig, given: Rig, views: Sequence[str]) -> Rig:
+    """Return the rig found, with the focal factor of `views` also in the cameras that were not looked at."""
+    factor = float(np.mean([found.camera(view).fx / given.camera(view).fx for view in views]))
+    unseen = {c.id: replace(c, fx=c.fx * factor, fy=c.fy * factor) for c in given.cameras if c.id not in views}
+    return replace(found, cameras=tuple(unseen.get(c.id, c) for c in found.cameras))

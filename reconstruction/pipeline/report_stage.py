@@ -1,0 +1,212 @@
+"""Scores a run on its held-out camera, and writes everything that a person looks at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from acquisition.durable import write_durably, write_json
+from acquisition.progress import Progress, part
+from acquisition.recording.reader import Recording
+from reconstruction.evaluation.evaluate import (
+    HeldOut,
+    held_out_camera,
+    placed_by_spikes,
+    score_against_counts,
+    score_against_truth,
+    score_floors,
+)
+from reconstruction.evaluation.truth import Truth, spread
+from reconstruction.export.viewer import write_viewer
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.metrics.poses import pose_errors
+from reconstruction.pipeline.artefacts import posed, read_held_out, read_sources, read_white, write_held_out
+from reconstruction.pipeline.trained_scene import scene_of
+from reconstruction.report.curve import draw_curve
+from reconstruction.report.display import depth_span_m, grey
+from reconstruction.report.html import embed, report_html
+from reconstruction.report.orbit import write_orbit
+from reconstruction.report.pictures import depth_colours, difference, encode_png, write_png
+from reconstruction.report.table import score_table
+from reconstruction.run.folder import RunFolder
+from reconstruction.scene_model import SceneModel
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud, model_from_state
+from rigs.camera import Camera
+from rigs.rig import object_distance_m
+
+CURVE_INSTANTS = 4  # truth instants behind each point of the curve
+SHOWN_INSTANTS = 3  # instants in the report's pictures
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained run: its model, the recording with the cameras it ended with, and how it is judged.
+
+    `truth`: what is known of the scene, in the frame of the run. `held_out`: the camera in its place, None where none
+    was held out.
+    """
+
+    run: RunFolder
+    recording: Recording
+    cloud: SceneModel
+    truth: Truth | None
+    held_out: HeldOut | None
+
+    @property
+    def white(self) -> float:
+        """The intensity shown as white, spikes per tick."""
+        return self.truth.white if self.truth else read_white(self.run)
+
+    @property
+    def camera(self) -> Camera:
+        """The held-out camera, or the rig's middle one."""
+        cameras = self.recording.rig.cameras
+        return self.held_out.camera if self.held_out else cameras[len(cameras) // 2]
+
+
+def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
+    """Score the run on its held-out camera and write everything a person looks at."""
+    known = Truth.open(recording.truth) if recording.truth and run.config.holdout else None
+    progress(0.0, "metrics")
+    trained = judged(run, recording, known, again=True)
+    metrics = _metrics(trained, known, part(progress, 0, 0.4))
+    write_json(run.path / "metrics.json", metrics)
+    progress(0.4, "error against run time")
+    _write_curve(trained, metrics)
+    rig, orbit = trained.recording.rig, run.path / "orbit.mp4"
+    write_orbit(orbit, trained.cloud, rig, trained.camera, trained.white, part(progress, 0.5, 0.9))
+    if isinstance(trained.cloud, DynamicCloud):
+        write_viewer(run.path, scene_of(run, trained.recording, trained.cloud))
+    _write_page(trained, metrics)
+    progress(1.0, f"{run.path / 'report.html'}")
+
+
+def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, progress: Progress) -> dict:
+    """Return the document of `evaluate`: metrics on the held-out camera, or a note that there is none."""
+    if run.config.holdout is None:
+        return {"note": "no camera was held out: nothing to score"}
+    return _metrics(judged(run, recording, truth), truth, progress)
+
+
+def judged(run: RunFolder, recording: Recording, known: Truth | None, *, again: bool = False) -> Trained:
+    """Return the trained run with its held-out camera in its place.
+
+    With truth that is the true place. Without it, a camera that no pose estimation has seen is placed by its spikes:
+    as the report kept it, or anew and then kept where `again`.
+    """
+    cloud, camera_id = load_cloud(run.checkpoint), run.config.holdout
+    if camera_id is None:
+        return Trained(run, recording, cloud, known, None)
+    held_out, truth = held_out_camera(recording, camera_id, run.plan.views, known)
+    estimated = run.document.held_out_used is False and posed(run, recording, refined=True) is not recording
+    if truth is None and estimated:
+        kept = None if again else read_held_out(run)
+        placed = replace(held_out, camera=kept, resected=True) if kept else placed_by_spikes(cloud, held_out)
+        if again and placed.resected:
+            write_held_out(run, recording.rig, placed.camera)
+        held_out = placed
+    return Trained(run, recording, cloud, truth, held_out)
+
+
+def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
+    """Score the held-out camera; `known` is the truth in its own frame."""
+    held_out, truth = trained.held_out, trained.truth
+    if held_out is None:
+        return {"note": "no camera was held out: nothing to score"}
+    if truth is None:
+        placed = ", which its other windows have placed after training" if held_out.resected else ""
+        note = f"no truth: errors of spike counts over 32-plane windows of the held-out camera{placed}"
+        return {"held_out": held_out.camera.id, "note": note, **score_against_counts(trained.cloud, held_out)}
+    return {
+        "held_out": held_out.camera.id,
+        "white": truth.white,
+        **score_against_truth(trained.cloud, held_out, truth),
+        **score_floors(held_out, truth, read_sources(trained.run, trained.recording), progress),
+        **_pose_scores(trained.run, known),
+    }
+
+
+def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
+    """Return how far the training cameras are off the true ones: `poses.drawn.rotation_deg`, then found and refined.
+
+    Returns nothing where the poses were given and left alone.
+    """
+    drawn = Recording.open(run.recording)
+    true = truth.cameras(drawn.tick_rate_hz) if truth else None
+    stages = {"drawn": drawn, "found": posed(run, drawn), "refined": posed(run, drawn, refined=True)}
+    if true is None or stages["refined"] is drawn or not set(run.plan.views) <= set(true.ids):
+        return {}
+    distance_m, scores = object_distance_m(true.cameras), {}
+    for name, recording in stages.items():
+        off = pose_errors(recording.rig.only(run.plan.views), true, distance_m)
+        for score in ("rotation_deg", "translation_percent", "focal_percent"):
+            scores[f"poses.{name}.{score}"] = getattr(off, score)
+    return scores
+
+
+def _write_curve(trained: Trained, metrics: dict) -> None:
+    """Score the snapshots, and draw error against run time."""
+    run, held_out, truth, rows = trained.run, trained.held_out, trained.truth, []
+    for path in run.snapshots():
+        state = load_checkpoint(path)
+        cloud = model_from_state(state["cloud"])
+        if held_out is None:
+            scores = {}
+        elif truth is None:
+            scores = score_against_counts(cloud, held_out)
+        else:
+            scores = score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)
+        rows.append({"seconds": round(state["seconds"], 3), "steps": state["steps"], **scores})
+    write_json(run.path / "error_vs_time.json", {"held_out": run.config.holdout, "rows": rows})
+    if held_out is not None:
+        metric = "psnr_db" if truth else "counts.rmse"
+        floors = {n: metrics[f"{n}.psnr_db"] for n in ("nearest_view", "depth_blend")} if truth else {}
+        caption = f"{run.config.holdout}, held out; {len(rows)} states of one run, scored after it"
+        draw_curve(run.path / "error_vs_time.png", rows, metric, floors, caption)
+
+
+def _write_page(trained: Trained, metrics: dict) -> None:
+    run, recording, cloud = trained.run, trained.recording, trained.cloud
+    curve, told = run.path / "error_vs_time.png", run.document
+    document = {
+        "title": f"Reconstruction of {recording.path.name}",
+        "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at "
+        f"{recording.rig.tick_rate_hz:g} Hz; "
+        f"{told.steps or 0} steps, {len(cloud)} {cloud.unit}, revision {told.revision}",
+        "camera": run.config.holdout or "No camera held out",
+        "rows": _pictures(trained),
+        "table": score_table(metrics),
+        "note": metrics.get(
+            "note", f"Linear intensity, data range {trained.white:g} spikes per tick; means over instants."
+        ),
+        "curve": embed(curve.read_bytes()) if curve.exists() else "",
+        "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
+        "seconds": told.seconds,
+        "decisions": run.plan.decisions,
+        "configuration": told.configuration.to_json(),
+    }
+    write_durably(run.path / "report.html", report_html(document))
+
+
+def _pictures(trained: Trained) -> list[list[dict]]:
+    """Write thumbnails, and return the pictures of each instant as the page shows them."""
+    run, recording, truth, white = trained.run, trained.recording, trained.truth, trained.white
+    camera = trained.held_out.camera if trained.held_out else recording.rig.cameras[0]
+    planes = truth.planes(camera.id) if truth else list(range(recording.planes))
+    (run.path / "thumbnails").mkdir(exist_ok=True)
+    rows = []
+    for plane in spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]:
+        view = trained.cloud.look(camera, recording.rig.clock.instant_s(plane))
+        near, far = depth_span_m(view.depth)
+        shown = {"render": grey(view.intensity, white), "depth": depth_colours(view.depth, near, far)}
+        if truth:
+            frame = truth.frame(camera.id, plane)
+            shown = {
+                "truth": grey(frame.intensity, white),
+                "render": shown["render"],
+                "difference x5": difference(view.intensity, frame.intensity, white),
+                f"depth, {near:.2f} to {far:.2f} m": shown["depth"],
+                "true depth": depth_colours(frame.depth, near, far),
+            }
+        write_png(run.path / "thumbnails" / f"render_{plane:06d}.png", grey(view.intensity, white))
+        rows.append([{"source": embed(encode_png(p)), "caption": f"{k}, plane {plane}"} for k, p in shown.items()])
+    return rows

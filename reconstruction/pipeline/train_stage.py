@@ -1,0 +1,217 @@
+"""Trains: budget, checkpoints, snapshots, and a clean stop on request."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError
+from reconstruction.evaluation.truth import Truth
+from reconstruction.images.catalogue import GIVEN
+from reconstruction.images.composite import CompositeSource, GivenSource
+from reconstruction.images.methods.interpolated import PLANES
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.definition import Seeds
+from reconstruction.pipeline import artefacts
+from reconstruction.pipeline.budget import Budget, StoppedError
+from reconstruction.pipeline.points_stage import INSTANTS, moving_planes
+from reconstruction.pipeline.watch import Watch
+from reconstruction.rendering.render import Backend
+from reconstruction.run.decisions import Decision
+from reconstruction.run.document import EarlyEnd, Elements
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.prices import Work
+from reconstruction.scene_model import TimeSpan
+from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.choice import WINDOW, between, count_error
+from reconstruction.training.depth_hold import ConfirmedDepth
+from reconstruction.training.exposure import FROM
+from reconstruction.training.trainer import Trainer, TrainerSettings, train
+from reconstruction.training.view import TrainingView
+
+CHECKPOINT_EVERY_S = 5.0  # seconds between checkpoints
+SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What a training begins with, read from the artefacts of earlier stages: its views, and points to seed a model."""
+
+    views: list[TrainingView]
+    seeds: Seeds
+
+    @classmethod
+    def of(cls, run: RunFolder, recording: Recording) -> Beginning:
+        """Read it; raises BadRunError where an earlier stage or the truth of given images is missing."""
+        rig, sources = recording.rig, artefacts.read_sources(run, recording)
+        views = []
+        for view, source in sources.items():
+            depth = ConfirmedDepth.of(artefacts.read_depth(run, view)).without(source.moving)
+            shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
+            views.append(TrainingView(rig.camera(view), shown, depth=depth))
+        still, moving = artefacts.read_points(run, "still"), artefacts.read_points(run, "moving")
+        clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
+        bodies = lambda: artefacts.read_bodies(run)  # noqa: E731
+        return cls(views, Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, bodies))
+
+
+def train_stage(
+    run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
+) -> None:
+    """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
+    beginning = Beginning.of(run, recording)
+    if not run.checkpoint.exists():
+        settle_motion(run, recording, beginning)
+    trainer = trainer_of(run, recording, beginning)
+    budget.before_training_s = budget.elapsed_s()
+    watch = Watch(run, trainer)
+    if run.checkpoint.exists():
+        saved = load_checkpoint(run.checkpoint)
+        trainer.restore(saved["trainer"])
+        watch.resume(saved.get("watch"))
+        budget.before_training_s = saved["before_training_s"]
+        budget.spent_s = saved["elapsed_s"]
+        budget.started = budget.clock()
+    saver = _Saver(run, trainer, budget, watch)
+
+    def on_step(done: float, loss: float) -> None:
+        watch.look(done, saver.checkpoint)
+        saver.keep(done)
+        if trainer.steps % 10 == 0 or done >= 1:
+            figures = (
+                f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} {trainer.cloud.unit}"
+            )
+            progress(done, f"{figures}{watch.note}")
+        if should_stop() and done < 1:
+            saver.checkpoint()
+            raise StoppedError(f"stopped at step {trainer.steps}", do="the same command resumes it", where=run.path)
+
+    train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
+    saver.checkpoint()
+    if trainer.ending and budget.done(trainer.steps) < 1:
+        run.document.stopped_early = EarlyEnd(trainer.steps, trainer.ending.reason)
+        progress(1.0, f"stopped early at step {trainer.steps}: {trainer.ending.reason}")
+    _record(run, recording, trainer)
+
+
+def settle_motion(run: RunFolder, recording: Recording, beginning: Beginning) -> None:
+    """Amend the plan's motion, where it was left open, to the one that explains the training cameras better.
+
+    Rigid bodies are held against straight paths at instants between those that movers were swept at.
+    """
+    if run.config.model != "auto" or run.plan.model != "bases":
+        return
+    planes = between(moving_planes(recording.planes, "bases"))
+    errors = {
+        model: count_error(METHODS[model].start(beginning.seeds), beginning.views, planes, recording.rig.clock)
+        for model in ("bases", "linear")
+    }
+    model, bodies = min(errors, key=errors.__getitem__), run.document.bodies
+    rigid = bodies.rigid if bodies else 0
+    reason = (
+        f"between the swept instants {rigid} rigid bodies miss the counts of {WINDOW} "
+        f"planes by {errors['bases']:.3f} spikes a moving pixel, points at rest by {errors['linear']:.3f}"
+    )
+    facts = {"rigid_bodies": rigid, **{f"{name}_error_spikes": error for name, error in errors.items()}}
+    run.amend("train", Decision("motion", model, reason, "--model", facts=facts), model=model)
+
+
+def trainer_of(
+    run: RunFolder,
+    recording: Recording,
+    beginning: Beginning,
+    backend: Backend = "native",
+    dtype: torch.dtype = torch.float32,
+) -> Trainer:
+    """Return the trainer as a run starts it; float64 takes the reference as its backend."""
+    plan, method = run.plan, METHODS[run.plan.model]
+    cloud = method.start(beginning.seeds)
+    light = artefacts.read_light(run)
+    if light.flickers:
+        cloud.light = torch.from_numpy(light.gains)
+    white = artefacts.white_of([view.source.background for view in beginning.views])
+    settings = TrainerSettings(
+        plan.supervision,
+        method.training,
+        white=max(white, 1e-6),
+        tick_stride=run.config.tick_stride,
+        image_planes=PLANES if plan.images == "interpolated" else 1,
+        refines=plan.refine,
+        ends_early=method.training.ends_early and run.config.steps is None,
+        backend=backend,
+    )
+    if dtype != torch.float32:
+        cloud = cloud.to(dtype)
+    return Trainer(cloud, beginning.views, settings, recording.rig.clock, run.config.seed)
+
+
+class _Saver:
+    """Writes the checkpoint every few seconds and a snapshot at each share of the training."""
+
+    def __init__(self, run: RunFolder, trainer: Trainer, budget: Budget, watch: Watch):
+        self.run, self.trainer, self.budget, self.watch = run, trainer, budget, watch
+        self.last = budget.clock()
+        done = trainer.done(budget.done(trainer.steps))
+        self.due = [s for s in SNAPSHOT_AT if s > done or s == 1.0]  # the last state is always scored
+
+    def keep(self, done: float) -> None:
+        """Write what is due at this share of the training."""
+        if self.due and done >= self.due[0]:
+            while self.due and done >= self.due[0]:
+                self.due.pop(0)
+            state = {
+                "cloud": self.trainer.cloud.state(),
+                "seconds": self.budget.elapsed_s(),
+                "steps": self.trainer.steps,
+            }
+            save_checkpoint(self.run.path / "snapshots" / f"{self.trainer.steps:07d}.pt", state)
+        if self.budget.clock() - self.last >= CHECKPOINT_EVERY_S:
+            self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Write the state that a resumed training continues from."""
+        state = {
+            "cloud": self.trainer.cloud.state(),
+            "trainer": self.trainer.state(),
+            "watch": self.watch.state,
+            "elapsed_s": self.budget.elapsed_s(),
+            "before_training_s": self.budget.before_training_s,
+        }
+        save_checkpoint(self.run.checkpoint, state)
+        self.last = self.budget.clock()
+
+
+def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
+    """Record in the run folder what came of the training."""
+    cloud = trainer.cloud
+    if trainer.exposure and trainer.exposure.passed_px is not None and len(cloud.moving):
+        passed_px, planes = trainer.exposure.passed_px, trainer.exposure.planes
+        reason = f"fast movers get {passed_px:.1f} px far in the {planes} planes of an image"
+        choice, saves_s = f"two instants an image from {FROM:.0%} on", None
+        if trainer.exposure.nodes == 1:
+            camera = trainer.views[0].camera
+            size = (camera.width * camera.height, planes, len(trainer.views), len(cloud))
+            choice, saves_s = "one instant an image", Work(*size, None, trainer.steps).second_instants_s(1 - FROM)
+        facts = {"passed_px": passed_px, "planes": planes}
+        run.amend("train", Decision("exposure", choice, reason, "none", saves_s, facts=facts))
+    if trainer.refinement:
+        artefacts.write_rig(run.path / artefacts.REFINED_RIG, trainer.refinement.refined(recording.rig))
+        run.document.refinement = trainer.refinement.report()
+    run.document.steps = trainer.steps
+    run.document.elements = Elements(cloud.unit.lower(), len(cloud.still), len(cloud.moving))
+
+
+def _given(view: str, source: CompositeSource, recording: Recording, images: str) -> GivenSource:
+    """Return the same source with the clean or blurred truth of a simulated recording as its images."""
+    if recording.truth is None:
+        raise BadRunError("found no truth", f"a simulated recording for the images `{images}`", where=recording.path)
+    truth = Truth.open(recording.truth)
+    frames = {
+        plane: truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity
+        for plane in truth.planes(view)
+    }
+    return GivenSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)

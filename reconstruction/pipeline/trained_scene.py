@@ -1,0 +1,32 @@
+"""Opens a run folder as the formats of `export` want it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError
+from reconstruction.export.scene import Scene
+from reconstruction.pipeline.artefacts import posed, read_held_out, read_sources, read_white
+from reconstruction.run.folder import RunFolder
+from reconstruction.scene_model import SceneModel
+from reconstruction.training.checkpoint import load_cloud
+
+
+def scene_of(run: RunFolder, recording: Recording, cloud: SceneModel) -> Scene:
+    """Return `cloud` with the cameras of `recording`, those that the run ended with.
+
+    A held-out camera that was placed by its spikes stands where the report placed it.
+    """
+    targets = lambda: read_sources(run, recording)  # noqa: E731
+    rig, placed = recording.rig, read_held_out(run)
+    if placed is not None:
+        rig = replace(rig, cameras=tuple(placed if c.id == placed.id else c for c in rig.cameras))
+    return Scene(cloud, rig, read_white(run), run.plan.model, run.config.holdout, targets)
+
+
+def trained_scene(run: RunFolder) -> Scene:
+    """Return what a run has learnt; raises BadRunError for one whose training has not ended."""
+    if not run.has("train"):
+        raise BadRunError("found no finished train stage", "a trained run", "finish it first", where=run.path)
+    return scene_of(run, posed(run, Recording.open(run.recording), refined=True), load_cloud(run.checkpoint))

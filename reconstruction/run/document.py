@@ -1,0 +1,125 @@
+"""What `run.json` says: how far a run is, what was asked for and decided, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.decisions import Amendment, Plan
+
+SCHEMA = 1
+UNITS = ("gaussians", "cells")  # what models are made of
+
+
+class Elements(NamedTuple):
+    """How many elements a trained model has, and what they are: one of UNITS."""
+
+    unit: str
+    still: int
+    moving: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.still + self.moving
+
+
+class BodyCounts(NamedTuple):
+    """How many rigid bodies were found, points attached to them, and points that are free, by reason."""
+
+    rigid: int
+    attached: int
+    free: Mapping[str, int]
+
+
+class EarlyEnd(NamedTuple):
+    """The step at which a training ended before its budget, and why."""
+
+    step: int
+    reason: str
+
+
+@dataclass
+class RunDocument:
+    """The content of `run.json`; what has not come yet is None.
+
+    `planned`: the plan as the plan stage made it, which nothing changes; `amendments`: what later stages changed in it,
+    in their order. `poses`, `refinement`: the reports of the poses stage and of the refinement in training. `seconds`
+    by finished stage. `attempt`: how often stages were forgotten to be run again. `held_out_used`: whether the spikes
+    of the held-out camera were read before the report; None in a run of an earlier revision, where `poses` says it.
+    """
+
+    recording: str
+    configuration: ReconstructionConfig
+    revision: str = ""
+    backend: str = "native"
+    status: Literal["unfinished", "finished"] = "unfinished"
+    seconds: dict[str, float] = field(default_factory=dict)
+    attempt: int = 0
+    held_out_used: bool | None = False
+    planned: Plan | None = None
+    amendments: list[Amendment] = field(default_factory=list)
+    poses: Mapping[str, object] | None = None
+    bodies: BodyCounts | None = None
+    steps: int | None = None
+    elements: Elements | None = None
+    stopped_early: EarlyEnd | None = None
+    refinement: Mapping[str, Mapping[str, float]] | None = None
+
+    @property
+    def plan(self) -> Plan | None:
+        """The plan with all amendments made."""
+        plan = self.planned
+        for amendment in self.amendments:
+            plan = plan and plan.amended(amendment)
+        return plan
+
+    def amend(self, amendment: Amendment) -> None:
+        """Append an amendment; one that is there already, about the same thing, gives way to it."""
+        about = amendment.decision.about
+        self.amendments = [a for a in self.amendments if a.decision.about != about] + [amendment]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values; `plan` is the amended one, beside `planned` and `amendments`, which make it."""
+        own = {"recording", "revision", "backend", "status", "seconds", "attempt", "held_out_used"}
+        plain: dict[str, Any] = {"schema": SCHEMA, **{key: getattr(self, key) for key in sorted(own)}}
+        plain |= {"configuration": self.configuration.to_json(), "seed": self.configuration.seed}
+        if self.planned is not None and self.plan is not None:
+            plain |= {"plan": self.plan.to_json(), "planned": self.planned.to_json()}
+            plain["amendments"] = [asdict(a) for a in self.amendments]
+        for key in ("poses", "steps", "refinement"):
+            if getattr(self, key) is not None:
+                plain[key] = getattr(self, key)
+        for key in ("bodies", "stopped_early"):
+            if getattr(self, key) is not None:
+                plain[key] = getattr(self, key)._asdict()
+        if self.elements is not None:
+            plain[self.elements.unit] = {"still": self.elements.still, "moving": self.elements.moving}
+        return plain
+
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> RunDocument:
+        """Return the document that `to_json` wrote, also one of an earlier revision, without `planned`."""
+        planned = plain.get("planned", plain.get("plan"))
+        unit = next((u for u in UNITS if u in plain), None)
+        bodies, ended = plain.get("bodies"), plain.get("stopped_early")
+        return cls(
+            plain["recording"],
+            ReconstructionConfig.from_json(plain["configuration"]),
+            plain.get("revision", ""),
+            plain.get("backend", "native"),
+            plain["status"],
+            dict(plain["seconds"]),
+            plain.get("attempt", 0),
+            plain.get("held_out_used"),
+            Plan.from_json(planned) if planned else None,
+            [Amendment.from_json(a) for a in plain.get("amendments", ())],
+            plain.get("poses"),
+            BodyCounts(**bodies) if bodies else None,
+            plain.get("steps"),
+            Elements(unit, **plain[unit]) if unit else None,
+            EarlyEnd(**ended) if ended else None,
+            plain.get("refinement"),
+        )
