@@ -138,8 +138,19 @@ class Runs:
         return about | kept(self.work / f"{name}.json", lambda: self._run(case, arm, name, budget_s))
 
     def _run(self, case: PlanCase, arm: Arm, name: str, budget_s: float | None) -> dict:
-        steps = None if budget_s else self.steps
-        return apart(partial(_measured, recorded(case, self.work), arm, self.work / f"{name}.run", steps, budget_s))
+        length = (None, budget_s) if budget_s else (self.steps, None)
+        return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording, an arm, the folder `out` that the run has to itself, and its length: `steps` or `budget_s`."""
+
+    recording: Path
+    arm: Arm
+    out: Path
+    steps: int | None = None
+    budget_s: float | None = None
 
 
 def bench_leave_out(
@@ -221,17 +232,17 @@ def _mistaken(document: BenchDocument, runs: Runs) -> None:
     document.rows += [watched, left]
     gains = costs(MISSED.name, left, watched)
     document.summary |= {k.replace("cost", "gained"): v for k, v in gains.items() if k.endswith("cost_db")}
-    watch = watched.get("decisions", {}).get("watch", {})
-    document.summary[f"{MISSED.name}.found"] = float("move after all" in watch.get("choice", ""))
-    step = watch.get("reason", "").partition("from step ")[2].partition(" ")[0]
-    if step:
-        document.summary[f"{MISSED.name}.found_at_step"] = float(step)
+    facts = watched.get("decisions", {}).get("watch", {}).get("facts", {})
+    found = facts.get("pixels", 0) > 0
+    document.summary[f"{MISSED.name}.found"] = float(found)
+    if found:
+        document.summary[f"{MISSED.name}.found_at_step"] = float(facts["step"])
 
 
-def _measured(recording: Path, arm: Arm, out: Path, steps: int | None, budget_s: float | None) -> dict:
-    from reconstruction.bench.leave_out_run import Job, measured  # loads torch, in the process of the run alone
+def _measured(job: Job) -> dict:
+    from reconstruction.bench.leave_out_run import measured  # loads torch, in the process of the run alone
 
-    return measured(Job(recording, arm, out, steps, budget_s))
+    return measured(job)
 
 
 def recorded(case: PlanCase, work: Path) -> Path:

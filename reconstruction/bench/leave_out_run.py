@@ -7,7 +7,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
-from reconstruction.bench.leave_out import PLAN, Arm
+from reconstruction.bench.leave_out import PLAN, Job
 from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
@@ -35,17 +35,6 @@ from reconstruction.training.view import TrainingView
 
 Result = TypeVar("Result")
 SAMPLE_S = 0.01  # seconds between two looks at the memory
-
-
-@dataclass(frozen=True)
-class Job:
-    """A recording, an arm, the folder `out` that the run has to itself, and its length: `steps` or `budget_s`."""
-
-    recording: Path
-    arm: Arm
-    out: Path
-    steps: int | None = None
-    budget_s: float | None = None
 
 
 def measured(job: Job) -> dict:

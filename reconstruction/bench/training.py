@@ -18,7 +18,7 @@ from reconstruction.bench.paper.bench import run_protocol
 from reconstruction.bench.paper.diagrams import ERROR, against_time
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.paper.summary import gaps, times_to
+from reconstruction.bench.paper.summary import add_times_to, gaps
 from reconstruction.bench.score_run import METRICS
 from reconstruction.methods.catalogue import OURS
 
@@ -66,7 +66,7 @@ def bench_training(protocol: Protocol, laboratory: Laboratory, progress: Progres
     document = run_protocol("training", protocol, laboratory, progress)
     for name, effort in dict.fromkeys((r["method"], r["effort"]) for r in document.rows):
         document.summary |= named(name, means(_rows(document, name, effort), (*METRICS, "steps_per_s")), f"@{effort}")
-    _times_to(document)
+    add_times_to(document, document.rows, TARGETS_DB)
     _margins(document)
     document.omissions.append("one seed a scene")
     return document
@@ -74,17 +74,6 @@ def bench_training(protocol: Protocol, laboratory: Laboratory, progress: Progres
 
 def _rows(document: BenchDocument, method: str, effort: str) -> list[dict]:
     return [r for r in document.rows if (r["method"], r["effort"]) == (method, effort)]
-
-
-def _times_to(document: BenchDocument) -> None:
-    """Add the mean over recordings of the first second at which any run of it reached a level, where all did."""
-    for target in TARGETS_DB:
-        times = times_to(document.rows, m.AUTO.name, target)
-        reached = [t for t in times if t is not None]
-        if times and len(reached) == len(times):
-            document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = float(np.mean(reached))
-        else:
-            document.omissions.append(f"{target} dB: reached on {len(reached)} of {len(times)} recordings")
 
 
 def _margins(document: BenchDocument) -> None:

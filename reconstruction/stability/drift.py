@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import tempfile
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from acquisition.spikes.sensor import FRACTION_BITS, Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import natives
+from reconstruction.stability.recordings import ticks_off
 from rigs.clock import RigClock
 
 CHUNK = 100_000  # ticks exposed at a time
@@ -99,14 +99,13 @@ def _noise(renderer: str, ticks: int, progress: Progress) -> Observation:
 
 def _clock(ticks: int, progress: Progress) -> Observation:
     """Take every tick to its instant and back, and compare every 97th with rational numbers."""
-    clock, exact = RigClock(TICK_RATE_HZ), Fraction(TICK_RATE_HZ)
+    clock = RigClock(TICK_RATE_HZ)
     wrong, error = 0, 0.0
     for first in range(0, ticks, CHUNK):
         progress(first / ticks, f"{first:,} ticks of the clock")
         last = min(ticks, first + CHUNK)
         wrong += sum(clock.plane(clock.instant_s(plane)) != plane for plane in range(first, last))
-        for plane in range(first, last, 97):
-            error = max(error, abs(float(Fraction(clock.instant_s(plane)) * exact - Fraction(2 * plane + 1, 2))))
+        error = max(error, *(ticks_off(clock, plane) for plane in range(first, last, 97)))
     return Observation(f"{wrong} of {ticks:,} in another plane, {error:.0e} ticks off", error + wrong)
 
 

@@ -87,16 +87,20 @@ def _long_images(name: str) -> Observation:
     return Observation(f"{differing} pixels differ from those of a short clip", float(differing))
 
 
+def ticks_off(clock: RigClock, plane: int) -> float:
+    """Return the error of a plane's instant in ticks, by rational numbers."""
+    return abs(float(Fraction(clock.instant_s(plane)) * Fraction(clock.tick_rate_hz) - Fraction(2 * plane + 1, 2)))
+
+
 def _long_clock(_: str) -> Observation:
     """Compare ticks to seconds and back with rational numbers, up to 10^9 planes."""
     error, wrong = 0.0, 0
     for rate_hz in RATES_HZ:
-        clock, exact = RigClock(rate_hz), Fraction(rate_hz)
+        clock = RigClock(rate_hz)
         for last in (1000, 2**24 + 500, PLANES, 10**9):
             for plane in range(last - 1000, last):
-                instant_s = clock.instant_s(plane)
-                error = max(error, abs(float(Fraction(instant_s) * exact - Fraction(2 * plane + 1, 2))))
-                wrong += (clock.plane(instant_s) != plane) + (clock.plane(plane / rate_hz) != plane)
+                error = max(error, ticks_off(clock, plane))
+                wrong += (clock.plane(clock.instant_s(plane)) != plane) + (clock.plane(plane / rate_hz) != plane)
     said = f"{wrong} of 32,000 instants in another plane, {error:.0e} ticks off"
     return Observation(said, error if not wrong else math.inf)
 

@@ -22,7 +22,7 @@ from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.others import open_others
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
-from reconstruction.bench.paper.tables import posed_by_all, write_tables
+from reconstruction.bench.paper.tables import held_out_used, write_tables
 from reconstruction.bench.score_run import METRICS
 from reconstruction.bench.training import plot_training
 from reconstruction.errors import BadRunError
@@ -82,12 +82,18 @@ def derived(rows: list[dict]) -> dict[str, float]:
     the held-out camera, and `METHOD.least_gaussians` and `.most_gaussians` the range over the runs of a method.
     """
     found = {f"{name_of(r)}.{score}": r[score] for r in rows for score in METRICS if score in r}
-    found["poses.held_out"] = len(posed_by_all(PROTOCOL, rows))
+    found["poses.held_out"] = len(posed_by_all(rows))
     for method in {r["method"] for r in rows}:
         counts = [r["gaussians"] for r in ordinary(rows) if r["method"] == method and "gaussians" in r]
         if counts:
             found |= {f"{method}.least_gaussians": min(counts), f"{method}.most_gaussians": max(counts)}
     return found
+
+
+def posed_by_all(rows: list[dict]) -> list[dict]:
+    """Return the rows of the protocol whose poses were found with the help of the held-out camera."""
+    methods = {cell.name: cell.method for cell in PROTOCOL.cells()}
+    return [row for row in rows if name_of(row) in methods and held_out_used(methods[name_of(row)], row)]
 
 
 def hours(documents: Mapping[str, dict]) -> float:
@@ -119,7 +125,8 @@ def main(folder: Path, text: Path) -> None:
     plot_curves([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
     plot_curves([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
     write_durably(text, filled(TEMPLATE.read_text(), documents).encode())
-    whole = hours({name: found for name, found in documents.items() if name != "paper"}) + PROTOCOL.hours
+    protocol = sum(cell.effort.budget_s or 0.0 for cell in PROTOCOL.cells()) / 3600
+    whole = hours({name: found for name, found in documents.items() if name != "paper"}) + protocol
     click.echo(f"{text} stands on {hours(documents):.1f} hours of measured runs; all of `make bench` is {whole:.0f}")
 
 

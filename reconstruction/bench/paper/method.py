@@ -153,11 +153,6 @@ class Protocol:
             raise BadRunError(f"found the scenes {', '.join(scenes)}", f"some of {', '.join(SCENES)}")
         return Protocol(self.tables, tuple(replace(b, scenes=scenes) for b in self.batches))
 
-    @property
-    def hours(self) -> float:
-        """The hours that all cells with a budget take, without scoring and simulation."""
-        return sum(cell.effort.budget_s or 0.0 for cell in self.cells()) / 3600
-
     def wanted(self, table: Table, row: Row) -> list[Cell]:
         """Return the cells that a row of a table is the mean of, at every length."""
         batches = [b for b in self.batches if b.table == table.name]

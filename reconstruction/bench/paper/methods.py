@@ -1,6 +1,6 @@
 """Builds the methods of the paper's tables, named as it names them: images, poses, model, spike loss.
 
-In every one the still pixels are our long mean and the points our plane sweep; the image source is that of what moves.
+In every one the still pixels are our long mean and the points our plane sweep; the image source is that of the movers.
 Networks make an image in half a second, so their rows have targets at every 40th plane only.
 """
 

@@ -35,11 +35,18 @@ def summarise(document: BenchDocument, protocol: Protocol) -> None:
             found = gaps(rows, m.AUTO.name, rival, effort)
             if found:
                 document.summary[f"margin.{rival}@{effort}"] = sign * float(np.mean(found))
-    for target in TARGETS_DB:
-        reached = times_to(rows, m.AUTO.name, target)
-        if reached and None not in reached:
-            seconds = float(np.mean([t for t in reached if t is not None]))
-            document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = seconds
+    add_times_to(document, rows, TARGETS_DB)
+
+
+def add_times_to(document: BenchDocument, rows: Sequence[dict], targets_db: Sequence[int]) -> None:
+    """Add the mean over recordings of the first second at which ours reached each level, or name those that did not."""
+    for target in targets_db:
+        times = times_to(rows, m.AUTO.name, target)
+        reached = [t for t in times if t is not None]
+        if reached and len(reached) == len(times):
+            document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = float(np.mean(reached))
+        elif times:
+            document.omissions.append(f"{target} dB: reached on {len(reached)} of {len(times)} recordings")
 
 
 def ordinary(rows: Iterable[dict]) -> list[dict]:

@@ -111,22 +111,16 @@ def _of(cells: Sequence[Cell], rows: Sequence[dict]) -> list[dict]:
 def _line(table: Table, row: Row, wanted: Sequence[Cell], rows: Sequence[dict]) -> list[str]:
     found = _of(wanted, rows)
     kept = f", {sum('kept' in r for r in found)} of other code" if any("kept" in r for r in found) else ""
-    mark = MARK if any(_posed_by_all(wanted[0].method, r) for r in found) else ""
+    mark = MARK if any(held_out_used(wanted[0].method, r) for r in found) else ""
     level, *figures = [_mean(found, metric, form) for metric, form in FORMS]
     about = level, _to_first(table, row, found, rows), _spread(found)
     runs = f"{len(found)} of {len(wanted)}{kept}"
     return [row.label + mark, str(wanted[0].effort), *about, *figures, runs, _paper(table, row)]
 
 
-def _posed_by_all(method: Method, row: dict) -> bool:
-    """Return whether the held-out camera helped to find the poses; older rows do not say so themselves."""
+def held_out_used(method: Method, row: dict) -> bool:
+    """Return whether the held-out camera helped to find the poses; rows of older revisions do not say so themselves."""
     return row.get("held_out_used", method.finds_poses)
-
-
-def posed_by_all(protocol: Protocol, rows: Sequence[dict]) -> list[dict]:
-    """Return the rows whose poses were found with the help of the held-out camera."""
-    methods = {cell.name: cell.method for cell in protocol.cells()}
-    return [row for row in rows if name_of(row) in methods and _posed_by_all(methods[name_of(row)], row)]
 
 
 def _to_first(table: Table, row: Row, found: Sequence[dict], rows: Sequence[dict]) -> str:

@@ -70,10 +70,10 @@ def made(monkeypatch):
     calls = []
 
     def told(work):
-        _, arm, out, steps, _ = work.args
-        calls.append(out.name)
-        found = RUN | {"cpu_s": float(len(arm.name)), "steps": steps or 99}
-        watch = {"choice": "9 pixels of 2 views move after all", "reason": "images from step 175 on"}
+        (job,) = work.args
+        calls.append(job.out.name)
+        found = RUN | {"cpu_s": float(len(job.arm.name)), "steps": job.steps or 99}
+        watch = {"choice": "", "reason": "", "facts": {"pixels": 9, "views": 2, "gaussians": 4, "step": 175}}
         return found | {"decisions": SAID | {"watch": watch}}
 
     monkeypatch.setattr(leave_out, "recorded", lambda case, work: work / case.scene)
