@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
+from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION_SEEDS
 from reconstruction.calibration.features import long_image
@@ -95,6 +97,34 @@ def kept(file: Path | None, measure: Callable[[], dict], key: Mapping[str, objec
         file.parent.mkdir(parents=True, exist_ok=True)
         write_json(file, {"key": wanted, "result": result})
     return result
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a bench: `measure` adds rows, omissions and summary to an empty document; `name` names its file."""
+
+    name: str
+    measure: Callable[[BenchDocument], None]
+
+
+def measure_parts(
+    bench: str, parts: Sequence[Part], work: Path | None, progress: Progress, key: Mapping[str, object] | None = None
+) -> BenchDocument:
+    """Return the document of all parts; one that `work` has with an equal `key` is not measured again."""
+
+    def measured(part: Part) -> dict:
+        own = BenchDocument(bench)
+        part.measure(own)
+        return {"rows": own.rows, "omissions": own.omissions, "summary": own.summary}
+
+    document = BenchDocument(bench)
+    for number, part in enumerate(parts):
+        progress(number / len(parts), part.name)
+        found = kept(work / f"{part.name}.json" if work else None, partial(measured, part), key)
+        document.rows += found["rows"]
+        document.omissions += found["omissions"]
+        document.summary |= found["summary"]
+    return document
 
 
 def means(rows: Sequence[Mapping[str, float]], scores: Iterable[str]) -> dict[str, float]:

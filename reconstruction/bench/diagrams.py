@@ -13,7 +13,6 @@ from reconstruction.bench.figures import (
     bars,
     caption,
     db_scale,
-    legend_beside,
     log_axes,
     name_axes,
     new_figure,
@@ -157,7 +156,7 @@ def plot_viewpoints(path: Path, document: dict) -> None:
             name_axes(axes, f"{line}: metres along the line", label if line == LINES[0] else "")
             if score == "abs_rel":
                 axes.set_yscale("log")
-    legend_beside(panels[-1][-1])
+    panels[-1][0].legend(fontsize=7, frameon=False)
     write_figure(path, figure, caption(document, document["rows"], "Cameras stand at -0.2, 0 and 0.2 m."))
 
 

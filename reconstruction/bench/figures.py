@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -73,11 +74,6 @@ def log_axes(axes: Axes, x: str, y: str, *, log_x: bool = True) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def legend_beside(axes: Axes) -> None:
-    """Put the legend to the right of the axes."""
-    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
 def db_scale(axes: Axes) -> None:
     """Put the ticks of an error axis at round dB, and name them so."""
     low, high = sorted(-20 * np.log10(np.asarray(axes.get_ylim())))
@@ -109,6 +105,19 @@ def bars(
     colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
     axes.plot(x, middle, marker=mark, color=colour, linewidth=1.6, markersize=5.5, label=label or None, ls=style)
     axes.errorbar(x, middle, reach, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2)
+
+
+@contextmanager
+def chart(path: Path, title: str, names: tuple[str, str], below: str, *, log_x: bool = True) -> Iterator[Axes]:
+    """Yield the axes of a picture with a legend beside them, and write it; `names` are those of the two axes."""
+    figure = new_figure(title)
+    axes = figure.subplots()
+    yield axes
+    log_axes(axes, *names, log_x=log_x)
+    if "PSNR" in names[1]:
+        db_scale(axes)
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    write_figure(path, figure, below)
 
 
 def caption(document: dict, rows: Sequence[dict], *more: str) -> str:

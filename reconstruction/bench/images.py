@@ -7,7 +7,7 @@ finished part is kept, and a stopped bench goes on after the last one.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.contact_sheet import method_tiles, write_strip
-from reconstruction.bench.conventions import SLOWER, kept, means, named
+from reconstruction.bench.conventions import SLOWER, Part, means, measure_parts, named
 from reconstruction.bench.decoding import bench_decoding
 from reconstruction.bench.recordings import (
     CAR,
@@ -65,42 +65,25 @@ class ImageBench:
 
     def run(self, progress: Progress = silent) -> BenchDocument:
         """Measure every part that is not kept yet, and return the document of all."""
-        document = BenchDocument("images", omissions=[*self._scorer.omissions])
-        parts = list(self._parts())
-        for number, (name, measure) in enumerate(parts):
-            progress(number / len(parts), name)
-            self._add(name, measure, document)
-        document.omissions = list(dict.fromkeys(document.omissions))
+        extent = {"sweeps": self._extent.sweeps, "first": [self._extent.scenes[0], self._extent.seeds[0]]}
+        key = {"revision": code_revision(), "methods": list(METHODS), "missing": list(self._scorer.omissions), **extent}
+        document = measure_parts("images", list(self._parts()), self._work, progress, key)
+        document.omissions = list(dict.fromkeys([*self._scorer.omissions, *document.omissions]))
         summarise(document)
         progress(1.0, f"{len(document.rows)} rows; {DEFINITIONS}")
         return document
 
-    def _parts(self) -> Iterator[tuple[str, Callable[[BenchDocument], None]]]:
-        first_scene, first_seed = self._extent.scenes[0], self._extent.seeds[0]
-        yield "decoding", lambda document: self._decoding(document, first_scene, first_seed)
+    def _parts(self) -> Iterator[Part]:
+        yield Part("decoding", self._decoding)
         for seed in self._extent.seeds:
             for scene in self._extent.scenes:
-                yield f"{scene}-{seed}", lambda document, s=scene, n=seed: self._scene(document, s, n)
+                yield Part(f"{scene}-{seed}", lambda document, s=scene, n=seed: self._scene(document, s, n))
         if self._extent.sweeps:
             for file in (CAR, DIM, SYNTHETIC):
-                yield file, lambda document, f=file: self._recording(document, f)
+                yield Part(file, lambda document, f=file: self._recording(document, f))
 
-    def _add(self, name: str, measure: Callable[[BenchDocument], None], document: BenchDocument) -> None:
-        """Add the rows, omissions and summary of one part; a part that this revision kept is not measured again."""
-
-        def measured() -> dict:
-            part = BenchDocument("images")
-            measure(part)
-            return {"rows": part.rows, "omissions": part.omissions, "summary": part.summary}
-
-        extent = {"sweeps": self._extent.sweeps, "first": [self._extent.scenes[0], self._extent.seeds[0]]}
-        key = {"revision": code_revision(), "methods": list(METHODS), "missing": list(self._scorer.omissions), **extent}
-        found = kept(self._work / f"{name}.json" if self._work else None, measured, key)
-        document.rows += found["rows"]
-        document.omissions += found["omissions"]
-        document.summary |= found["summary"]
-
-    def _decoding(self, document: BenchDocument, scene: str, seed: int) -> None:
+    def _decoding(self, document: BenchDocument) -> None:
+        scene, seed = self._extent.scenes[0], self._extent.seeds[0]
         bench_decoding(document, simulate_lights(scene, seed, self._rig, PLANES - 1, (1.0,)).streams[1.0])
 
     def _scene(self, document: BenchDocument, scene: str, seed: int) -> None:

@@ -18,7 +18,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
 from acquisition.revision import code_revision
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, kept, means, named
+from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, Part, means, measure_parts, named
 from reconstruction.bench.pose_methods import BOARD, DATE, METHODS, PoseMethod
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
 from reconstruction.calibration.natural import NaturalOptions, gather, solve
@@ -60,15 +60,10 @@ def bench_poses(
     `board` is a recording of the board that the method of that name sees. Rows found in the folder `work` are not
     measured again, so that a stopped bench resumes.
     """
-    document = BenchDocument("poses")
-    jobs = [(clip, *job) for number, clip in enumerate(clips) for job in jobs_of(number, quick)]
+    parts = [part for number, clip in enumerate(clips) for part in parts_of(number, clip, quick)]
     if board:
-        jobs.append((board, BOARD.name, lambda clip: [measured(BOARD, clip)]))
-    for number, (clip, about, run) in enumerate(jobs):
-        progress(number / len(jobs), f"{clip.scene}: {about}")
-        file = work / f"{clip.scene}-{clip.seed}-{about.replace(' ', '-')}.json"
-        found = kept(file, lambda c=clip, r=run: {"rows": [row | {"revision": code_revision()} for row in r(c)]})
-        document.rows += found["rows"]
+        parts.append(_part(board, BOARD.name, lambda: [measured(BOARD, board)]))
+    document = measure_parts("poses", parts, work, progress)
     _summarise(document)
     document.omissions += [
         "TFI + DUSt3R: no checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own",
@@ -78,20 +73,27 @@ def bench_poses(
     return document
 
 
-def jobs_of(number: int, quick: bool) -> list[tuple[str, Callable[[KnownRecording], list[dict]]]]:
-    """Return the name and the work of each measurement on the clip of that number."""
+def parts_of(number: int, clip: KnownRecording, quick: bool) -> list[Part]:
+    """Return the measurements on a clip, which is the one of that number."""
 
-    def job(about: str, method: PoseMethod, sight: Sight, *, scored: bool = False):
-        return about, lambda clip: [measured(method, clip, sight, scored=scored)]
+    def part(about: str, method: PoseMethod, sight: Sight, *, scored: bool = False) -> Part:
+        return _part(clip, about, lambda: [measured(method, clip, sight, scored=scored)])
 
-    jobs = [job(name, method, Sight(), scored=True) for name, method in METHODS.items()]
+    parts = [part(name, method, Sight(), scored=True) for name, method in METHODS.items()]
     if quick:
-        return jobs
+        return parts
     for method in (METHODS[name] for name in SWEPT if number < SWEPT_CLIPS):
-        jobs += [job(f"{method.name} at {error:g}", method, Sight(error=error)) for error in ERRORS]
-        jobs += [job(f"{method.name} of {views}", method, Sight(views=views)) for views in COUNTS]
-    jobs += [job(f"natural in {planes}", METHODS["natural"], Sight(planes=planes)) for planes in PLANES]
-    return [*jobs, ("natural from random rigs", _trials)]
+        parts += [part(f"{method.name} at {error:g}", method, Sight(error=error)) for error in ERRORS]
+        parts += [part(f"{method.name} of {views}", method, Sight(views=views)) for views in COUNTS]
+    parts += [part(f"natural in {planes}", METHODS["natural"], Sight(planes=planes)) for planes in PLANES]
+    return [*parts, _part(clip, "natural from random rigs", lambda: _trials(clip))]
+
+
+def _part(clip: KnownRecording, about: str, rows: Callable[[], list[dict]]) -> Part:
+    def measure(document: BenchDocument) -> None:
+        document.rows += [row | {"revision": code_revision()} for row in rows()]
+
+    return Part(f"{clip.scene}-{clip.seed}-{about.replace(' ', '-')}", measure)
 
 
 def measured(method: PoseMethod, clip: KnownRecording, sight: Sight = Sight(), *, scored: bool = False) -> dict:

@@ -171,10 +171,9 @@ def _paper(asked: Asked) -> BenchDocument:
 
 def _draw_paper(asked: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.paper.diagrams import write_diagrams
-    from reconstruction.bench.paper.others import open_others
     from reconstruction.bench.paper.tables import write_tables
 
-    write_tables(out / "paper.md", found, _protocol(asked), open_others(out))
+    write_tables(out / "paper.md", found, _protocol(asked))
     write_diagrams(out, found)
 
 

@@ -19,7 +19,6 @@ from maintenance.evidence_tables import page
 from acquisition.durable import write_durably
 from reconstruction.bench.diagrams import plot_images, plot_leave_out, plot_poses, plot_viewpoints
 from reconstruction.bench.paper.diagrams import write_diagrams
-from reconstruction.bench.paper.others import open_others
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import held_out_used, write_tables
@@ -105,7 +104,7 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
     """Write the tables of every document as NAME.md."""
     for name, document in documents.items():
         if name == "paper":
-            write_tables(folder / "paper.md", document, PROTOCOL, open_others(folder))
+            write_tables(folder / "paper.md", document, PROTOCOL)
         else:
             write_durably(folder / f"{name}.md", page(name, document).encode())
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+from maintenance.beside_the_paper import BESIDE, paper_table
+
 from reconstruction.bench.conventions import means
 from reconstruction.bench.paper.tables import markdown
 
@@ -60,6 +62,7 @@ def page(name: str, document: dict) -> str:
     )
     head += f"{device['threads']} threads; drawn from [{name}.json]({name}.json) by `make evidence`."
     parts = [f"# {name.capitalize().replace('_', ' ')}", head, ABOUT[name]]
+    parts += [paper_table(name, document)] if name in BESIDE else []
     parts += [TABLES[name](document)] if name in TABLES else _summary(document["summary"])
     if document["omissions"]:
         parts += ["## Omissions", "\n".join(f"- {line}" for line in document["omissions"])]

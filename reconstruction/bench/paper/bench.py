@@ -19,7 +19,7 @@ NOTES = (
     "the paper's real recordings: not public; and its CARLA scenes: not public, so its figures are of other scenes",
     "points: in every row those of our plane sweep, also where the paper takes those of COLMAP, DUSt3R or MSDI",
     "rows marked † used the held-out camera to find the poses",
-    "COLMAP is given long-window images in every row; on TFI images of one instant it is in the table of poses",
+    "COLMAP is given long-window images in every row; on TFI images of one instant it is in `bench poses`",
 )
 
 

@@ -15,9 +15,7 @@ from reconstruction.bench.figures import (
     band,
     bars,
     caption,
-    db_scale,
-    legend_beside,
-    log_axes,
+    chart,
     name_axes,
     new_figure,
     relative_error,
@@ -82,18 +80,13 @@ def against_time(path: Path, document: dict, known: Sequence[str], metric: str, 
     if not rows:
         return False
     title, y = names
-    figure = new_figure(f"{title}: error against run time")
-    axes = figure.subplots()
-    for number, name in enumerate(known):
-        found = curves(rows, name, metric)
-        if found is not None:
-            band(axes, *found, number, name)
-        _ends(axes, [r for r in rows if r["method"] == name], metric, number)
-    log_axes(axes, SECONDS, y)
-    if metric == "psnr_db":
-        db_scale(axes)
-    legend_beside(axes)
-    write_figure(path, figure, caption(document, rows, f"{BAND} {SCHEDULE} {STOPPED}"))
+    below = caption(document, rows, f"{BAND} {SCHEDULE} {STOPPED}")
+    with chart(path, f"{title}: error against run time", (SECONDS, y), below) as axes:
+        for number, name in enumerate(known):
+            found = curves(rows, name, metric)
+            if found is not None:
+                band(axes, *found, number, name)
+            _ends(axes, [r for r in rows if r["method"] == name], metric, number)
     return True
 
 
@@ -120,15 +113,12 @@ def _time_to(path: Path, document: dict) -> bool:
                 places.setdefault(name, {})[target] = [t for t in times if t is not None]
     if not places:
         return False
-    figure = new_figure("Run time to a level of the held-out view")
-    axes = figure.subplots()
-    for name, reached in places.items():
-        bars(axes, list(reached), list(reached.values()), SHOWN.index(name), name)
-    log_axes(axes, "PSNR of the held-out view / dB", SECONDS, log_x=False)
-    axes.set_xticks(TARGETS_DB)
-    legend_beside(axes)
-    said = f"{BARS} A level that a recording missed has no mark. {STOPPED}"
-    write_figure(path, figure, caption(document, rows, said))
+    below = caption(document, rows, f"{BARS} A level that a recording missed has no mark. {STOPPED}")
+    names = ("PSNR of the held-out view / dB", SECONDS)
+    with chart(path, "Run time to a level of the held-out view", names, below, log_x=False) as axes:
+        for name, reached in places.items():
+            bars(axes, list(reached), list(reached.values()), SHOWN.index(name), name)
+        axes.set_xticks(TARGETS_DB)
     return True
 
 
@@ -157,16 +147,11 @@ def _sweep(path: Path, document: dict, kinds: Sequence[str], title: str) -> bool
     drawn = [found for kind in kinds for found in _swept(document["rows"], kind)]
     if not drawn:
         return False
-    figure = new_figure(title)
-    axes = figure.subplots()
-    for number, (name, found) in enumerate(drawn):
-        x = sorted(found)
-        bars(axes, x, [relative_error([r["psnr_db"] for r in found[k]]).tolist() for k in x], number, name)
-    log_axes(axes, SWEEPS[kinds[0]][0], ERROR)
-    db_scale(axes)
-    legend_beside(axes)
     rows = [r for _, found in drawn for some in found.values() for r in some]
-    write_figure(path, figure, caption(document, rows, BARS))
+    with chart(path, title, (SWEEPS[kinds[0]][0], ERROR), caption(document, rows, BARS)) as axes:
+        for number, (name, found) in enumerate(drawn):
+            x = sorted(found)
+            bars(axes, x, [relative_error([r["psnr_db"] for r in found[k]]).tolist() for k in x], number, name)
     return True
 
 

@@ -19,14 +19,10 @@ SPIKE_MODELS = {
 }
 
 
-def _quality(psnr_db: float, ssim: float | None = None, minutes: float | None = None) -> Figures:
+def quality(psnr_db: float, ssim: float | None = None, minutes: float | None = None) -> Figures:
+    """Return the figures that were published of a row, by metric."""
     found = {"psnr_db": psnr_db, "ssim": ssim, "seconds": None if minutes is None else 60 * minutes}
     return {key: value for key, value in found.items() if value is not None}
-
-
-def _poses(rotation_deg: float, translation_percent: float, seconds: float | None = None) -> Figures:
-    found = {"rotation_deg": rotation_deg, "translation_percent": translation_percent}
-    return found if seconds is None else found | {"seconds": seconds}
 
 
 def _depth(abs_rel: float, delta_1_25: float) -> Figures:
@@ -37,42 +33,26 @@ def _natural(brisque: float, niqe: float) -> Figures:
     return {"brisque": brisque, "niqe": niqe}
 
 
-IMAGES: Mapping[str, Figures] = {
-    "TFI": _quality(24.51, 0.850),
-    "TFP": _quality(25.37, 0.852),
-    "TVS": _quality(22.43, 0.821),
-    "Spk2ImgNet": _quality(30.76, 0.904),
-    "MSDI (joint)": _quality(34.90, 0.961),
-    "MSDI (separate)": _quality(30.12, 0.911),
-}
-POSES: Mapping[str, Figures] = {
-    "TFI + COLMAP": _poses(2.72, 9.8, 30.3),
-    "TFI + DUSt3R": _poses(1.27, 3.5, 9.6),
-    "MSDI images + COLMAP": _poses(2.62, 9.6),
-    "MSDI images + DUSt3R": _poses(1.19, 3.2),
-    "MSDI": _poses(0.94, 2.1, 9.1),
-    "MSDI trained separately": _poses(0.98, 2.3),
-}
 NOVEL_VIEW: Mapping[str, Figures] = {
-    "SpikeNeRF": _quality(14.43, 0.576),
-    "SpikeGS": _quality(20.03, 0.808),
-    "Dy-SpikeNeRF": _quality(16.70, 0.628),
-    "Dy-SpikeGS": _quality(23.31, 0.835),
-    "TFI + D3DGS": _quality(20.34, minutes=19),
-    "TFI + STG": _quality(24.70, minutes=24),
-    "TFI + 4DGS": _quality(26.00, 0.893, 22),
-    "TFI + COLMAP + 4DGS": _quality(21.08, 0.849),
-    "MSDI image + COLMAP + 4DGS": _quality(22.43, 0.854),
-    "MSDI image + DUSt3R + 4DGS": _quality(25.76, 0.898),
-    "MSDI image, points, poses + 4DGS": _quality(26.66, 0.903),
-    "+ L1 spike loss": _quality(26.87, 0.906),
-    "+ L2 spike loss": _quality(26.75, 0.905),
-    "MSDI image + COLMAP + SPSS": _quality(23.68, 0.867),
-    "MSDI image + DUSt3R + SPSS": _quality(26.92, 0.907),
-    "MSDI without pretraining + SPSS": _quality(20.41, 0.801),
-    "Spike4DGS": _quality(27.74, 0.912, 25),
-    "clean RGB + DUSt3R + 4DGS": _quality(30.31, 0.942),
-    "blurred RGB + DUSt3R + 4DGS": _quality(22.72, 0.861),
+    "SpikeNeRF": quality(14.43, 0.576),
+    "SpikeGS": quality(20.03, 0.808),
+    "Dy-SpikeNeRF": quality(16.70, 0.628),
+    "Dy-SpikeGS": quality(23.31, 0.835),
+    "TFI + D3DGS": quality(20.34, minutes=19),
+    "TFI + STG": quality(24.70, minutes=24),
+    "TFI + 4DGS": quality(26.00, 0.893, 22),
+    "TFI + COLMAP + 4DGS": quality(21.08, 0.849),
+    "MSDI image + COLMAP + 4DGS": quality(22.43, 0.854),
+    "MSDI image + DUSt3R + 4DGS": quality(25.76, 0.898),
+    "MSDI image, points, poses + 4DGS": quality(26.66, 0.903),
+    "+ L1 spike loss": quality(26.87, 0.906),
+    "+ L2 spike loss": quality(26.75, 0.905),
+    "MSDI image + COLMAP + SPSS": quality(23.68, 0.867),
+    "MSDI image + DUSt3R + SPSS": quality(26.92, 0.907),
+    "MSDI without pretraining + SPSS": quality(20.41, 0.801),
+    "Spike4DGS": quality(27.74, 0.912, 25),
+    "clean RGB + DUSt3R + 4DGS": quality(30.31, 0.942),
+    "blurred RGB + DUSt3R + 4DGS": quality(22.72, 0.861),
 }
 DEPTH: Mapping[str, Figures] = {
     "Spike2img + D3DGS": _depth(0.523, 0.512),
@@ -81,14 +61,14 @@ DEPTH: Mapping[str, Figures] = {
     "Spike4DGS": _depth(0.195, 0.565),
 }
 RATES: Mapping[str, Figures] = {
-    "20000 Hz": _quality(27.74, 0.912),
-    "10000 Hz": _quality(25.43, 0.885),
-    "5000 Hz": _quality(22.71, 0.842),
-    "2000 Hz": _quality(21.88, 0.810),
-    "1000 Hz": _quality(18.32, 0.745),
-    "500 Hz": _quality(16.87, 0.685),
-    "200 Hz": _quality(16.22, 0.650),
-    "100 Hz": _quality(15.54, 0.625),
+    "20000 Hz": quality(27.74, 0.912),
+    "10000 Hz": quality(25.43, 0.885),
+    "5000 Hz": quality(22.71, 0.842),
+    "2000 Hz": quality(21.88, 0.810),
+    "1000 Hz": quality(18.32, 0.745),
+    "500 Hz": quality(16.87, 0.685),
+    "200 Hz": quality(16.22, 0.650),
+    "100 Hz": quality(15.54, 0.625),
 }
 VIEWS: Mapping[str, Figures] = {
     f"{method}, {views} views": _natural(*figures)
@@ -107,8 +87,6 @@ OUTDOORS: Mapping[str, Figures] = {  # of a moving car, a running pedestrian, a 
     "Spike4DGS": _natural(30.63, 10.32),
 }
 PUBLISHED: Mapping[str, Mapping[str, Figures]] = {
-    "images": IMAGES,
-    "poses": POSES,
     "novel-view": NOVEL_VIEW,
     "depth": DEPTH,
     "rates": RATES,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ from acquisition.durable import write_durably
 from reconstruction.bench.conventions import means
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Cell, Method, Protocol, Row, Table
-from reconstruction.bench.paper.others import IMAGE_ROWS, POSE_ROWS, OtherRow
 from reconstruction.bench.paper.published import PUBLISHED, Figures
 from reconstruction.bench.paper.summary import TARGETS_DB, gaps, name_of, ordinary, times_to, widest
 
@@ -61,11 +60,9 @@ HOW = {  # form of every published figure, with its unit
 }
 
 
-def write_tables(path: Path, document: dict, protocol: Protocol, others: Mapping[str, dict | None]) -> None:
-    """Write `paper.md`: the measured tables, those of the image and pose benches (`others`), time, and omissions."""
+def write_tables(path: Path, document: dict, protocol: Protocol) -> None:
+    """Write `paper.md`: the measured tables, times, and omissions."""
     parts = [_head(document), "What the rows are not:\n" + "\n".join(f"- {line}" for line in LIMITS)]
-    parts += [other_table("images", "Spikes to images", others.get("images"), IMAGE_ROWS)]
-    parts += [other_table("poses", "Poses", others.get("poses"), POSE_ROWS)]
     parts += [measured_table(table, protocol, document["rows"]) for table in protocol.tables]
     stress = {cell.name for table in protocol.tables if table.name == "stress" for cell in _cells(protocol, table)}
     parts += [_scene_table([row for row in document["rows"] if name_of(row) in stress])] if stress else []
@@ -150,10 +147,11 @@ def _spread(rows: Sequence[dict]) -> str:
 
 
 def _paper(table: Table, row: Row) -> str:
-    return _figures(PUBLISHED.get(table.name, PUBLISHED["novel-view"]).get(row.paper or "", {}))
+    return figures_of(PUBLISHED.get(table.name, PUBLISHED["novel-view"]).get(row.paper or "", {}))
 
 
-def _figures(figures: Figures) -> str:
+def figures_of(figures: Figures) -> str:
+    """Return published figures with their units; a dash where there are none."""
     return ", ".join(HOW[metric].format(value) for metric, value in figures.items()) or "-"
 
 
@@ -176,27 +174,6 @@ def _disturbed(rows: Sequence[dict]) -> str:
         return ""
     took = f"{np.median(shares):.0%} of the processors' time in the median and {max(shares):.0%} in the worst"
     return f" Of {len(shares)} runs of {len(rows)} it is known what other guests of the machine took: {took}."
-
-
-def other_table(name: str, title: str, document: dict | None, rows: Sequence[OtherRow]) -> str:
-    """Return a table out of the document of another bench."""
-    about = f"As `bench {name}` measured it into `{name}.json` of the same folder; not measured again."
-    if document is None:
-        return f"## {title} (`{name}`)\n\n**Missing: run `spike4dgs bench {name}` with the same `--out`.**"
-    summary = document["summary"]
-    lines = []
-    for row in rows:
-        ours = {metric: summary[key] * scale for metric, (key, scale) in row.keys.items() if key in summary}
-        paper = _figures(PUBLISHED[name].get(row.paper or "", {}))
-        lines.append([row.label, _fine(ours) or f"omitted: {row.omitted or 'not in the document'}", paper])
-    machine = f"{document['device']['processor']}, {document['device']['threads']} threads, {document['revision']}"
-    return f"## {title} (`{name}`)\n\n{about} {machine}.\n\n{markdown(('row', 'ours', PAPER), lines)}"
-
-
-def _fine(ours: Mapping[str, float]) -> str:
-    """Return our figures with the digits they need: errors of poses and seconds are small."""
-    digits = {"rotation_deg": "{:.3f} deg", "translation_percent": "{:.3f} %", "seconds": "{:.3g} s"}
-    return ", ".join((HOW | digits)[metric].format(value) for metric, value in ours.items())
 
 
 def _scene_table(rows: Sequence[dict]) -> str:

@@ -58,7 +58,7 @@ def test_a_slow_instant_is_in_the_middle_of_its_light(k, how, wanted):
 
 def test_a_finished_part_is_kept_and_another_extent_measures_again(tmp_path, monkeypatch):
     runs = []
-    monkeypatch.setattr(ImageBench, "_decoding", lambda self, document, scene, seed: runs.append(scene))
+    monkeypatch.setattr(ImageBench, "_decoding", lambda self, document: runs.append(self._extent.scenes[0]))
     monkeypatch.setattr(ImageBench, "_scene", lambda self, document, scene, seed: _one_row(document, scene, runs))
     for extent in (Extent(("a",), (1,), False), Extent(("a", "b"), (1,), False), Extent(("b",), (1,), False)):
         document = ImageBench(extent, tmp_path).run()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from maintenance.beside_the_paper import paper_table
 
 from acquisition.bench_document import BenchDocument
 from reconstruction.bench import figures
@@ -135,18 +136,18 @@ def test_results_of_other_code_are_counted_as_such():
     assert "4 of 4, 1 of other code" in text
 
 
-def other(summary):
-    return {"summary": summary, "device": {"processor": "B chip", "threads": 4}, "revision": "def", "rows": []}
+def test_figures_of_other_benches_stand_beside_the_papers():
+    found = {"natural.rotation_deg": 0.0097, "natural.translation_percent": 0.0108, "natural.seconds": 4.92}
+    text = paper_table("poses", {"summary": found | {"msdi.rotation_deg": 0.1}})
+    assert "| natural calibration (ours) | 0.010 deg, 0.011 %, 4.92 s | - |" in text
+    assert "| small MSDI alone | 0.100 deg | 0.94 deg, 2.1 %, 9 s |" in text
+    assert "TFI + DUSt3R (no DUSt3R checkpoint" in text
+    assert "small MSDI, adjusted (not in the document)" in text
 
 
 def test_all_tables_stand_in_one_file(tmp_path):
-    poses = other({"natural.rotation_deg": 0.0097, "natural.translation_percent": 0.0108, "natural.seconds": 4.92})
-    write_tables(tmp_path / "paper.md", document().to_json(), PROTOCOL, {"images": None, "poses": poses})
+    write_tables(tmp_path / "paper.md", document().to_json(), PROTOCOL)
     text = (tmp_path / "paper.md").read_text()
-    assert "**Missing: run `spike4dgs bench images` with the same `--out`.**" in text
-    assert "| natural calibration (ours) | 0.010 deg, 0.011 %, 4.92 s | - |" in text
-    assert "| TFI + DUSt3R | omitted: no DUSt3R checkpoint" in text
-    assert "| small MSDI alone | omitted: not in the document | 0.94 deg, 2.1 %, 9 s |" in text
     assert "A chip, 2 threads" in text
     assert "| auto | 15.0 (2 of 4) | " not in text  # all four recordings come to 25 dB
     assert "| tfi+4dgs | 30.0 | 30.0 (1 of 2)" not in text

@@ -1,15 +1,14 @@
-"""Pairs figures of the image and pose benches with the paper's."""
+"""Puts figures of the image and pose benches beside the paper's."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from reconstruction.bench.paper.protocol import NO_DUST3R
+from reconstruction.bench.paper.published import Figures, quality
+from reconstruction.bench.paper.tables import HOW, PAPER, figures_of, markdown
 
-OTHERS = ("images", "poses")
 NO_SEPARATE = "no weights are shipped; `python -m reconstruction.networks.train msdi --separate` makes some"
 
 
@@ -23,10 +22,27 @@ class OtherRow:
     omitted: str = ""
 
 
-def open_others(out: Path) -> dict[str, dict | None]:
-    """Return the documents of the other benches in a folder; None for one that is not there."""
-    files = {name: out / f"{name}.json" for name in OTHERS}
-    return {name: json.loads(file.read_text()) if file.exists() else None for name, file in files.items()}
+def _published(rotation_deg: float, translation_percent: float, seconds: float | None = None) -> Figures:
+    found = {"rotation_deg": rotation_deg, "translation_percent": translation_percent}
+    return found if seconds is None else found | {"seconds": seconds}
+
+
+PUBLISHED_IMAGES: Mapping[str, Figures] = {
+    "TFI": quality(24.51, 0.850),
+    "TFP": quality(25.37, 0.852),
+    "TVS": quality(22.43, 0.821),
+    "Spk2ImgNet": quality(30.76, 0.904),
+    "MSDI (joint)": quality(34.90, 0.961),
+    "MSDI (separate)": quality(30.12, 0.911),
+}
+PUBLISHED_POSES: Mapping[str, Figures] = {
+    "TFI + COLMAP": _published(2.72, 9.8, 30.3),
+    "TFI + DUSt3R": _published(1.27, 3.5, 9.6),
+    "MSDI images + COLMAP": _published(2.62, 9.6),
+    "MSDI images + DUSt3R": _published(1.19, 3.2),
+    "MSDI": _published(0.94, 2.1, 9.1),
+    "MSDI trained separately": _published(0.98, 2.3),
+}
 
 
 def _image(label: str, method: str, paper: str | None = None) -> OtherRow:
@@ -65,3 +81,24 @@ POSE_ROWS = (
     OtherRow("MSDI images + DUSt3R", "MSDI images + DUSt3R", omitted=NO_DUST3R),
     OtherRow("MSDI trained separately", "MSDI trained separately", omitted=NO_SEPARATE),
 )
+BESIDE = {"images": (IMAGE_ROWS, PUBLISHED_IMAGES), "poses": (POSE_ROWS, PUBLISHED_POSES)}
+
+
+def paper_table(name: str, document: dict) -> str:
+    """Return the table of a document's figures beside the paper's, which are of other scenes."""
+    rows, published = BESIDE[name]
+    summary, lines, absent = document["summary"], [], []
+    for row in rows:
+        ours = {metric: summary[key] * scale for metric, (key, scale) in row.keys.items() if key in summary}
+        if ours:
+            lines.append([row.label, _fine(ours), figures_of(published.get(row.paper or "", {}))])
+        else:
+            absent.append(f"{row.label} ({row.omitted or 'not in the document'})")
+    table = markdown(("row", "ours", PAPER), lines)
+    return f"{table}\n\nWithout a measurement: {'; '.join(absent)}."
+
+
+def _fine(ours: Mapping[str, float]) -> str:
+    """Return our figures with the digits they need: errors of poses and seconds are small."""
+    digits = {"rotation_deg": "{:.3f} deg", "translation_percent": "{:.3f} %", "seconds": "{:.3g} s"}
+    return ", ".join((HOW | digits)[metric].format(value) for metric, value in ours.items())
