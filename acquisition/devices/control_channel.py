@@ -30,8 +30,8 @@ _READ = usb.util.CTRL_IN | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_D
 _WRITE = usb.util.CTRL_OUT | usb.util.CTRL_TYPE_VENDOR | usb.util.CTRL_RECIPIENT_DEVICE
 _HEADER = struct.Struct("<4sBBHI")
 _CRC = struct.Struct("<I")
-_MOST_BYTES = 1024  # asked of the reply pipe: one packet, which holds any message
-_STALE_REPLIES = 64  # read before the reply is given up
+_MOST_BYTES = 1024  # bytes asked of the reply pipe: one packet, which holds any message
+_STALE_REPLIES = 64  # replies to other commands that are passed over before the own one is given up
 
 
 class StallError(Exception):

@@ -7,11 +7,11 @@ import struct
 from acquisition.devices.profile import Profile
 
 Fields = dict[str, int]
-MAX_PACKET_BYTES = 1024  # of a SuperSpeed bulk pipe
+MAX_PACKET_BYTES = 1024  # the packet of a SuperSpeed bulk pipe
 LANGUAGE_ID = 0x0409
 DEVICE, CONFIGURATION, STRING = 1, 2, 3
 BULK, INTERRUPT = 2, 3
-_ENDPOINT_BYTES = 7 + 6  # of an endpoint's descriptor and the SuperSpeed companion behind it
+_ENDPOINT_BYTES = 7 + 6  # an endpoint's descriptor and the SuperSpeed companion behind it
 
 
 def encode_string(number: int, strings: tuple[str, ...]) -> bytes:

@@ -113,11 +113,6 @@ class DeviceModel:
         self.run.sync_period_s = period_s
         self.run.trigger()
 
-    def halt(self) -> None:
-        """Stall the stream until the host clears it."""
-        self.faults.halted = True
-        self.run.wake()
-
     def clear_halt(self) -> None:
         """End a stall, as the host asks."""
         self.faults.halted = False

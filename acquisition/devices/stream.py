@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import usb.core
 from usb.core import USBError, USBTimeoutError
 
-_COLLECT_S = 2.0  # a kernel that has not given a cancelled transfer back by then never will
+_COLLECT_S = 2.0  # seconds after which a kernel will never give a cancelled transfer back
 
 
 class Outcome(enum.Enum):
@@ -48,7 +48,10 @@ def timed_out() -> USBTimeoutError:
 
 
 class StreamPipe(Protocol):
-    """Transfers of one endpoint, given back in the order of submission. Errors are pyusb's, with the kernel's errno."""
+    """Transfers of one endpoint, given back in the order of submission.
+
+    Errors are pyusb's, with the kernel's errno.
+    """
 
     def submit(self) -> None:
         """Queue one more transfer; raises USBError: ENOMEM past the kernel's limit, ENODEV for a device gone."""

@@ -9,7 +9,7 @@ from pathlib import Path
 SYSFS = Path("/sys")
 USBFS_MEMORY = "module/usbcore/parameters/usbfs_memory_mb"
 RECOMMENDED_USBFS_MB = 256  # for the transfers of nine cameras and other devices
-PRACTICAL_SHARE = 0.6  # of the signalling rate: 375 MB/s of 5 Gb/s
+PRACTICAL_SHARE = 0.6  # share of the signalling rate that carries payload: 375 MB/s of 5 Gb/s
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,9 @@ def firing_rate(stream: Stream) -> Rates:
 
 
 def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> Alignment:
-    """Align cameras by their firing rates [T], by default to the first; a flash where all see one.
+    """Align cameras to `reference`, by default the first: by a flash where all see one, else by correlation.
 
+    `rates` are each camera's spikes per tick and pixel [T], T its own.
     Raises TimingError naming the camera whose light does not change, or fits more than one lag.
     """
     reference = reference or next(iter(rates))
@@ -77,7 +78,7 @@ def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> 
 
 
 def flash(rate: Rates) -> tuple[float, float] | None:
-    """Return the instant in planes at which the light of [T] planes steps, and its standard deviation.
+    """Return the instant in planes at which `rate` [T], in spikes per tick, steps, and its standard deviation.
 
     The first step of at least half the height of the highest one counts; planes before and after it must be level.
     Returns None without a step.
@@ -101,8 +102,9 @@ def flash(rate: Rates) -> tuple[float, float] | None:
 
 
 def correlation_lag(reference: Rates, rate: Rates) -> tuple[float, float]:
-    """Return how many planes later than the reference's the plane 0 of `rate` [T] began, and its standard deviation.
+    """Return how many planes after that of `reference` [S] the plane 0 of `rate` [T] began, and its standard deviation.
 
+    Both are in spikes per tick.
     Raises TimingError where the light does not change, the two do not fit, or more than one lag fits.
     """
     for name, one in (("the reference's", reference), ("its", rate)):

@@ -22,7 +22,7 @@ from acquisition.spikes.layout import PlaneLayout
 
 READ_TIMEOUT_S = 1.0
 SILENT_READS = 5  # reads without a byte after which a camera has stopped sending
-REPEATED_BLOCKS = 64  # blocks back up to which one was sent twice; one from further back is a camera that began anew
+REPEATED_BLOCKS = 64  # most blocks that a repeated one lies back; one from further back is a camera that began anew
 LONGEST_GAP_S = 60.0  # seconds of planes lost at once; for more, the counter cannot be believed
 _SPARE_S = 0.25  # seconds held beside the pre-trigger's span: the cameras are not read at the same instant
 

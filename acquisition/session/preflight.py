@@ -25,10 +25,10 @@ from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
 
-SPARE_MB = 16  # of USB memory, for all other devices
+SPARE_MB = 16  # USB memory left to all other devices
 DISK_RESERVE = 1.1  # least speed of the disk, as a multiple of the rig's rate
 LEAST_SECONDS = 10.0  # seconds of recording that must fit
-LATCH_PLANES = 8  # planes asked of simulated cameras
+LATCH_PLANES = 8  # planes that simulated cameras show
 _LATCH_TIMEOUT_S = 1.0
 
 Facts = Mapping[str, Mapping[str, object]]  # by camera id: what was measured, by its name

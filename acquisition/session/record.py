@@ -1,4 +1,4 @@
-"""A whole recording: cameras opened by a URI, one armed run, the truth where it is known, a named folder."""
+"""Makes a whole recording: opens cameras by a URI, runs them once, and writes the truth where it is known."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Take:
 
 
 def record(rig: Rig, devices: str, take: Take | int, out: Path, progress: Progress = silent) -> Manifest:
-    """Record every camera of `rig`, opened by the URI `devices`, as the folder `out`; an int is so many planes.
+    """Record every camera of `rig`, opened by the URI `devices`, as the folder `out`; `take` may be a number of planes.
 
     Raises RigBusyError where somebody else records with the rig, DeviceError where a camera does not arm, DiskError
     for a full disk: then nothing is left under `out`. Raises IncompleteError naming the camera that failed on the way,

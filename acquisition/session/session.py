@@ -19,7 +19,7 @@ from acquisition.session.contact import RejoinRules
 from acquisition.session.health import describe
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
-_STOP_MARGIN_S = 0.05  # after the furthest camera, so that all can end at the same plane
+_STOP_MARGIN_S = 0.05  # seconds recorded beyond the furthest camera, so that all end at the same plane
 
 
 class TriggerLine(Protocol):
@@ -64,7 +64,7 @@ def record_session(
     waits: bool = False,
     rejoin_s: float = 0.0,
 ) -> list[StreamWriter]:
-    """Record every camera into `recording`, which stays to be committed; a thread a camera and one a file.
+    """Record every camera into `recording`, with a thread for each camera and each file; the caller commits it.
 
     A camera that fails is noted in `recording.problems`, and the others go on; where a disk fills, all end together.
     With `waits`, the cameras wait for the host, so that a full ring holds them up instead of losing planes. A camera
@@ -101,7 +101,7 @@ def record_session(
 
 
 class _Run:
-    """Decides from which plane to which the cameras of one session are recorded."""
+    """Decides which planes of the cameras of one session are recorded."""
 
     def __init__(self, captures: list[Capture], extent: Extent, recording: RecordingWriter, control: Control):
         self.abort = threading.Event()

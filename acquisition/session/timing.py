@@ -1,4 +1,4 @@
-"""Each camera's clock against the rig clock, from the shared sync pulses it stamped.
+"""Estimates each camera's clock against the rig clock, from the shared sync pulses it stamped.
 
 Pulse n, from 0 for the trigger, happens at n * period on the rig clock. A camera that stamps it at t on its own clock
 has t = offset + (1 + drift) * n * period + jitter. The line is fitted to the pulses that lie near it, so single late
@@ -77,9 +77,9 @@ def estimate_clock(
 ) -> ClockEstimate:
     """Return the clock of a camera that had counted `counted` [N] pulses when it stamped one at `stamps_s` [N].
 
-    The trigger is pulse 0; a pulse may be given more than once. `period_s` is the time between pulses, `duration_s`
-    the length of the recording. Raises TimingError for no pulses, arrays of different lengths, numbers that are not
-    finite, or a clock that stands still or goes backwards.
+    The trigger is pulse 0; a pulse may be given more than once. Stamps are seconds on the camera's clock, `period_s` is
+    the time between pulses on the rig clock, `duration_s` the length of the recording. Raises TimingError for no
+    pulses, arrays of different lengths, numbers that are not finite, or a clock that stands still or goes backwards.
     """
     counted, stamps_s = np.asarray(counted, dtype=np.int64), np.asarray(stamps_s, dtype=np.float64)
     _refuse_useless(counted, stamps_s, period_s)

@@ -75,7 +75,7 @@ def test_a_short_read_is_no_error(device, models):
 def test_a_halted_pipe_stalls_until_it_is_cleared(device, models):
     device.ctrl_transfer(COMMAND, Request.ARM)
     TriggerWire(models).fire()
-    models[0].halt()
+    models[0].faults.halted = True
     for _ in range(2):
         with pytest.raises(usb.core.USBError) as caught:
             device.read(DIRECT.stream_endpoint, 1024)
