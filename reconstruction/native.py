@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from acquisition.native import Address, Kernel
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Int, Long, Float, Double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
 Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type of what `addresses` returns
@@ -26,4 +26,6 @@ def addresses(*tensors: Tensor | None) -> ctypes.Array:
 
 def fits(*tensors: Tensor) -> bool:
     """Return whether kernels can take all these tensors: float32 on the CPU."""
+    import torch  # not above: matching and sweeping call kernels without it
+
     return all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)

@@ -1,1 +1,1 @@
-"""What `--model` names: how each method starts and what it is published with; ours, and the baselines one file each."""
+"""The methods that `--model` names, in one file each: how a model starts, and what its source publishes with it."""

@@ -1,13 +1,13 @@
-"""Every method by the name an operator gives."""
+"""Every method by the name an operator gives: ours, then the baselines.
 
-from reconstruction.methods.d3dgs import D3DGS
+A new method is one file of this package that defines a `Method`; every list follows. Listing imports no torch.
+"""
+
+from collections.abc import Mapping
+
+from acquisition.members import members
 from reconstruction.methods.definition import Method
-from reconstruction.methods.four_dgs import FOUR_DGS
-from reconstruction.methods.ours import BASES, CUBIC, LINEAR, STATIC
-from reconstruction.methods.spikegs import DY_SPIKEGS, SPIKEGS
-from reconstruction.methods.spikenerf import DY_SPIKENERF, SPIKENERF
-from reconstruction.methods.stg import STG
 
-OURS = (STATIC, LINEAR, CUBIC, BASES)
-BASELINES = (FOUR_DGS, STG, D3DGS, SPIKEGS, DY_SPIKEGS, SPIKENERF, DY_SPIKENERF)
-METHODS: dict[str, Method] = {m.name: m for m in (*OURS, *BASELINES)}
+_FOUND = members("reconstruction.methods", Method)
+OURS = tuple(method for method in _FOUND.values() if method.ours)
+METHODS: Mapping[str, Method] = {method.name: method for method in (*OURS, *_FOUND.values())}

@@ -1,4 +1,4 @@
-"""The one interface of all methods; nothing here loads torch, for the plan reads it."""
+"""What every method defines about itself; nothing here needs torch, since the plan reads it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Seeds:
-    """What every method starts from: points of the still scene, and of movers swept at `instants` moments of `clip`.
+    """The start of every method: points of the still scene, and of movers swept at `instants` moments of `clip`.
 
-    `cameras` train. `bodies` reads what the moving points ride on. `seed`: of all draws.
+    `cameras` are those that train. `bodies` reads the rigid bodies of the moving points. `seed` is that of all draws.
     """
 
     still: Points
@@ -61,13 +61,14 @@ class Training:
 
 @dataclass(frozen=True)
 class Method:
-    """`start` makes the model that is trained.
+    """A way to reconstruct a scene; `start` makes the model that is trained.
 
-    `moves`: whether it knows motion; without, the whole clip is one still scene to it. `canonical`: the share of the
-    clip at which alone movers are swept (None: at several instants). `supervision`: what it is published with, taken
-    where the operator leaves it open. `watched`: whether still Gaussians that turn out to move are let go.
-    `gaussians`: how many, where the operator does not say. `rays`: whether it is a radiance field, which learns from
-    spikes of single rays: no other supervision, and no refinement.
+    `moves`: whether it knows motion; without, it takes the whole clip for one still scene. `canonical`: the share of
+    the clip at which movers are swept (None: at several instants). `supervision`: the one it is published with, used
+    where the operator leaves it open. `watched`: whether still Gaussians that turn out to move are let go. `rays`:
+    whether it is a radiance field, which learns from spikes of single rays, by no other supervision and without
+    refinement. `ours`: whether it is a method of this project; the others are baselines. `gaussians`: the number of
+    them where the operator gives none. `training`: how it is trained.
     """
 
     name: str
@@ -77,5 +78,6 @@ class Method:
     supervision: str = "pixels"
     watched: bool = False
     rays: bool = False
+    ours: bool = False
     gaussians: int = 48_000
     training: Training = field(default_factory=Training)

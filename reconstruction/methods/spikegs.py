@@ -1,13 +1,15 @@
-"""SpikeGS and Dy-SpikeGS: Gaussians that learn from spikes alone, of a still scene and with a field that deforms them.
+"""SpikeGS and Dy-SpikeGS: Gaussians that learn from spikes alone, of a still scene and of a deformed one.
 
 Source: Yu et al., "SpikeGS: Learning 3D Gaussian fields from continuous spike stream", ACCV 2024 (two other papers
-have that name); Spike4DGS, which names both as baselines. As published: no image is made of the spikes; what is
-rendered goes through a model of the integrate-and-fire pixel and is compared with what fired; SpikeGS takes the scene
-for still; Dy-SpikeGS deforms it. Unknown: the weights and rates of either, how Dy-SpikeGS deforms, how noise is
-embedded. Ours: the expected count of a pixel whose phase is random over a window (`losses.counts`) in place of single
-spikes through a surrogate gradient; whole views every step; long windows where the scene is thought still, short ones
-integrated over instants where it moves; sensor noise as the variance of a count; Yang et al.'s deformation network
-(`gaussians.deformation`); our points, a cap in place of densification, our rates and kernels.
+have that name); Spike4DGS names both as baselines. As published: no image is made of the spikes; what is rendered goes
+through a model of the integrate-and-fire pixel and is compared with the recorded spikes; SpikeGS takes the scene for
+still, Dy-SpikeGS deforms it.
+Not published: the weights and rates of either, and how noise is embedded. Dy-SpikeGS is described as the static method
+with the deformation network of 4DGS; ours deforms by the small network of Yang et al. (`gaussians.deformation`), which
+is of another form. Also ours: the expected count of a pixel whose phase is random over a window (`losses.counts`) in
+place of single spikes through a surrogate gradient; whole views every step; long windows where the scene is taken for
+still, short ones integrated over instants where it moves; sensor noise as the variance of a count; our points; a cap in
+place of densification, half as many Gaussians as the other models for Dy-SpikeGS; our rates and kernels.
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
-"""SpikeNeRF and its extension by a deformation, the baselines that march rays in place of drawing Gaussians.
+"""SpikeNeRF and Dy-SpikeNeRF: baselines that march rays through a radiance field in place of drawing Gaussians.
 
-Sources: Zhu et al., "SpikeNeRF: learning neural radiance fields from continuous spike stream", CVPR 2024: a radiance
-field, volume rendering, and a loss on long-term spikes through a neuron whose threshold varies from pixel to pixel.
-Dy-SpikeNeRF is named by the authors of Spike4DGS; its form is not public. Ours: cells in place of a network
-(`radiance_field`), the neuron in expectation (`training.ray_term`), the points of the sweep to start from, no view
-dependence.
+Source: Zhu et al., "SpikeNeRF: learning neural radiance fields from continuous spike stream", CVPR 2024. As published:
+a radiance field, volume rendering, and a loss on long-term spikes through a neuron whose threshold varies from pixel to
+pixel. Dy-SpikeNeRF is named by the authors of Spike4DGS and described as the static method with the deformation network
+of 4DGS.
+Ours: cells in place of a network (`radiance_fields.radiance_field`); a deformation stored at knots of space and time,
+which is of another form; the neuron in expectation (`training.ray_term`); the points of the sweep to start from; no
+dependence on the viewing direction.
 """
 
 from __future__ import annotations

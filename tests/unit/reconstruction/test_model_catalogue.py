@@ -1,0 +1,12 @@
+"""The list of methods that `--model` names."""
+
+import subprocess
+import sys
+
+CODE = "import sys; from reconstruction.methods.catalogue import METHODS; print(*METHODS, 'torch' in sys.modules)"
+
+
+def test_listing_needs_no_torch_and_begins_with_ours():
+    listed = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True).stdout.split()
+    assert listed[:4] == ["static", "linear", "cubic", "bases"]
+    assert listed[4:] == ["d3dgs", "4dgs", "spikegs", "dy-spikegs", "spikenerf", "dy-spikenerf", "stg", "False"]
