@@ -1,4 +1,4 @@
-"""What every export format defines about itself; nothing here needs torch."""
+"""The definition of an export format; it needs no torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every format is written from: a trained model, the cameras that saw it, and what counts as white."""
+"""The source of every export: a trained model, the cameras of its rig, and the intensity that counts as white."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRAMES = 30
 
 @dataclass(frozen=True)
 class Choices:
-    """What an operator chose: seconds on the rig clock, the number of frames, a camera's id; None is the default."""
+    """The choices of an operator: seconds on the rig clock, number of frames, id of a camera; None is the default."""
 
     at_s: float | None = None
     frames: int | None = None

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int kOrders = 3;
 
-struct Motion {  // what Python fills; coefficients beyond the order are null
+struct Motion {  // filled by Python; coefficients beyond the order are null
     const float *coefficients[kOrders];  // [M, 3] each
     const float *instants, *log_durations;
     int64_t still, moving;
@@ -75,7 +75,7 @@ S4_API void motion_forward(const Motion *motion, const Stored *stored, float *me
     }
 }
 
-// From the gradients of both outputs to those of what is stored; those of the means are the outputs' own.
+// Gradients of the stored tensors from those of both outputs; the gradients of the means are the outputs' own.
 S4_API void motion_backward(const Motion *motion, const Stored *stored, const float *to_means,
                             const float *to_opacities, const MotionGradient *gradient, int32_t threads) {
     const Motion m = *motion;

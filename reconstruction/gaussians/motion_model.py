@@ -1,4 +1,4 @@
-"""What every motion model promises.
+"""The interface of all motion models.
 
 Letters: M moving Gaussians. Time u is in clips, 0 at the clip's start and 1 at its end, so that one learning rate fits
 clips of any length.
@@ -27,7 +27,7 @@ class Instantaneous(NamedTuple):
 
 
 class MotionModel(ABC):
-    """How M Gaussians move. A subclass is a dataclass; its fields are the tensors that a checkpoint stores."""
+    """The motion of M Gaussians. A subclass is a dataclass; its fields are the tensors that a checkpoint stores."""
 
     kind: ClassVar[str]  # the name in a checkpoint
     rates: ClassVar[Mapping[str, Rate]]  # by tensor; training leaves a tensor without a rate as it is

@@ -1,4 +1,4 @@
-// What rides on rigid bodies, and back; twin of `carried_reference` in riding.py.
+// Gaussians that ride on rigid bodies, forward and backward; twin of `carried_reference` in riding.py.
 // Letters: A riders, K bodies; (r, a) real part and axis of a body's unit quaternion.
 #include <cstddef>
 #include <cstdint>
@@ -25,7 +25,7 @@ struct Quat {
 inline Quat load_quat(const float *from) { return {from[0], load(from + 1)}; }
 inline void store_quat(double r, Vec a, float *to) { to[0] = float(r), store(a, to + 1); }
 
-struct Riders {  // what Python fills
+struct Riders {  // filled by Python
     const float *means, *quats;          // [A, 3], [A, 4] wxyz, in their body's frame
     const int64_t *bodies;               // [A]
     const float *body_quats, *centers;   // [K, 4], [K, 3]

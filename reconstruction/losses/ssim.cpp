@@ -18,7 +18,7 @@ struct Window {
         for (int k = 0; k < kTaps; ++k) sum += weight[k] = std::exp(-0.5 * (k - kReach) * (k - kReach) / (1.5 * 1.5));
         for (int k = 0; k < kTaps; ++k) tap[k] = float(weight[k] / sum);
     }
-    // What the taps that fall inside 0 .. size - 1 around `at` have to be divided by, inverted.
+    // One over the sum of the taps around `at` that fall inside 0 .. size - 1.
     float inverse_mass(int at, int size) const {
         float mass = 0;
         for (int k = 0; k < kTaps; ++k)

@@ -1,4 +1,4 @@
-"""What every method defines about itself; nothing here needs torch, since the plan reads it."""
+"""The definition of a method; it needs no torch, since the plan reads it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-// Rays through sparse grids, forward and backward; twin of `march_reference` in march.py, which says what is computed.
+// Rays through sparse grids, forward and backward; twin of `march_reference` in march.py, which has the formulas.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -13,7 +13,7 @@ constexpr int BLOCK[3] = {8, 8, 4};   // nodes of a block of `near`
 constexpr int KNOT[3] = {16, 16, 8};  // nodes between knots of the offsets
 constexpr float EMPTY = -6.0f, SPENT = 1e-6f, MOST = 1e18f;  // MOST: two such densities have a sum
 
-struct Grid {  // what Python fills; `near` of each block whether a sample in it can meet a cell
+struct Grid {  // filled by Python; `near` says of each block whether a sample in it can meet a cell
     const int32_t *lookup;
     const uint8_t *near;
 };
@@ -148,7 +148,7 @@ void spread(const Field &field, const Sample &sample, bool moving, float by_sigm
 
 }  // namespace
 
-// light, alpha, middle [R]: the integral, what is taken of it, and the layer where half is (NaN where less is taken).
+// light, alpha, middle [R]: the integral, the share of light taken, and the layer where half is (NaN for less).
 S4_API void march_forward(const Field *given, const Ray *rays, const float *jitter, int64_t count, float *const *out,
                           int32_t threads) {
     const Field field = *given;

@@ -1,4 +1,4 @@
-// One rendered image as the kernels see it: splats, tile lists in depth order, and what backward needs again.
+// One rendered image in the kernels: splats, tile lists in depth order, and the values that backward needs again.
 // The stages are called by every thread of a team and share their work among it. A barrier costs a sleep and a wake
 // where threads do not spin, so there are as few as can be: `prepare` makes the room before the team starts.
 #pragma once
@@ -14,7 +14,7 @@ constexpr float kAlphaMax = 0.99f;
 constexpr float kTransmittanceMin = 1e-4f;
 constexpr double kDilation = 0.3;          // px^2 added to the projected covariance
 
-struct Pinhole {  // the layout Python fills: 17 doubles, two int32
+struct Pinhole {  // filled by Python: 17 doubles, two int32
     double rotation[9], translation[3], fx, fy, cx, cy, near_m;
     int32_t width, height;
 };

@@ -13,7 +13,7 @@ namespace {
 constexpr double kLog255 = 5.541263545158426;
 using Column = float[kLanes];
 
-struct alignas(64) Outline {  // what a splat is on the image, as it is stored
+struct alignas(64) Outline {  // a splat on the image, as it is stored
     Column stored[10];        // x, y, p, q, r, veil, intensity, depth, lean_x, lean_y
     Lane reach, first[2], last[2];  // px, and the pixels whose centres may lie inside
     Lane seen;                // 1 where there are any

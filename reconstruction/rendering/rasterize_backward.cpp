@@ -1,5 +1,5 @@
 // Gradients of pixels back to the moments of splats; the adjoint of rasterize.cpp.
-// Letters: v the gradient of the image, w weight, B what lies behind a splat, normalised, times v.
+// Letters: v the gradient of the image, w weight, B the light behind a splat, normalised, times v.
 #include <cstring>
 #include <memory>
 

@@ -1,4 +1,4 @@
-"""What every renderer returns."""
+"""The result of every renderer."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class Rendering(NamedTuple):
-    """What a camera of H rows and W columns sees of N Gaussians; the mean depth of a pixel is `depth / alpha`.
+    """The view of N Gaussians by a camera of H rows and W columns; the mean depth of a pixel is `depth / alpha`.
 
     `median` is the depth of the Gaussian that takes a pixel's light to a half or below, NaN where none does. It is the
     depth of a surface, where the mean lies between the surface and what shines through it. `radii` and `median` have

@@ -76,7 +76,7 @@ inline void transpose(const uint16_t *blocks, Group &g) {
 #endif
 }
 
-// What the splat takes of the light T: alpha and weight, nothing beyond its veil's reach nor where hardly any is left.
+// The splat's alpha and weight in the light T: zero beyond the reach of its veil and where hardly any light is left.
 struct Shade {
     Native alpha, weight;
 };

@@ -1,4 +1,4 @@
-// How much work a frame was: what the benches hold against the time it took.
+// The amount of work in a frame, which the benches compare with its time.
 #include "native.h"
 #include "tile.h"
 
