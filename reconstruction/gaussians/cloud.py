@@ -39,7 +39,7 @@ class GaussianCloud:
         for name, tensor in vars(self).items():
             shape = shapes.get(name, (n, *self.intensities.shape[1:2]))
             if tensor.shape != shape or tensor.ndim != len(shape):
-                raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", f"{shape}")
+                raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", str(shape))
             if not torch.isfinite(tensor.detach()).all():
                 raise ReconstructionError(f"found NaN or infinity in {name}", "finite numbers")
         if self.intensities.ndim != 2:

@@ -29,7 +29,7 @@ def _check(gaussians: tuple[Tensor, ...]) -> None:
     shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, *gaussians[4].shape[1:2]))
     for name, shape, tensor in zip(NAMES, shapes, gaussians, strict=True):
         if tensor.shape != shape:
-            raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", f"{shape}")
+            raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", str(shape))
         if tensor.dtype != means.dtype or tensor.device != means.device:
             found, expected = f"{tensor.dtype} on {tensor.device}", f"{means.dtype} on {means.device}"
             raise ReconstructionError(f"found {name} as {found}", f"{expected} as the means are")
