@@ -1,4 +1,4 @@
-"""Which of two seeded clouds explains spikes that neither was made from: counts between the swept instants."""
+"""Judges seeded models by spikes that none was made from: counts between the swept instants."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from reconstruction.scene_model import SceneModel
 from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
-WINDOW = 9  # planes
+WINDOW = 9  # planes of a count
 
 
 def count_error(cloud: SceneModel, views: Sequence[TrainingView], planes: Sequence[int], clock: RigClock) -> float:
-    """Mean distance, in spikes, of the counts over WINDOW planes around each of `planes` from what the cloud shows.
+    """Return how far counts over WINDOW planes around each of `planes` are from what the cloud shows, in spikes.
 
-    Over the pixels of the training views that ever see a mover; 0 where there is none.
+    A mean over the pixels of the training views that ever see a mover; 0 where there is none.
     """
     total, pixels = 0.0, 0
     for view in views:
@@ -34,5 +34,5 @@ def count_error(cloud: SceneModel, views: Sequence[TrainingView], planes: Sequen
 
 
 def between(planes: Sequence[int]) -> list[int]:
-    """The planes halfway between neighbours."""
+    """Return the planes halfway between neighbours."""
     return [(a + b) // 2 for a, b in pairwise(planes)]

@@ -1,4 +1,4 @@
-"""How close the training's renders are to their images: a figure to watch while it runs, and for nothing else."""
+"""Measures how close renders are to their images: a figure to watch while a training runs, and for nothing else."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from torch import Tensor
 
-MEMORY = 50  # images: single ones differ by view and instant far more than a training gains between them
+MEMORY = 50  # images in the mean; single ones differ far more than a training gains between them
 
 
 class Closeness:
@@ -21,7 +21,7 @@ class Closeness:
         self._mean_square = 0.0
 
     def see(self, image: Tensor, target: Tensor) -> None:
-        """One render and its target, [H, W] in spikes per tick."""
+        """Take in one render and its target, [H, W] in spikes per tick."""
         self._seen += 1
         square = float((image - target).square().mean())
         self._mean_square += (square - self._mean_square) / min(self._seen, MEMORY)
@@ -34,5 +34,5 @@ class Closeness:
         return 10 * math.log10(self._white**2 / self._mean_square)
 
     def __str__(self) -> str:
-        """`, PSNR 21.30 dB`, to go into a line of progress; empty where there is no figure."""
+        """Return `, PSNR 21.30 dB` for a line of progress; empty where there is no figure."""
         return "" if self.psnr_db is None else f", PSNR {self.psnr_db:.2f} dB"

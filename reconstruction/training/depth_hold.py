@@ -17,20 +17,20 @@ from reconstruction.rendering.result import Rendering
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedDepth:
-    """Where a view's depth is known: indices [K] into its pixels, row by row, and depths [K] there in m."""
+    """The pixels of a view whose depth is known: indices [K] row by row, and depths [K] there in m."""
 
     pixels: Tensor
     depth: Tensor
 
     @classmethod
     def of(cls, depth: NDArray[np.float32]) -> ConfirmedDepth:
-        """From a map [H, W] in m that is NaN where nothing is known."""
+        """Make it from a map [H, W] in m that is NaN where nothing is known."""
         flat = torch.from_numpy(np.ascontiguousarray(depth).ravel())
         pixels = torch.nonzero(flat.isfinite() & (flat > 0)).squeeze(1)
         return cls(pixels, flat[pixels])
 
     def without(self, mask: NDArray[np.bool_]) -> ConfirmedDepth:
-        """The same but for the pixels of a mask [H, W]."""
+        """Return the same without the pixels of a mask [H, W]."""
         kept = ~torch.from_numpy(np.ascontiguousarray(mask).ravel())[self.pixels]
         return ConfirmedDepth(self.pixels[kept], self.depth[kept])
 
@@ -47,7 +47,7 @@ class DepthHold:
     most: float = 0.05
 
     def __call__(self, rendered: Rendering, known: ConfirmedDepth) -> Tensor:
-        """The loss of one render of the view whose depths are known."""
+        """Return the loss of one render of the view whose depths are known."""
         depth, alpha = (image.flatten()[known.pixels] for image in (rendered.depth, rendered.alpha))
         off = (depth / known.depth.to(depth.dtype) - alpha).abs()
         return self.weight * off.clamp_max(self.most).sum() / rendered.alpha.numel()

@@ -1,9 +1,9 @@
 """Ends a training before its budget when more of it gains nothing: the loss stands still, then the rates run down.
 
 Losses of single steps differ by view and instant far more than a training gains in a hundred steps, so whole windows of
-steps are compared, every view counting the same in each, and the mean of the last PATIENCE windows with that of as many
-before them. While rates are high the loss stands still above what lower rates reach: once it does, what is left of the
-budget is gone through in RUN_DOWN of the steps so far, and only then the training ends.
+steps are compared, every view counting the same in each: the mean of the last PATIENCE windows with that of as many
+before them. While rates are high the loss stands still above what lower rates reach. So once it does, the rates run
+down to their final values within a share RUN_DOWN of the steps so far, and only then the training ends.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from typing import Any
 
 import numpy as np
 
-WINDOW = 500  # steps
-PATIENCE = 3  # windows
-LEAST_GAIN = 0.002  # of the loss, from PATIENCE windows to the next
-RUN_DOWN = 0.25  # of the steps so far
+WINDOW = 500  # steps of a window
+PATIENCE = 3  # windows that are compared with as many before
+LEAST_GAIN = 0.002  # share of the loss that is gained from PATIENCE windows to the next, at least
+RUN_DOWN = 0.25  # share of the steps so far in which the rates run down
 
 
 @dataclass
 class Ending:
-    """Watches the losses of `views` training views; `began` is the step at which the rates started to run down.
+    """Watches the losses of `views` training views.
 
-    `totals` and `counts` [V] are of the window under way, `windows` the mean losses of those behind.
+    `windows`: mean losses of the windows that are complete. `totals` and `counts` [V]: losses and steps by view in the
+    window under way. `began`: the step at which the rates started to run down, `share` of the training at that step.
     """
 
     views: int
@@ -37,7 +38,7 @@ class Ending:
         self.totals, self.counts = self.totals or [0.0] * self.views, self.counts or [0] * self.views
 
     def see(self, view: int, loss: float, steps: int, share: float) -> None:
-        """One step at full resolution on `view`; `steps` and `share` of the training lie behind."""
+        """Take in the loss of one step on `view`; `steps` have been done, a `share` of the training."""
         if self.began is not None:
             return
         self.totals[view] += loss
@@ -51,14 +52,14 @@ class Ending:
             self.began, self.share = steps, share
 
     def stands_still(self) -> bool:
-        """Whether the last PATIENCE windows are no better than those before."""
+        """Return whether the last PATIENCE windows are no better than those before."""
         if len(self.windows) < 2 * PATIENCE:
             return False
         before, after = self.windows[-2 * PATIENCE : -PATIENCE], self.windows[-PATIENCE:]
         return float(np.mean(after)) > (1 - LEAST_GAIN) * float(np.mean(before))
 
     def done(self, share: float, steps: int) -> float:
-        """The share of the training that lies behind: as the budget has it, or further while the rates run down."""
+        """Return the share of the training that is done: as the budget has it, or more while the rates run down."""
         if self.began is None:
             return share
         down = (steps - self.began) / max(1.0, RUN_DOWN * self.began)
@@ -71,7 +72,7 @@ class Ending:
 
     @property
     def reason(self) -> str:
-        """Why it ended."""
+        """The reason why it ended."""
         gain = 1 - float(np.mean(self.windows[-PATIENCE:])) / float(np.mean(self.windows[-2 * PATIENCE : -PATIENCE]))
         return (
             f"the loss fell by {gain:.2%} over {PATIENCE * WINDOW} steps, less than {LEAST_GAIN:.1%}; "
@@ -79,11 +80,11 @@ class Ending:
         )
 
     def state(self) -> dict:
-        """Plain numbers, for a checkpoint."""
+        """Return plain numbers, for a checkpoint."""
         return {key: list(value) if isinstance(value, list) else value for key, value in vars(self).items()}
 
     @classmethod
     def from_state(cls, state: dict) -> Ending:
-        """The inverse of `state`."""
+        """Return the ending whose `state` this is."""
         values: dict[str, Any] = {k: list(v) if isinstance(v, list) else v for k, v in state.items()}
         return cls(**values)

@@ -1,4 +1,4 @@
-"""Renders what a short image shows: the mean light of its planes, where movers get far in them.
+"""Renders a short image as the mean light of its planes, where movers get far in them.
 
 A short image (`images.interpolated`) is the mean of several planes. A render of its middle instant learns that blur as
 a texture; the mean of two renders, at the Gauss-Legendre instants, is blurred alike and the texture behind it sharp.
@@ -17,17 +17,17 @@ from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.clock import RigClock
 
-FROM = 0.5  # share of the training before which blur is not what is wrong with a render
-FAR_PX = 1.5
-FASTEST = 0.9  # of the moving Gaussians, this share is slower than the speed that counts
-LEAST_OPACITY = 0.1
+FROM = 0.5  # share of the training from which blur matters: before it, other errors are larger
+FAR_PX = 1.5  # pixels that a fast mover gets far in an image before two instants are rendered
+FASTEST = 0.9  # share of the moving Gaussians that are slower than a fast mover
+LEAST_OPACITY = 0.1  # opacity of a Gaussian that counts
 LOOKS = 16  # instants of the clip at which speeds are measured
 
 
 class Exposure:
-    """How many instants, `nodes`, stand for an image of `planes` planes: one, until `look` finds that movers get far.
+    """Decides how many instants stand for an image of `planes` planes: one, until `look` finds that movers get far.
 
-    `passed_px`: how far they get in it, once looked; None before.
+    `passed_px`: pixels that a fast mover gets far in an image, None before the look.
     """
 
     def __init__(self, planes: int, clock: RigClock):
@@ -36,7 +36,7 @@ class Exposure:
 
     @property
     def nodes(self) -> int:
-        """Renders that an image takes."""
+        """The number of instants that are rendered for an image."""
         return 1 if self.passed_px is None or self.passed_px < FAR_PX else 2
 
     def look(self, cloud: SceneModel, cameras: Sequence[Camera], done: float) -> None:
@@ -45,13 +45,13 @@ class Exposure:
             self.passed_px = passed_px(cloud, cameras, self.planes / self.clock.tick_rate_hz)
 
     def span(self, plane: int, planes: int) -> tuple[int, int, int]:
-        """First plane and length of the image at `plane` of a clip of so many planes, and its nodes."""
+        """Return the first plane and length of the image at `plane` of a clip of so many planes, and its nodes."""
         first = max(0, plane - self.planes // 2)
         return first, min(planes, plane + self.planes // 2 + 1) - first, self.nodes
 
 
 def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
-    """The mean of what is seen at several instants, each with its weight; weights sum to 1."""
+    """Return the mean of renders at several instants, each with its weight; weights sum to 1."""
     if len(renders) == 1:
         return renders[0][1]
     means = {
@@ -62,7 +62,7 @@ def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
 
 
 def passed_px(cloud: SceneModel, cameras: Sequence[Camera], span_s: float) -> float:
-    """How far in `span_s` seconds a fast mover gets in the pictures of `cameras`, in px; 0 where nothing moves.
+    """Return how far a fast mover gets in `span_s` seconds in the pictures of `cameras`, px; 0 where nothing moves.
 
     Nine in ten of what moves, is there at the time and lies in the picture are slower. NaN and infinity do not count.
     """
@@ -79,6 +79,6 @@ def passed_px(cloud: SceneModel, cameras: Sequence[Camera], span_s: float) -> fl
 
 
 def _shifts_px(camera: Camera, before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances [k] in the picture from `before` to `after` [n, 3] of those inside it at both ends."""
+    """Return distances [k] px in the picture from `before` to `after` [n, 3] of points inside it at both ends."""
     (first, inside), (last, still_inside) = (camera.project(points) for points in (before, after))
     return np.linalg.norm((last - first)[inside & still_inside], axis=1)

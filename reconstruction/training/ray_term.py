@@ -1,4 +1,4 @@
-"""What a step asks of a radiance field: that light integrated along single rays explains their pixels' spike counts.
+"""Compares light that a radiance field integrates along single rays with the spike counts of their pixels.
 
 A pixel integrates light and fires at a threshold; with a random phase at the start, its expected count over a window is
 the light it gathered, in thresholds. So the neuron layer of SpikeNeRF (Zhu et al., CVPR 2024) is taken in expectation,
@@ -26,7 +26,7 @@ from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
 RAYS = "rays"  # the name of this supervision
-SQUARE = 16  # pixels
+SQUARE = 16  # pixels, width of the squares that rays are drawn in
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class RayTerm:
     sampled: int = 16384
 
     def __call__(self, field: RadianceField, view: TrainingView, rng: np.random.Generator) -> Tensor:
-        """The loss of one window."""
+        """Return the loss of one window."""
         planes = len(view.source.stream)
         low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
@@ -65,7 +65,7 @@ class RayTerm:
         return spikes / self.white + self.solid * (1 - alpha).mean() + self.smooth * field.variation(cells)
 
     def _drawn(self, view: TrainingView, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Pixels [R] of random squares, without stuck ones: neighbours read the same cells, then at hand."""
+        """Return the pixels [R] of random squares, without stuck ones; neighbours read the same cached cells."""
         height, width = view.source.moving.shape
         tall, wide = min(SQUARE, height), min(SQUARE, width)
         seen, count = np.flatnonzero(view.source.moving), -(-self.rays // (tall * wide))
@@ -81,7 +81,7 @@ class RayTerm:
     def _explained(
         self, light: Tensor, view: TrainingView, pixels: NDArray[np.int64], span: tuple[int, int]
     ) -> tuple[Tensor, Tensor]:
-        """The loss in spikes per tick of `light` [R] over the span (first, length), and the rates counted."""
+        """Return the loss of `light` [R] over the span (first, length) and the rates [R] counted, spikes per tick."""
         source, (first, window) = view.source, span
         gain = np.float32(source.light.over(first, first + window))
         rates = torch.from_numpy(source.background.image.ravel()[pixels] * gain)
@@ -104,7 +104,7 @@ class RayTerm:
         span: tuple[int, int],
         rng: np.random.Generator,
     ) -> tuple[Tensor, Tensor]:
-        """Mean light and alpha [R] over the planes of the span (first, length)."""
+        """Return the mean light and alpha [R] over the planes of the span (first, length)."""
         first, length = span
         rows, columns = np.divmod(pixels, view.camera.width)
         lines = field.frustum.rays(view.camera, columns, rows).lines

@@ -1,4 +1,4 @@
-"""Poses, gains and time lags of the training views, learnt beside the Gaussians where no calibration vouches for them.
+"""Learns poses, gains and time lags of the training views beside the Gaussians, where no calibration vouches for them.
 
 A camera is corrected by moving what it sees, so that every renderer serves as it is. The gauge is fixed: no correction
 turns, moves or scales all cameras together, brightens all views or delays all clocks. Letters: V views, N Gaussians.
@@ -23,7 +23,7 @@ from rigs.rig import Rig
 from rigs.transform import Transform
 
 RATES = {"turns": 1e-4, "shifts": 1e-4, "log_gains": 5e-4, "lags": 0.01}  # rad, scene units, logs, ticks
-FINAL = 0.05  # of the rates, at the end of the training
+FINAL = 0.05  # share of the rates that is left at the end of the training
 
 
 class Refinement:
@@ -43,7 +43,7 @@ class Refinement:
         )
 
     def seen(self, cloud: DynamicCloud, view: int, instant_s: float) -> Instantaneous:
-        """The cloud as the uncorrected camera must be shown it, so that it sees what the corrected one does."""
+        """Return the cloud moved so that the uncorrected camera sees what the corrected one does."""
         now = cloud.at(instant_s)
         camera, turn = self.cameras[view], _rotation(self.turns[view])
         own = torch.from_numpy(camera.cam_from_rig.rotation).float()
@@ -58,7 +58,7 @@ class Refinement:
         )
 
     def _late(self, cloud: DynamicCloud, instant_s: float) -> Tensor:
-        """How far everything moves in a tick [N, 3], m."""
+        """Return how far everything moves in a tick [N, 3], m."""
         if not len(cloud.moving):
             return torch.zeros(1, 3)
         with torch.no_grad():
@@ -80,7 +80,7 @@ class Refinement:
         self.optimizer.zero_grad(set_to_none=True)
 
     def refined(self, rig: Rig) -> Rig:
-        """`rig` with the corrected poses of the views; other cameras as they are."""
+        """Return `rig` with the corrected poses of the views; other cameras stay as they are."""
         found = {}
         for i, camera in enumerate(self.cameras):
             turn = _rotation(self.turns[i].detach().double()).numpy()
@@ -91,7 +91,7 @@ class Refinement:
         return replace(rig, cameras=cameras)
 
     def report(self) -> dict[str, dict[str, float]]:
-        """By camera id what was corrected: degrees, mm, gain as a factor, lag in ticks."""
+        """Return the corrections by camera id: degrees, mm, gain as a factor, lag in ticks."""
         turns = torch.rad2deg(self.turns.detach().norm(dim=1)).tolist()
         shifts = (1000 * self.extent_m * self.shifts.detach().norm(dim=1)).tolist()
         gains, lags = self.log_gains.detach().exp().tolist(), self.lags.detach().tolist()
@@ -101,12 +101,12 @@ class Refinement:
         }
 
     def state(self) -> dict:
-        """Plain tensors and numbers, for a checkpoint."""
+        """Return plain tensors and numbers, for a checkpoint."""
         values = {name: getattr(self, name).detach().clone() for name in RATES}
         return {"values": values, "optimizer": copy.deepcopy(self.optimizer.state_dict())}
 
     def restore(self, state: dict) -> None:
-        """The inverse of `state`."""
+        """Continue from what `state` returned."""
         with torch.no_grad():
             for name, value in state["values"].items():
                 getattr(self, name).copy_(value)
@@ -121,12 +121,12 @@ class Correction:
     view: int
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
-        """See Refinement."""
+        """Return the cloud as `Refinement.seen` shows it to this view, at an instant in s."""
         return self.refinement.seen(cloud, self.view, instant_s)
 
 
 def _rotation(turn: Tensor) -> Tensor:
-    """The rotation [3, 3] of the quaternion (1, turn / 2): a turn by its length in radians where that is small."""
+    """Return the rotation [3, 3] of the quaternion (1, turn / 2): a turn by its length in rad where that is small."""
     x, y, z = turn / 2
     matrix = torch.stack(
         [
@@ -139,7 +139,7 @@ def _rotation(turn: Tensor) -> Tensor:
 
 
 def _turned(half: Tensor, quats_wxyz: Tensor) -> Tensor:
-    """Quaternions [N, 4] turned by the one of (1, `half` [3]); of another length, which renderers do not mind."""
+    """Return quaternions [N, 4] turned by (1, `half` [3]); their length changes, which renderers do not mind."""
     w, v = quats_wxyz[:, :1], quats_wxyz[:, 1:]
     real = w - (v @ half)[:, None]
     imaginary = v + w * half + torch.linalg.cross(half.expand_as(v), v)

@@ -7,6 +7,8 @@ from acquisition.durable import write_durably
 from acquisition.errors import DiskError
 from reconstruction.errors import BadRunError
 from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.decisions import Decision, Plan
+from reconstruction.run.document import BodyCounts, Elements
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
 
@@ -103,3 +105,54 @@ def test_run_json_is_plain(tmp_path):
     document = json.loads((start(tmp_path).path / "run.json").read_text())
     assert document["status"] == "unfinished"
     assert document["configuration"]["steps"] == 5
+
+
+PLAN = Plan(
+    ("cam00", "cam01"), "bases", "tfi", "image-variation", 10, 20, (Decision("motion", "bases", "moves", "--model"),)
+)
+LINEAR = Decision("motion", "linear", "straight paths explain more", "--model", facts={"bases_error_spikes": 0.2})
+
+
+def test_what_later_stages_saw_is_kept_beside_the_plan_as_it_was_made(tmp_path):
+    run = start(tmp_path)
+    run.document.planned = PLAN
+    run.amend("train", LINEAR, model="linear")
+    opened = RunFolder.open(run.path)
+    assert (opened.document.planned, opened.plan.model) == (PLAN, "linear")
+    assert opened.plan.decision("motion") == LINEAR
+    shown = json.loads((run.path / "run.json").read_text())
+    assert (shown["plan"]["model"], shown["planned"]["model"]) == ("linear", "bases")
+    assert [d["choice"] for d in shown["plan"]["decisions"]] == ["linear"]
+    assert shown["held_out_used"] is False
+
+
+def test_an_amendment_about_the_same_thing_gives_way_to_a_later_one(tmp_path):
+    run = start(tmp_path)
+    run.document.planned = PLAN
+    run.amend("train", LINEAR, model="linear")
+    run.amend("train", LINEAR, model="linear")
+    assert len(run.document.amendments) == 1
+
+
+def test_a_run_of_an_earlier_revision_is_read(tmp_path):
+    run = start(tmp_path)
+    run.document.planned = PLAN
+    run.save()
+    document = json.loads((run.path / "run.json").read_text())
+    for key in ("planned", "amendments", "held_out_used", "attempt"):
+        del document[key]
+    document["configuration"]["supervision"] = document["plan"]["supervision"] = "variation"
+    for decision in document["plan"]["decisions"]:
+        del decision["facts"]
+    document |= {
+        "steps": 7,
+        "cells": {"still": 3, "moving": 4},
+        "bodies": {"rigid": 1, "attached": 2, "free": {"far": 3}},
+    }
+    (run.path / "run.json").write_text(json.dumps(document))
+    old = RunFolder.open(run.path)
+    assert old.plan == PLAN
+    assert old.config.supervision == "image-variation"
+    assert old.document.held_out_used is None
+    assert (old.document.steps, old.document.elements) == (7, Elements("cells", 3, 4))
+    assert old.document.bodies == BodyCounts(1, 2, {"far": 3})
