@@ -18,4 +18,4 @@ class StereoError(ReconstructionError):
 
 
 class GeometryError(ReconstructionError):
-    """Where the cameras stand cannot be told from a recording, or not be trusted; the message names the views."""
+    """Poses that a recording does not tell, or that cannot be trusted; `found` names the views."""

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 Int, Long, Float, Double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
-Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type of what `addresses` returns
+Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type that goes with `addresses`
 
 
 def kernel(name: str, *argument_types: Any, returns: Any = None) -> Kernel:

@@ -1,4 +1,4 @@
-"""The protocol of what is trained, rendered and scored, be it made of Gaussians or a radiance field."""
+"""The protocol of a scene that is trained, rendered and scored: Gaussians or a radiance field."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class SceneModel(Protocol):
         ...
 
     def movers(self, instant_s: float) -> tuple[Tensor, Tensor]:
-        """Return positions [K, 3] in m and opacities [K] of what moves from place to place; K may be 0."""
+        """Return positions [K, 3] in m and opacities [K] of the moving parts; K may be 0."""
         ...
 
     def look(self, camera: Camera, instant_s: float) -> View:

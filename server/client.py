@@ -108,5 +108,5 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
         return self._send("GET", f"/jobs/{job_id}/archive").content
 
     def thumbnail(self, job_id: str) -> bytes:
-        """Return a small picture of what was reconstructed."""
+        """Return a small picture of the reconstruction."""
         return self._send("GET", f"/jobs/{job_id}/thumbnail").content

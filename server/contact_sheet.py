@@ -1,4 +1,4 @@
-"""Pictures of what the cameras of a recording saw, as bright as a person wants to see them."""
+"""Draws what the cameras of a recording saw, as bright as a person wants to see it."""
 
 from __future__ import annotations
 

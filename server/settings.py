@@ -68,7 +68,7 @@ _LISTED = (NoDecode, BeforeValidator(_listed))  # in the environment: names with
 
 
 class RigSource(BaseModel):
-    """Where a rig is described (a name in the catalogue or a RIG.toml) and where its cameras are (a device URI)."""
+    """A rig of the service: `rig` is a name in the catalogue or a RIG.toml, `devices` the URI of its cameras."""
 
     rig: str
     devices: str

@@ -1,4 +1,4 @@
-"""Makes a recording of what a killed recorder left: the blocks its journals prove, and nothing behind them."""
+"""Makes a recording from the files of a killed recorder: the blocks that its journals prove, and nothing behind them."""
 
 import dataclasses
 import hashlib
@@ -88,7 +88,7 @@ def _complete(path: Path, progress: Progress) -> Finalised:
 
 
 def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
-    """Write the manifest of what the journals prove into `folder`, and cut its files to it."""
+    """Write the manifest of the blocks that the journals prove into `folder`, and cut its files to it."""
     cameras = []
     for number, camera in enumerate(manifest.cameras):
         progress(number / len(manifest.cameras), camera.file)

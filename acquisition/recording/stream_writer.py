@@ -112,9 +112,9 @@ class StreamWriter:
         return CameraFile(self.camera_id, self.path.name, self.layout, 0, 0, self.block_planes, (), None)
 
     def entry(self) -> CameraFile:
-        """Return the manifest's entry of what was written, read back from the closed file for its SHA-256.
+        """Return the manifest's entry for the planes written, read back from the closed file for its SHA-256.
 
-        Blocks that the disk refused in part get the digest of what is there.
+        Blocks that the disk refused in part get the digest of the bytes that are there.
         """
         sha256, found = digests_of(self.path, self._block_bytes)
         digests = self._digests.digests

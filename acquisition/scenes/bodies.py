@@ -83,12 +83,12 @@ class Body:
 
     @property
     def lasting(self) -> bool:
-        """Whether it is there all the time."""
+        """True where the body is there all the time."""
         return math.isinf(self.from_s) and math.isinf(self.to_s)
 
     @property
     def moving(self) -> bool:
-        """Whether any of it moves, appears or goes."""
+        """True where any part of the body moves, appears or goes."""
         return not self.lasting or any(motion.moving for motion in self.motions)
 
 

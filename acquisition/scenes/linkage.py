@@ -26,7 +26,7 @@ class Hinge(Movement):
 
     @property
     def moving(self) -> bool:
-        """Whether its parent moves or it swings."""
+        """True where the parent moves or the part swings."""
         return self.parent.moving or self.swing_rad * self.rate_rad_s != 0
 
     def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]:

@@ -34,7 +34,7 @@ class Movement:
 
     @property
     def moving(self) -> bool:
-        """Whether the pose ever changes."""
+        """True where the pose ever changes."""
         return True
 
     def world_from_body(self, instants_s: ArrayLike) -> BodyPoses:
@@ -70,7 +70,7 @@ class Motion(Movement):
 
     @property
     def moving(self) -> bool:
-        """Whether it spins or flies."""
+        """True where the body spins or flies."""
         return self.spin_rad_s != 0 or any(self.velocity_m_s) or any(self.acceleration_m_s2)
 
     def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ from acquisition.spikes.layout import PlaneLayout
 
 Bytes = NDArray[np.uint8]
 _SIZE = (ctypes.c_int32,) * 4  # stored width, height, whether MSB first, whether bottom row first
-PLANES = (Address, ctypes.c_int64, *_SIZE)  # argument types of what `plane_arguments` returns
+PLANES = (Address, ctypes.c_int64, *_SIZE)  # argument types that go with `plane_arguments`
 _WINDOWS = (Address, *_SIZE, Address, ctypes.c_int64, ctypes.c_int32, Address)
 _unpack_planes = Kernel("acquisition", "unpack_planes", *PLANES, Address)
 _count_windows = Kernel("acquisition", "count_windows", *_WINDOWS)

@@ -19,7 +19,7 @@ INLIER_PX = 1.0  # residual up to which an observation counts as explained
 
 @dataclass(frozen=True)
 class CameraSd:
-    """One standard deviation of what was found about a camera, as the adjustment's covariance has it.
+    """One standard deviation of each figure found about a camera, as the adjustment's covariance has it.
 
     `rotation_deg` and `center_m` are the root of the sum of the three axes' variances.
     """

@@ -1,4 +1,4 @@
-"""What an initialiser finds out about a recording, and what those that estimate poses share."""
+"""The geometry that an initialiser finds in a recording."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ LEAST_ANGLE_DEG = 1.0  # least angle between the rays to a point
 
 @dataclass(frozen=True)
 class SfmOptions:
-    """How `sfm` works. `mapping` adds view by view, or places all at once; `focal`: one factor for all, or the rig's.
+    """Settings of `sfm`. `mapping` adds view by view, or places all at once; `focal`: one factor for all, or the rig's.
 
     `peak_threshold` is the contrast that a SIFT feature needs, of 1: raise it where images are noisy. `missing`: views
     that do not register are an error, or keep the rig's pose, which the report says. Raises BadRunError for others.

@@ -104,7 +104,7 @@ def _moving_points(
     count: int,
     rng: np.random.Generator,
 ) -> Points:
-    """Return points of what moves `at` a plane and its instant in seconds, swept at half resolution."""
+    """Return points of movers `at` a plane and its instant in seconds, swept at half resolution."""
     plane, instant_s = at
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
     whole = [s.at(plane) for s in sources.values()]

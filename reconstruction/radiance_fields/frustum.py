@@ -95,7 +95,7 @@ class Frustum:
         return Rays(packed, torch.from_numpy(forward), float(origin[2]))
 
     def depths(self, rays: Rays, layers: Tensor) -> Tensor:
-        """Return depths [R] in m along the camera's z of what the rays meet at `layers` [R], keeping NaN."""
+        """Return depths [R] in m along the camera's z where the rays meet `layers` [R], keeping NaN."""
         z = 1 / (self.nearest - layers.double() * self.step)
         return ((z - rays.origin_z) / rays.forward).float()
 

@@ -11,7 +11,7 @@ STEEPER = 10.0  # tolerance of gradients over that of values
 
 
 class Observation(NamedTuple):
-    """What was seen in words, and the errors of values and of gradients."""
+    """One observation: words, and the errors of values and of gradients."""
 
     said: str
     error: float

@@ -209,7 +209,7 @@ def _passed(_: str) -> Observation:
 CASES = (
     Case(1, "zero quaternions that move", "finite, as in float64", 1e-5, _zero_quaternions, model_names),
     Case(12, "no mover, and one", "as in float64", 1e-5, _few, model_names),
-    Case(15, "scale of what moves", "the same motion in any unit", 1e-4, _scales, model_names),
+    Case(15, "scale of motion", "the same motion in any unit", 1e-4, _scales, model_names),
     Case(16, "points outside the box", "clamped to its edge, as in float64", 1e-5, _outside_the_box, model_names),
     Case(17, "knots of any length", "the same turn", 1e-5, _body_weights, _with("knot_quats")),
     Case(17, "weights of knots", "sum to one, straight stays straight", 1e-12, _knot_weights),

@@ -32,7 +32,7 @@ class Probe:
 
     @property
     def sound(self) -> bool:
-        """Whether everything is finite and the coverage within [0, 1]."""
+        """Return True where everything is finite and the coverage within [0, 1]."""
         r = self.rendering
         finite = all(bool(t.isfinite().all()) for t in (r.intensity, r.depth, r.alpha, *self.gradients))
         return finite and float(r.alpha.min()) >= 0 and float(r.alpha.max()) <= 1

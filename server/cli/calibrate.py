@@ -139,7 +139,7 @@ def _picture(out: Path) -> Path:
 
 
 def _by_camera(found: Calibrated) -> dict[str, dict[str, float]]:
-    """Return for each camera its remaining residual (px) and the standard deviations of what was estimated."""
+    """Return for each camera its remaining residual (px) and the standard deviations of its estimates."""
     rows = {}
     for camera_id, sd in found.sd.items():
         off = found.residuals[camera_id][:, 2:]

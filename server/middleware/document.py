@@ -28,7 +28,7 @@ class Fault(BaseModel):
 
 
 class Problem(BaseModel):
-    """Why a request was refused (RFC 9457); `detail` is one line for a person."""
+    """The reason why a request was refused (RFC 9457); `detail` is one line for a person."""
 
     type: str = Field(description="A URN of the kind of problem, or about:blank.")
     title: str
@@ -68,7 +68,7 @@ REFUSALS: tuple[tuple[str, Exception], ...] = (
     ),
     (
         "The request does not say what it changes.",
-        errors.PreconditionRequiredError("found no If-Match", "the ETag of what is to be changed"),
+        errors.PreconditionRequiredError("found no If-Match", "the ETag of the resource to change"),
     ),
     ("The client asks too often; Retry-After says when it may ask again.", errors.BusyClientError(1)),
     ("The service cannot work now.", SQLAlchemyError("database is locked")),

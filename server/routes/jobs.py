@@ -122,7 +122,7 @@ def artefact(
 @router.get("/jobs/{job_id}/thumbnail", response_class=FileResponse, responses=_FILE)
 @router.head("/jobs/{job_id}/thumbnail", include_in_schema=False)
 def thumbnail(job_id: str, request: Request, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
-    """Return a small picture of what was reconstructed."""
+    """Return a small picture of the reconstruction."""
     found = services.artefacts.find(job_id, services.artefacts.thumbnail(job_id))
     return _file(*found, "range" in request.headers, if_none_match)
 

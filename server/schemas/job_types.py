@@ -154,7 +154,7 @@ class PreflightRequest(JobBase):
 
 
 class LookRequest(JobBase):
-    """A picture of what a rig's cameras see now, made of a few planes that are not kept."""
+    """A picture through a rig's cameras now, made of a few planes that are not kept."""
 
     type: Literal["look"] = "look"
     ticks: Annotated[int, Field(ge=1, le=2000)] = 100

@@ -94,7 +94,7 @@ class Queue:
             self.start(self._store.entries.find([entry.id])[0])
 
     def remove(self, entry: Entry, made: Path) -> None:
-        """Forget an entry, and delete its log and the folder of what it `made`."""
+        """Forget an entry, and delete its log and the folder `made` for it."""
         self._store.entries.remove(entry.id)  # first: what is kept and not queued is queued again
         self._engine.forget(entry.id)
         self._store.folder.remove(made)

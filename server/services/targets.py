@@ -1,4 +1,4 @@
-"""Where webhooks may lead: public addresses, and hosts that the settings name."""
+"""The addresses that webhooks may lead to: public addresses, and hosts that the settings name."""
 
 from __future__ import annotations
 

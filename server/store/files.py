@@ -34,7 +34,7 @@ class DataFolder:
         return folder
 
     def log(self, entry_id: str) -> Path:
-        """Return the path of what the stages of an entry wrote."""
+        """Return the path that the stages of an entry wrote."""
         return self.path / "entries" / entry_id / "log.txt"
 
     def logged(self, entry_id: str) -> str:
@@ -55,7 +55,7 @@ class DataFolder:
         return self.job(job_id) / "run"
 
     def out(self, job_id: str) -> Path:
-        """Return the folder of what any other job makes."""
+        """Return the folder that any other job writes."""
         return self.job(job_id) / "out"
 
     def rig(self, rig_id: str) -> Path:

@@ -71,7 +71,7 @@ class Method:
 
     @property
     def finds_poses(self) -> bool:
-        """Whether the cameras' poses are found, by a step that also looks at the held-out camera."""
+        """True where the training cameras' poses are found."""
         return self.choices.get("init", "sweep") != "sweep"
 
 

@@ -49,7 +49,7 @@ class Trunk(nn.Module):
 class Encoder(nn.Module):
     """Channels [V, CHANNELS, H, W] and the gate [V, N, V, N] to features; views in another order give the same.
 
-    The `trunk` makes tokens of tokens and of what was seen: see `Trunk`, and `large` for another one.
+    The `trunk` makes new tokens from tokens and features: see `Trunk`, and `large` for another one.
     """
 
     def __init__(self, trunk: nn.Module) -> None:

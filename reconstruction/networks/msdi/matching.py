@@ -17,7 +17,7 @@ from reconstruction.networks.msdi.features import FINE, PATCH
 PEAK = 1  # fine cells to either side of the likeliest that a correspondence is the mean of
 WINDOW = 9  # fine cells a side around a token's middle
 LEAST_CONFIDENCE = 0.1
-OUTSIDE = -1e4  # logit of what may not be chosen
+OUTSIDE = -1e4  # logit of a forbidden choice
 FLOOR_PX = 0.35  # standard deviation of the best correspondence
 WIDEST_PX = 3.0  # a correlation spread wider than this in every direction says nothing
 
