@@ -150,14 +150,16 @@ def write_rig(path: Path, rig: Rig) -> None:
 
 
 def write_held_out(run: RunFolder, rig: Rig, camera: Camera) -> None:
-    """Write the held-out camera's place in a rig of its own."""
-    write_rig(run.path / HELD_OUT_RIG, replace(rig, cameras=(camera,)))
+    """Write the rig with the held-out camera in its place."""
+    cameras = tuple(camera if c.id == camera.id else c for c in rig.cameras)
+    write_rig(run.path / HELD_OUT_RIG, replace(rig, cameras=cameras))
 
 
 def read_held_out(run: RunFolder) -> Camera | None:
     """Return the held-out camera in the place that the report found for it; None where it found none."""
     file = run.path / HELD_OUT_RIG
-    return load_rig(file).cameras[0] if file.exists() else None
+    holdout = run.config.holdout
+    return load_rig(file).camera(holdout) if holdout is not None and file.exists() else None
 
 
 def _write(run: RunFolder, name: str, arrays: object) -> None:
