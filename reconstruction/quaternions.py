@@ -1,7 +1,5 @@
 """Quaternions (w, x, y, z) in torch, differentiable. NaN stays NaN everywhere, and the renderer refuses it."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

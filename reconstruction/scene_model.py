@@ -1,7 +1,5 @@
 """The protocol of a scene that is trained, rendered and scored: Gaussians or a radiance field."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sized
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The web application: REST under /v1 and the pages. It queues work and does none itself."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """Draws what the cameras of a recording saw, as bright as a person wants to see it."""
 
-from __future__ import annotations
-
 import io
 import math
 

@@ -1,7 +1,5 @@
 """The job engine as the service uses it: names, queues, and the questions and orders of a client."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions

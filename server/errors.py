@@ -1,7 +1,5 @@
 """Errors of the service; `server.middleware.problems` maps each to an HTTP status."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Entity tags: they name the version of a thing that a client saw."""
 
-from __future__ import annotations
-
 import re
 from urllib.parse import quote
 

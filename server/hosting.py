@@ -1,7 +1,5 @@
 """The web server, which waits for requests under way when it stops, but not for streams that have no end."""
 
-from __future__ import annotations
-
 import socket
 
 import uvicorn

@@ -1,7 +1,5 @@
 """Keeps pickles out of the job engine, which would read one from any row that says it is one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from dbos import _serialization as serialization

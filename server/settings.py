@@ -1,7 +1,5 @@
 """Settings of the service: flags first, then environment variables that begin with SPIKE4DGS_."""
 
-from __future__ import annotations
-
 import ipaddress
 import re
 import sys

@@ -1,7 +1,5 @@
 """Measures how fast one core finds blocks in the bytes of a stream: the parser alone, beside a plain copy."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

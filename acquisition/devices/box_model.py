@@ -1,7 +1,5 @@
 """A simulated trigger box, in the place of hidapi's device."""
 
-from __future__ import annotations
-
 import errno
 import time
 from collections.abc import Callable, Sequence

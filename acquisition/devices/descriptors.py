@@ -1,7 +1,5 @@
 """The USB descriptors of simulated devices, as fields for a pyusb backend."""
 
-from __future__ import annotations
-
 import struct
 
 from acquisition.devices.profile import Profile

@@ -1,7 +1,5 @@
 """The clock of a simulated camera and the pulses it sees, and whether its time waits for the host."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """One simulated camera below the driver, composed of its run, its registers, its stream and its faults."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from acquisition.devices import descriptors

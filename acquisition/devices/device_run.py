@@ -1,7 +1,5 @@
 """One run of a simulated camera: its state, what it has counted, and what its clock shows."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

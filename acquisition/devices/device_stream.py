@@ -1,7 +1,5 @@
 """The stream of a simulated camera: the blocks it makes of its planes, and the bytes it sends of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 from acquisition.devices.control_channel import StallError

@@ -1,7 +1,5 @@
 """Faults that simulated cameras can be given by their device URI, so that an operator can see what each looks like."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from acquisition.devices.device_clock import DeviceClock

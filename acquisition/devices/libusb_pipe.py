@@ -2,8 +2,6 @@
 
 # usb1 binds its names when it is imported.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

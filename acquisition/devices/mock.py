@@ -2,8 +2,6 @@
 
 # The base class has no annotations.
 # pyright: reportIncompatibleMethodOverride=false
-from __future__ import annotations
-
 import array
 import errno
 from collections.abc import Sequence

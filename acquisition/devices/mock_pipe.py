@@ -1,7 +1,5 @@
 """The stream pipe of a simulated camera, whose transfers are filled as a kernel fills them."""
 
-from __future__ import annotations
-
 import errno
 import time
 from collections import deque

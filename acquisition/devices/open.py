@@ -3,8 +3,6 @@
 `usb:` is hardware, `mock:SCENE?seed=3&sensor=real` simulated cameras, `replay:REC` a recording in their place.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import os

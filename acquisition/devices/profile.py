@@ -1,7 +1,5 @@
 """Describes where a kind of camera has on USB what the driver needs; `profiles/` holds one file for each kind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

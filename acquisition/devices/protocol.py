@@ -1,7 +1,5 @@
 """Blocks of planes on a camera's bulk pipe: their encoding, and the parser that finds them; see PROTOCOL.md."""
 
-from __future__ import annotations
-
 import enum
 import struct
 from collections import deque

@@ -1,7 +1,5 @@
 """A recorded stream as the light of a simulated camera."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

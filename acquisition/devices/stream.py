@@ -1,7 +1,5 @@
 """Keeps transfers of one camera in flight over a narrow pipe, which both libusb and the mock implement."""
 
-from __future__ import annotations
-
 import enum
 import errno
 import time

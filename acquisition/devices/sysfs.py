@@ -1,7 +1,5 @@
 """Reads from Linux's /sys where USB devices are plugged in, and what the kernel allows them."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path

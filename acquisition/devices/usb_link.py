@@ -1,7 +1,5 @@
 """Finds the USB device behind a camera, and holds its pipe and its control channel; errors name the camera."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 from collections.abc import Iterable, Iterator

@@ -1,4 +1,4 @@
-"""Makes a recording from the files of a killed recorder: the blocks that its journals prove, and nothing behind them."""
+"""Makes a recording from the files of a killed recorder: the blocks that its journals prove, and no more."""
 
 import dataclasses
 import hashlib

@@ -7,8 +7,6 @@ still in even light, or repeats itself, is refused with the reason.
 Letters: T planes of a camera; rates are its spikes per tick, averaged over all pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal

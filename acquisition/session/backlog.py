@@ -1,7 +1,5 @@
 """Planes on their way from a camera to its file: held before the recording begins, then written or counted as lost."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """One camera on its way to its file: what it offers is written or counted as lost, and it is never held up."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import threading

@@ -5,8 +5,6 @@ clock, latched against the host's before and after: r = run before + host time b
 pulses, the trigger is one of the pulses, and r is rounded to it; that is exact as long as r is known to half a period.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Callable

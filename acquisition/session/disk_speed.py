@@ -1,7 +1,5 @@
 """Measures how fast a disk takes a recording, by direct writes from several threads to a file that no one sees."""
 
-from __future__ import annotations
-
 import errno
 import mmap
 import os

@@ -1,7 +1,5 @@
 """Tells the operator how the cameras of a running session are doing."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 

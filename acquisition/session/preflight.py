@@ -1,7 +1,5 @@
 """Looks at everything that would spoil a recording, and says what was found, what was expected and what to change."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import defaultdict

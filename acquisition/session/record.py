@@ -1,7 +1,5 @@
 """Makes a whole recording: opens cameras by a URI, runs them once, and writes the truth where it is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from dataclasses import dataclass, field

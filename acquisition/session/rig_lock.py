@@ -1,7 +1,5 @@
 """Lets one operator at a time record with a rig, by a lock."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import getpass

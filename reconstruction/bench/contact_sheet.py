@@ -1,7 +1,5 @@
 """Draws contact sheets of the benches: a strip a scene, at one instant."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

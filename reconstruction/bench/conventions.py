@@ -1,7 +1,5 @@
 """Holds the choices that all benches share: recordings, the held-out camera, views, plane rates, and the cache."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

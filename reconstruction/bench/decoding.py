@@ -6,8 +6,6 @@ pixels have fired or the reach is over. Both give the same images as ours, which
 core too, and as the recipes for the intensity alone, without validity and sigma.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 

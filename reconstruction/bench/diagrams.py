@@ -1,7 +1,5 @@
 """Draws the documents of the benches of images, poses, leave-out and viewpoints, one picture each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The error behind a PSNR is the root mean square error over the data range, 10^(-
 carries dB at its ticks, and has the better end below.
 """
 
-from __future__ import annotations
-
 import io
 import textwrap
 from collections.abc import Iterator, Sequence

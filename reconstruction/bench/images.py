@@ -4,8 +4,6 @@ The measurements are cut into parts: decoding, each scene and seed, each publish
 finished part is kept, and a stopped bench goes on after the last one.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ Clips are small, 200x125 and mostly 200 planes, with as many Gaussians a pixel a
 figures with one another, not with those of other benches.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Measures the worth of calibrated pixels: the error of a still picture before and after the correction."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

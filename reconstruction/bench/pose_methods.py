@@ -1,7 +1,5 @@
 """Lists the methods of the pose bench: each finds geometry from a recording whose rig is the nominal one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Scores the depth and points of estimated cameras against the truth, in the true frame."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

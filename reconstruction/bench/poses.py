@@ -5,8 +5,6 @@ degrees, cm and percent of the focal length. Errors are after similarity alignme
 sweep with the cameras found, on still pixels, and of the method's own points where it has any.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Times the native rasterizer against its arithmetic and its torch reference, and a whole step part by part."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

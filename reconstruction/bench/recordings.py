@@ -5,8 +5,6 @@ least squares) meets it to 36 dB as it is, and to 22 dB if it is taken for gamma
 times that factor, fitted for each image, against the grey values over 255, with data range 1.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

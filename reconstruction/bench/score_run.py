@@ -1,7 +1,5 @@
 """Scores a finished training: its held-out view against the truth, at its end and along the way."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

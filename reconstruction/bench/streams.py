@@ -3,8 +3,6 @@
 Letters: T planes, H rows, W columns, k planes to a slow one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -3,8 +3,6 @@
 The runs are cells of a protocol, as those of the paper bench. `auto` is scored beside the floors.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

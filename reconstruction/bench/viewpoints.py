@@ -4,8 +4,6 @@ The ray caster renders the scene anew from each viewpoint, so that there is a tr
 start at the centre of the array and at a corner camera; every viewpoint looks at the scene's centre.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

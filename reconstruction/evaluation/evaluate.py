@@ -1,7 +1,5 @@
 """Scores a run on the camera nobody trained on: against truth, beside the floors, or against its own spike counts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 

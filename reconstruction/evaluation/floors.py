@@ -4,8 +4,6 @@
 views, carries it into the wanted view, and blends the neighbours' pixels found along it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

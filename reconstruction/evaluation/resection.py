@@ -5,8 +5,6 @@ pictures to fine ones, so that it may begin some twenty pixels off. Intrinsics s
 Source: Lucas & Kanade, "An iterative image registration technique", IJCAI 1981. Letters: H rows, W columns, P pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

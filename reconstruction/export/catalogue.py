@@ -4,8 +4,6 @@ A new format is one file of `reconstruction.export.formats` and a line in the RE
 imports neither torch nor OpenCV.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import fields

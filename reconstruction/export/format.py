@@ -1,7 +1,5 @@
 """The definition of an export format; it needs no torch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ any key, and neighbouring quaternions lie in one hemisphere, so that they can be
 light is shown steady. Gaussians that are under 1/255 all the time are left out.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

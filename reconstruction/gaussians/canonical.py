@@ -1,7 +1,5 @@
 """Motion models that deform one canonical cloud by a field: the box it covers, and its effect on a Gaussian."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Letters: N still, M moving, K the order of the motion, s = instant - instants, a
 `means + sum_k coefficients[k - 1] * s^k`, k = 1..K, and its opacity is gated by exp(-(s / duration)^2 / 2).
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 from typing import Any, NamedTuple

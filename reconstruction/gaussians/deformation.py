@@ -9,8 +9,6 @@ means through the encoding. Not as there: width, depth and octaves, which are 25
 costly on a CPU, and a last layer that starts at zero, so that the field begins without any deformation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ published 128), opacity and colour not deformed, a weight of 0.01 on smoothness 
 layers that start at zero, so that the field begins without any deformation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Self

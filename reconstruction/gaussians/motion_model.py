@@ -4,8 +4,6 @@ Letters: M moving Gaussians. Time u is in clips, 0 at the clip's start and 1 at 
 clips of any length.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import ClassVar, NamedTuple

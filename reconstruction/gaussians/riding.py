@@ -3,8 +3,6 @@
 Letters: A riders, K bodies. Quaternions are (w, x, y, z); those of bodies are unit.
 """
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any
 

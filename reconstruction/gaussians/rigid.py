@@ -8,8 +8,6 @@ Gaussians are stored in their body's frame. Source: Wang et al., "Shape of motio
 share); here each Gaussian follows a single one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

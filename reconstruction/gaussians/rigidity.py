@@ -5,8 +5,6 @@ weight fits scenes of any size. Source: Luiten et al., "Dynamic 3D Gaussians", 3
 weights are exp(-SHARPNESS d^2 / mean d^2) and sum to one for each Gaussian; there they are exp(-2000 d^2), d in m.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -8,8 +8,6 @@ stays free. Cost: a second of one core for 1,500 points at 8 instants. Source: M
 registration: coherent point drift", PAMI 2010, with an intensity term.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

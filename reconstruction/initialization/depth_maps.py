@@ -1,7 +1,5 @@
 """Checks depth maps of several views against each other, and fills what is unknown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

@@ -1,7 +1,5 @@
 """The geometry that an initialiser finds in a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 

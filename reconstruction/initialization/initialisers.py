@@ -3,8 +3,6 @@
 What does the work is imported when it is called: some need torch, some pycolmap, and most runs need neither.
 """
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

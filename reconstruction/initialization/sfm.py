@@ -6,8 +6,6 @@ with an innocent residual. Sources: Schonberger & Frahm, "Structure-from-motion 
 Pan et al., "Global structure-from-motion revisited", ECCV 2024 (global); both by pycolmap.
 """
 
-from __future__ import annotations
-
 import signal
 import tempfile
 import threading

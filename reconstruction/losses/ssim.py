@@ -5,8 +5,6 @@ population covariance. At the border the window is cut and normalised again, so 
 5 px inside on it is the map that scikit-image computes.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ layers come with torchmetrics; the network's are torchvision's `alexnet*.pth`, w
 downloaded, and both files are read as tensors only.
 """
 
-from __future__ import annotations
-
 import pickle
 import zipfile
 from importlib.resources import files

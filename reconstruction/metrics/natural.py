@@ -9,8 +9,6 @@ a completely blind image quality analyzer", SPL 2013.
 Letters: P patches, F = 36 features (18 at each of two scales).
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from zipfile import BadZipFile

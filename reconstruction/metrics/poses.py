@@ -1,7 +1,5 @@
 """Errors of estimated cameras against the true ones, once a similarity has laid one rig on the other."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

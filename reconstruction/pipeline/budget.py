@@ -1,7 +1,5 @@
 """Measures how much of a training is done; light enough for stages without torch."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field

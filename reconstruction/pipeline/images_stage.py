@@ -1,7 +1,5 @@
 """Finds the background of every training view: what stays when the movers are taken away."""
 
-from __future__ import annotations
-
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.images.background import background

@@ -1,7 +1,5 @@
 """Decides what the scene needs."""
 
-from __future__ import annotations
-
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.pipeline.artefacts import write_light, write_moving

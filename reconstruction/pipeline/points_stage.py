@@ -1,7 +1,5 @@
 """Finds the points that training starts from: the still scene is swept once, the movers at several instants."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Finds where the training cameras stand, or leaves them where the rig file has them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Scores a run on its held-out camera, and writes everything that a person looks at."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from acquisition.durable import write_durably, write_json

@@ -1,7 +1,5 @@
 """`reconstruct`: the stages in order, each timed, each skipped where its artefacts are already there."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

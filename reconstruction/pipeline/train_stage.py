@@ -39,7 +39,7 @@ SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # share
 
 @dataclass(frozen=True)
 class Beginning:
-    """What a training begins with, read from the artefacts of earlier stages: its views, and points to seed a model."""
+    """The start of a training, read from the artefacts of earlier stages: its views, and points to seed a model."""
 
     views: list[TrainingView]
     seeds: Seeds

@@ -1,7 +1,5 @@
 """Opens a run folder as the formats of `export` want it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from acquisition.recording.reader import Recording

@@ -1,7 +1,5 @@
 """Watches a training: once, after a part of it, the plan's still pixels are held against the spikes again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -22,7 +20,7 @@ UNDONE = "straight paths for what the plan took for still"
 
 
 class Watch:
-    """What the watch of one training found; `state` is None before it, and goes into every checkpoint after it.
+    """The watch of one training. Its `state` is None until it has looked, and part of every checkpoint from then on.
 
     The checkpoint comes first and the run folder follows it, so that a training killed between them loses nothing.
     """
@@ -33,7 +31,7 @@ class Watch:
 
     @property
     def note(self) -> str:
-        """What was undone, to stand behind a line of progress; empty where nothing was."""
+        """The end of a line of progress that says what was undone; empty where nothing was."""
         return f"; watch: {self.state['choice']}" if self.state and self.state["masks"] else ""
 
     def look(self, done: float, checkpoint: Callable[[], None]) -> None:

@@ -3,8 +3,6 @@
 Letters: D layers, H rows, W columns, N points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

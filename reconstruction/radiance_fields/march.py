@@ -6,8 +6,6 @@ Cells that a grid does not hold are EMPTY and have no intensity. Two grids may o
 read where `offsets` lead, and their densities add. Letters: R rays, S samples, D layers, H rows, W columns, C cells.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ gsplat's modes "antialiased" and "RGB+D" are this package's compensated opacity 
 differ: its alpha ends at 0.999, ours at 0.99, and it leaves out the splat that takes the transmittance below 1e-4.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """The C++ renderer as a torch function: float32 on the CPU, torch's number of threads."""
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The numbers of a camera that a renderer needs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from reconstruction.errors import ReconstructionError

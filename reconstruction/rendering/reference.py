@@ -7,8 +7,6 @@ sqrt(det / det_blurred) (gsplat's "antialiased"), alpha at most 0.99 and at leas
 transmittance is below 1e-4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

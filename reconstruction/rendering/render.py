@@ -1,7 +1,5 @@
 """The public renderer: Gaussians at one instant and a camera in, an image with depth and coverage out."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The result of every renderer."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Linear light as the grey of a screen, and the span of a depth map; needs numpy alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

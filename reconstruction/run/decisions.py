@@ -37,7 +37,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run does.
+    """A plan in numbers and names: what the stages of a run will do.
 
     `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`: names, none of them `auto`.
     `refine`: whether poses, gains and lags are learnt in training. The most Gaussians there may be are split into
@@ -80,7 +80,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Amendment:
-    """What a later stage changed in the plan, once it had seen more: one decision, and fields of the plan."""
+    """A change of the plan by a later stage that had seen more: one decision, and fields of the plan."""
 
     stage: Literal["poses", "train"]
     decision: Decision

@@ -1,4 +1,4 @@
-"""What `run.json` says: how far a run is, what was asked for and decided, and what came of it."""
+"""The content of `run.json`: how far a run is, what was asked for and decided, and the results."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ UNITS = ("gaussians", "cells")  # what models are made of
 
 
 class Elements(NamedTuple):
-    """How many elements a trained model has, and what they are: one of UNITS."""
+    """The number of elements of a trained model, and their unit: one of UNITS."""
 
     unit: str
     still: int
@@ -27,7 +27,7 @@ class Elements(NamedTuple):
 
 
 class BodyCounts(NamedTuple):
-    """How many rigid bodies were found, points attached to them, and points that are free, by reason."""
+    """The numbers of rigid bodies, of points attached to them, and of free points by reason."""
 
     rigid: int
     attached: int

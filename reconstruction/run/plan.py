@@ -1,7 +1,5 @@
 """Looks at the spikes once and decides what this scene needs; lists all that it leaves out, each with its reason."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -13,8 +13,6 @@ moving), kernels of level v3. They say which work is dear, not how long another 
 Images and sweeps grow with the pixels of a view, steps in part with the pixels and in part with the Gaussians.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from reconstruction.images.catalogue import price_s

@@ -4,8 +4,6 @@ Points are seen by the lab rig's nine places with noise of 0.1 px. Where axes ar
 scene as much deeper give the same pictures: then all that is known of the focal length is its prior.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

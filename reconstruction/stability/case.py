@@ -1,7 +1,5 @@
 """Defines a case of the catalogue, and the row of the table that it makes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Runs the whole catalogue on everything this machine has, for the document of `spike4dgs stability --json`."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ Letters: q the charge of one tick in units of 2^-40 spike, Q what has been added
 pixel that starts with the charge c and loses nothing has n = floor(c + Q), so that n - Q stays within (c - 1, c].
 """
 
-from __future__ import annotations
-
 import copy
 import tempfile
 from pathlib import Path

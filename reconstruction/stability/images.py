@@ -4,8 +4,6 @@ Light is exact: each pixel fires at a fixed period. Each method runs by every co
 must be the same to the bit.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Makes a small cloud by every motion model, and compares its float32 with its float64."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from functools import partial

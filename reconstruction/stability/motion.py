@@ -1,7 +1,5 @@
 """Defines cases 1, 12, 15 to 19 and 30 for every motion model: bounded, finite, the same at any scale."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Renders a small scene with its gradients, and compares both with the reference in float64."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext

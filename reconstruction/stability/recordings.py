@@ -1,7 +1,5 @@
 """Defines cases 26, 27 and 29: long recordings, files of any length, views of no use."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Callable

@@ -4,8 +4,6 @@ All trainings of a scene take the same number of steps; those of one seed draw t
 float type. The centre camera is held out. float64 is rendered, and its motion evaluated, by the torch references.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 torch's own is the reference; state, groups and their names are the same, so either reads the other's state.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable, Iterable

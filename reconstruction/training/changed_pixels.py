@@ -7,8 +7,6 @@ with m spikes has the variance n / 6 + .05 m. A region changes where LEAST_PX or
 mean by more than DEVIATIONS standard deviations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import cv2

@@ -1,7 +1,5 @@
 """State of a training on disk: tensors and numbers only, loaded without running code."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from pathlib import Path

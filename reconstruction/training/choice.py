@@ -1,7 +1,5 @@
 """Judges seeded models by spikes that none was made from: counts between the swept instants."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

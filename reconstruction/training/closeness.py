@@ -1,7 +1,5 @@
 """Measures how close renders are to their images: a figure to watch while a training runs, and for nothing else."""
 
-from __future__ import annotations
-
 import math
 
 from torch import Tensor

@@ -4,8 +4,6 @@ A short image (`images.interpolated`) is the mean of several planes. A render of
 a texture; the mean of two renders, at the Gauss-Legendre instants, is blurred alike and the texture behind it sharp.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,7 +62,7 @@ def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
 def passed_px(cloud: SceneModel, cameras: Sequence[Camera], span_s: float) -> float:
     """Return how far a fast mover gets in `span_s` seconds in the pictures of `cameras`, px; 0 where nothing moves.
 
-    Nine in ten of what moves, is there at the time and lies in the picture are slower. NaN and infinity do not count.
+    Nine in ten of the moving points that are there and in the picture are slower. NaN and infinity do not count.
     """
     if not len(cloud.moving):
         return 0.0

@@ -3,8 +3,6 @@
 Letters: N still Gaussians.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Compares a render with the image of one instant. Letters: H rows, W columns, Q instants of a window."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

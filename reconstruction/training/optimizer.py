@@ -1,7 +1,5 @@
 """Makes the optimiser of a model, and sets its learning rates as the training goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch
@@ -29,7 +27,7 @@ def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> torch.optim.O
 
 
 def anneal(optimizer: torch.optim.Optimizer, done: float, stage: float, canonical_until: float) -> None:
-    """Set the rates at `done` (0 to 1) of the training, and those of what moves at its own `stage`.
+    """Set the rates at `done` (0 to 1) of the training, and those of movers at their own `stage`.
 
     A deformation does not learn before `canonical_until` of the training.
     """

@@ -7,8 +7,6 @@ and what phases, photons and thresholds that differ between pixels do to a count
 the longest term there is. Letters: R rays.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

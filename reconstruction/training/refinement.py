@@ -4,8 +4,6 @@ A camera is corrected by moving what it sees, so that every renderer serves as i
 turns, moves or scales all cameras together, brightens all views or delays all clocks. Letters: V views, N Gaussians.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What a step of a training asks of a model, and the losses that `--supervision` names."""
+"""The loss of one training step, and the losses that `--supervision` names."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """Fits a model to what the training cameras recorded, at random instants of random views."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,14 +27,14 @@ from reconstruction.training.term import Term, supervisions
 from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
-FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene a step of light is a smaller one
+FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene steps of intensity are smaller
 DEAD = 0.005  # opacity below which an element shows nothing
 LIVING_EVERY = 100  # steps between looks at whether any element is left
 
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """What a training does, beside what it works on.
+    """The settings of a training.
 
     `supervision`: a name of `supervisions()`, or RAYS. `training`: the way of the method. `white`: data range in spikes
     per tick. `tick_stride`: planes between the instants at which images are compared. `image_planes`: planes that a

@@ -1,7 +1,5 @@
 """Compares how renders and images change over a few instants. Letters: H rows, W columns, Q instants."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

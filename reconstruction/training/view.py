@@ -1,7 +1,5 @@
 """One camera of a training: what it sees of a model, and what it should see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from reconstruction.gaussians.dynamic import DynamicCloud

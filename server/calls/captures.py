@@ -1,7 +1,5 @@
 """A client's requests about captures and uploads."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

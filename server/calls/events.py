@@ -1,7 +1,5 @@
 """A client's requests about events and webhooks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from server.calls.transport import Transport

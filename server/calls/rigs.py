@@ -1,7 +1,5 @@
 """A client's requests about rigs and their calibrations."""
 
-from __future__ import annotations
-
 from server.calls.transport import Transport
 from server.etags import tag
 from server.schemas.calibrations import (

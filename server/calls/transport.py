@@ -1,7 +1,5 @@
 """Sends the requests of a client of the service, and reads the answers."""
 
-from __future__ import annotations
-
 import time
 import uuid
 from collections.abc import Generator

@@ -1,7 +1,5 @@
 """The OpenAPI document: the framework derives it from the routes; tokens and refusals are added here."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

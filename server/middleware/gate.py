@@ -1,7 +1,5 @@
 """The gate: counts each client's requests, and asks for a token where the service has any."""
 
-from __future__ import annotations
-
 from typing import cast
 
 from sqlalchemy.exc import SQLAlchemyError

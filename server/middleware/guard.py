@@ -3,8 +3,6 @@
 A loopback service needs this: a page elsewhere can point its own host name at 127.0.0.1, or post a form across sites.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from urllib.parse import urlsplit

@@ -1,7 +1,5 @@
 """Security headers: what a browser may do with an answer."""
 
-from __future__ import annotations
-
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 

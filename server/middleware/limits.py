@@ -1,7 +1,5 @@
 """Limits on one client: how many requests, how large, how slow."""
 
-from __future__ import annotations
-
 import asyncio
 import ipaddress
 import math

@@ -1,7 +1,5 @@
 """Counts and times every request."""
 
-from __future__ import annotations
-
 import time
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send

@@ -1,7 +1,5 @@
 """Problem documents (RFC 9457), and the one table from error types to HTTP statuses."""
 
-from __future__ import annotations
-
 import errno
 import json
 import re

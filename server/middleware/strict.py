@@ -1,7 +1,5 @@
 """Strict JSON, which every reader understands alike: each name once, no NaN, a modest depth."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

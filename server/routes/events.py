@@ -1,7 +1,5 @@
 """Events of captures and jobs as they happen (Server-Sent Events)."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import AsyncGenerator, Callable
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The names a request may choose from, each list taken from where it is defined."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Jobs, done or to be done, and what they have made."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import BaseModel

@@ -1,7 +1,5 @@
 """The common parts of requests, of pages and of reports of progress."""
 
-from __future__ import annotations
-
 from typing import Any, Generic, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict

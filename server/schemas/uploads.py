@@ -1,7 +1,5 @@
 """Files that clients send, piece by piece."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field

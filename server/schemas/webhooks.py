@@ -1,7 +1,5 @@
 """Webhooks: who is told of which events, and how they answered."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field

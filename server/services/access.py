@@ -1,7 +1,5 @@
 """Finds the token that a request carries, and whether it allows the request."""
 
-from __future__ import annotations
-
 import hmac
 import threading
 import time

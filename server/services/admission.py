@@ -1,7 +1,5 @@
 """Admits jobs that can be done: the capture or job they work on is there, ready, and has the cameras they name."""
 
-from __future__ import annotations
-
 from rigs.toml import load_rig
 from server.engine import Engine
 from server.errors import RigMismatchError, StateError, UnknownReferenceError, referred

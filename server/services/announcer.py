@@ -1,7 +1,5 @@
 """Tells of every change of status, once and durably, whoever caused it."""
 
-from __future__ import annotations
-
 import time
 from datetime import datetime
 

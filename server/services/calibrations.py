@@ -1,7 +1,5 @@
 """Calibrations of rigs: asked for, listed, checked, and chosen."""
 
-from __future__ import annotations
-
 import logging
 import tomllib
 from pathlib import Path

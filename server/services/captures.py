@@ -1,7 +1,5 @@
 """Captures: started, stopped, listed and deleted."""
 
-from __future__ import annotations
-
 import threading
 
 from rigs.rig import Rig

@@ -1,7 +1,5 @@
 """Checks whether the service would do work that it is given."""
 
-from __future__ import annotations
-
 import shutil
 import time
 

@@ -1,7 +1,5 @@
 """Hands events on to everyone who listens: one reader of the table, however many listeners."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections import deque

@@ -1,7 +1,5 @@
 """Captures made of uploads: checked before they are queued, and imported by a worker."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Jobs: queued one by one or together, cancelled, resumed, restarted, listed and deleted."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of

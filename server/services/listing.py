@@ -4,8 +4,6 @@ Requests and progress are kept as text, which was checked before. Each distinct 
 entry and page: a page of a thousand jobs would take a fifth of a second otherwise.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

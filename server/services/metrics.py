@@ -1,7 +1,5 @@
 """Figures for Prometheus: counted from what has ended, and looked up when they are asked for."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 from collections.abc import Iterator, Sequence

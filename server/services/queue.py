@@ -1,7 +1,5 @@
 """Makes and removes entries: each is kept first and queued second, so that none is lost in between."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Sequence

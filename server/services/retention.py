@@ -1,7 +1,5 @@
 """Deletes what is old: reports of progress, keys, deliveries, the engine's own memory and, if asked for, old jobs."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The state of rigs: preflights and looks are jobs, which never meet a recording; the status shows their results."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

@@ -1,7 +1,5 @@
 """All services of one web process."""
 
-from __future__ import annotations
-
 from server.engine import Engine
 from server.services.access import AccessService
 from server.services.admission import Admission

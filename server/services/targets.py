@@ -1,7 +1,5 @@
 """The addresses that webhooks may lead to: public addresses, and hosts that the settings name."""
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 from collections.abc import Collection

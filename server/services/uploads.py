@@ -1,7 +1,5 @@
 """Files that clients send, piece by piece: a connection that breaks loses the piece under way and no more."""
 
-from __future__ import annotations
-
 import asyncio
 import shutil
 from collections.abc import AsyncIterator

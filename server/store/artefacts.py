@@ -1,7 +1,5 @@
 """The files that jobs made: name, type, size and digest of each, kept by the worker that made it."""
 
-from __future__ import annotations
-
 import hashlib
 import mimetypes
 import re

@@ -1,7 +1,5 @@
 """The calibrations of rigs, by version, and which one is current. Version 0 is the rig as it was drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import sqlalchemy as sa

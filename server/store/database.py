@@ -1,7 +1,5 @@
 """The databases: the job engine's and the service's own tables, in two SQLite files or one PostgreSQL database."""
 
-from __future__ import annotations
-
 import logging
 import sqlite3
 import time

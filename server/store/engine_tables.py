@@ -1,7 +1,5 @@
 """Reads from the job engine's tables what is asked most often, without the thirty columns its own client fetches."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Captures and jobs, as they were asked for and how far they are."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The events of captures and jobs: numbered, so that a reader can go on where it stopped."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

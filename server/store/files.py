@@ -8,8 +8,6 @@ DATA/rigs/RIG/                            held by flock while the rig records; i
 DATA/uploads/UID/                         what was uploaded so far
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Keys that a client may send again, each with what it asked for and the entries that were made of it."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 

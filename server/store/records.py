@@ -1,7 +1,5 @@
 """Reads and writes the rows of a table: what all tables of the service have in common."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ DATA/rigs/RIG/camRC-pixels-SHA.npz     pixel maps, named by what is in them, so 
 DATA/rigs/RIG/pictures/JID.png         the residuals of the calibration that a job found
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Everything that is remembered, opened once by each process."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Tokens, which allow requests; only a digest of each is kept."""
 
-from __future__ import annotations
-
 import hashlib
 import secrets
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """The bytes of an upload on disk, to which one writer at a time appends."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The files that clients have sent or are sending."""
 
-from __future__ import annotations
-
 import re
 
 from server.errors import NotFoundError, StateError, referred

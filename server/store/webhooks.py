@@ -1,7 +1,5 @@
 """Webhooks and the messages owed to them: noted with the event itself, so that no crash comes in between."""
 
-from __future__ import annotations
-
 import base64
 import json
 import secrets

@@ -1,7 +1,5 @@
 """Which workers are alive: each beats; one that stopped beating is dead, and its jobs go to the others."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import socket

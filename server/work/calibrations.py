@@ -1,7 +1,5 @@
 """Keeps the calibration that a job has found as a version of its rig's, and as the current one if that was asked."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Takes over the work of dead workers, and work of this one that its engine has given up."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Container

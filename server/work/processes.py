@@ -1,7 +1,5 @@
 """The processes of stages: what each locks, where it reports, and the mark that says it has finished."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path

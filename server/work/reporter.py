@@ -1,7 +1,5 @@
 """Writes a stage's progress into the service's tables, at most twice a second, and never lets it stop the stage."""
 
-from __future__ import annotations
-
 import errno
 import os
 import time

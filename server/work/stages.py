@@ -1,7 +1,5 @@
 """Runs each stage of an entry: puts its inputs in place, starts its process, and keeps its results."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The worker process: it beats to show that it lives, works on its queues, and inherits from workers that died."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Iterator, Sequence

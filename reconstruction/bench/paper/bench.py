@@ -1,7 +1,5 @@
 """Runs every cell of a protocol by priority, for as long as there is time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Writes changed copies of a recording: its rig as drawn, or fewer planes a second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

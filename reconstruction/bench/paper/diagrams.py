@@ -1,7 +1,5 @@
 """Draws the documents of the paper and training benches: one question a picture, error against what it costs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Digests the code that a result depends on; a change of benches, reports or pages alone leaves the digest as it is."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

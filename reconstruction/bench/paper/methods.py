@@ -4,8 +4,6 @@ In every one the still pixels are our long mean and the points our plane sweep; 
 Networks make an image in half a second, so their rows have targets at every 40th plane only.
 """
 
-from __future__ import annotations
-
 from reconstruction.bench.conventions import RATE_HZ, VIEWS
 from reconstruction.bench.paper.method import Change, Method
 from reconstruction.bench.paper.published import IMAGE_MODELS, SPIKE_MODELS

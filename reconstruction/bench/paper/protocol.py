@@ -4,8 +4,6 @@ Labels say what was done. "Small" stands before a network or field that is small
 variation" is a loss on images, which the published spike loss (SPSS) is not.
 """
 
-from __future__ import annotations
-
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, STRESS
 from reconstruction.bench.conventions import RATE_HZ, SLOWER
 from reconstruction.bench.paper import methods as m

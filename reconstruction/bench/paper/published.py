@@ -4,8 +4,6 @@ No scene of theirs is public, so no figure here was measured on a scene of ours.
 scenes; BRISQUE and NIQE are of real recordings, which have no truth; `seconds` are of one RTX 4090 (training) or A6000.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 Figures = Mapping[str, float]

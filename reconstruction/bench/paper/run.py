@@ -1,7 +1,5 @@
 """Reconstructs, scores and keeps single cells, so that a stopped bench goes on where it was."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Iterable

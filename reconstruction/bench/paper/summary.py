@@ -1,7 +1,5 @@
 """Computes the named numbers of the paper bench: means over recordings, margins over the rivals, times to levels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writes the tables as Markdown: ours, spread, run time, and beside it the paper's figure, which is of other scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 

@@ -5,8 +5,6 @@ The world is the rig frame. Points are the Gaussians' means with their display g
 Source: COLMAP documentation, "Output format".
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from acquisition.durable import write_durably

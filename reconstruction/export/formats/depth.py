@@ -1,7 +1,5 @@
 """Depth maps: `NNNNNN.npy` (float32 [H, W], m along z, NaN where nothing is), and `NNNNNN.png` in colours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from acquisition.durable import write_array

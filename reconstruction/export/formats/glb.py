@@ -8,8 +8,6 @@ a glTF asset. An empty cloud becomes a scene with an empty node, since glTF has 
 Source: Khronos, glTF 2.0 specification 4.4 (GLB) and KHR_gaussian_splatting (ratified).
 """
 
-from __future__ import annotations
-
 import json
 import struct
 

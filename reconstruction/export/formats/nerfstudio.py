@@ -5,8 +5,6 @@ renders, with gamma 2.2 over white. The held-out camera is left out. `time` is i
 `points.ply` is `ply` at the instant chosen. Source: nerfstudio documentation, "Data conventions".
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from acquisition.durable import write_durably

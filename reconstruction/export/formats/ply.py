@@ -6,8 +6,6 @@ grey is intensity / white with gamma 2.2; where Gaussians overlap, the picture i
 Source: Kerbl et al., "3D Gaussian splatting", SIGGRAPH 2023, and its reference code's `save_ply`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from reconstruction.export.format import Format, splat_writer

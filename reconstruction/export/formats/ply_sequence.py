@@ -1,7 +1,5 @@
 """A folder of `.ply` files over the clip, as `formats.ply` writes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from acquisition.durable import write_durably

@@ -5,8 +5,6 @@ Three float32 of position and three of linear scale, then bytes: three times the
 Source: antimatter15/splat, `convert.py` (the format's reference).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from reconstruction.export.format import Format, splat_writer

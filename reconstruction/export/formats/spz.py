@@ -9,8 +9,6 @@ The format's own library is not on the package index, and the ones there need a 
 Niantic, nianticlabs/spz, README and `load-spz.cc`.
 """
 
-from __future__ import annotations
-
 import gzip
 import math
 import struct

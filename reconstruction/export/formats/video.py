@@ -1,7 +1,5 @@
 """An H.264 video of the clip, played once: from a camera of the rig, or from an orbit inside the rig's opening."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The two files that the viewer's page plays; `reconstruction.export.viewer` says what is in them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from acquisition.progress import Progress
