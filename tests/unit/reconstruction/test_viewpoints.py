@@ -71,7 +71,7 @@ def bench(tmp_path_factory):
     run = SimpleNamespace(
         snapshots=lambda: [folder / "last.pt"],
         plan=SimpleNamespace(views=VIEWS),
-        document={"seconds": {"train": 1.5}},
+        document=SimpleNamespace(seconds={"train": 1.5}),
     )
     runs = [(KnownRecording("fan_and_ball", 1, folder / "rec"), run)]
     return runs, bench_viewpoints(runs, silent).to_json()
