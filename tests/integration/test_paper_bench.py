@@ -24,7 +24,7 @@ def test_the_quick_bench_writes_its_tables_and_finds_them_again(tmp_path):
     assert document["summary"]["novel-view.auto.psnr_db@40steps"] == pytest.approx(document["rows"][0]["psnr_db"])
     assert any(line.startswith("novel-view, MSDI image + DUSt3R + 4DGS: no DUSt3R") for line in document["omissions"])
     text = (tmp_path / "paper.md").read_text()
-    assert "| TFI + 4DGS | 40 steps | " in text
+    assert "| TFI + small 4DGS | 40 steps | " in text
     assert "Partial" not in text
     for name in ("novel-view", "depth", "stages", "rates"):
         assert (tmp_path / f"paper-{name}.png").stat().st_size > 10_000
