@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("acquisition", "reconstruction", "rigs", "server")
+FOLDERS = (*PACKAGES, "tests")
 APART = {".venv", ".build", "node_modules", "vendor", "runs", "benchmarks"}
 PAGES = sorted(p for p in ROOT.rglob("*.md") if not APART & set(p.parts))
 OPENINGS = re.compile(r"(What|Who|Whom|Whose|That which|How|Whether|Where|When|Why)\b")
@@ -35,10 +36,10 @@ def riddles(path):
     return [f"{name_of(path)}:{i}: {line.strip()}" for i, line in enumerate(lines, 1) if RIDDLES.search(line)]
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_a_docstring_opens_with_no_question(package):
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_docstring_opens_with_no_question(folder):
     found = []
-    for path in files(package, ".py"):
+    for path in files(folder, ".py"):
         nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, DOCUMENTED)]
         texts = [text for node in nodes if (text := ast.get_docstring(node))]
         found += [f"{name_of(path)}: {text.splitlines()[0]}" for text in texts if OPENINGS.match(text)]

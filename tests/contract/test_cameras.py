@@ -1,4 +1,4 @@
-"""What every camera back end promises to the driver above it."""
+"""Holds every camera back end to its contract with the driver above it."""
 
 import dataclasses
 import platform

@@ -1,4 +1,4 @@
-"""What only real cameras can show (L3), which nobody has run yet; SPIKE4DGS_RIG names a connected rig's RIG.toml."""
+"""Tests a connected rig (L3), named by SPIKE4DGS_RIG as a RIG.toml. Nobody has run them yet."""
 
 import os
 import threading

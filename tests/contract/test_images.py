@@ -1,4 +1,4 @@
-"""What the Dockerfile runs, run in a clean root: `make images`. It needs no container engine, but root and debootstrap.
+"""Runs the Dockerfile in a clean root: `make images`. It needs root and debootstrap, no container engine.
 
 Every image's RUN lines are executed in a chroot of the same Debian release, with the repository's files copied to where
 COPY puts them; then its command is asked for its help, and the service is started and asked whether it is there.
@@ -27,7 +27,7 @@ KEPT = {name: value for name, value in os.environ.items() if re.match(r"(PIP_|np
 
 
 def pip_configuration() -> str:
-    """What this machine's pip was told: the build argument PIP_EXTRA_INDEX_URL comes from there."""
+    """Read pip's settings of this machine, the source of the build argument PIP_EXTRA_INDEX_URL."""
     pip = [sys.executable, "-m", "pip", "config", "list"]
     return subprocess.run(pip, capture_output=True, text=True, check=True).stdout
 

@@ -1,4 +1,4 @@
-"""What a trigger box promises to a session, on the mock and on a real kernel's HID stack."""
+"""Holds a trigger box to its contract with a session, on the mock and on a real kernel's HID stack."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""What a reconstruction leaves, small and made up, but of the right form: for pages that show it."""
+"""Writes a small, made-up result of a reconstruction in its true form, for pages that show one."""
 
 import json
 import shutil

@@ -237,7 +237,7 @@ def test_import_takes_its_size_from_spikecv_and_doubts_a_bit_order(spike4dgs, tm
 
 
 def flashed(folder, begins: int) -> Path:
-    """What a camera that began late saw of a light switched on at plane 60."""
+    """Simulate a camera that began late, under a light switched on at plane 60."""
     light = np.where(np.arange(begins, begins + 120) < 60, 0.05, 0.5)
     scenery = np.random.default_rng(begins).uniform(0.2, 1, (25, 40))
     planes = Sensor(40, 25, "real", begins, 0).expose((light[:, None, None] * scenery).astype(np.float32))

@@ -1,4 +1,4 @@
-"""What a crash leaves is a valid prefix, and finishing it twice changes nothing."""
+"""Tests that a crash leaves a valid prefix, and that finishing it twice changes nothing."""
 
 import json
 import random
@@ -89,7 +89,7 @@ def test_killed_at_any_moment_it_leaves_a_valid_prefix(tmp_path, seed):
 
 @pytest.fixture
 def left(tmp_path):
-    """What a recorder killed between two blocks leaves: the folder, made without killing anything."""
+    """Make the folder of a recorder killed between two blocks, without killing anything."""
     rig = Rig("pair", 20_000.0, tuple(Camera(i, 9, 5, 8.0, 8.0, 4.5, 2.5, Transform.identity()) for i in ("a", "b")))
     with RecordingWriter(tmp_path / "rec", rig) as recording:
         streams = [recording.stream(camera_id, SMALL) for camera_id in rig.ids]

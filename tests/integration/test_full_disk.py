@@ -107,7 +107,7 @@ def test_a_job_outlives_a_full_disk(deployment: Deployment, disk: Path, left: in
 
 
 def settled(client: ServiceClient, job: Job) -> bool:
-    """Whether the job is done or was resumed after it said in one line what it lacks."""
+    """Return whether the job is done, or was resumed after it said in one line what it lacks."""
     if job.status == "failed":
         assert job.error is not None
         assert "\n" not in job.error

@@ -1,4 +1,4 @@
-"""What the job engine keeps is plain JSON, and a pickle that somebody puts there is not run."""
+"""Tests that the job engine keeps plain JSON, and does not run a pickle put there."""
 
 import base64
 import contextlib

@@ -44,7 +44,7 @@ class Service:
 
 @dataclass
 class Seen:
-    """What a page said in its console, and the hosts it asked."""
+    """Holds the lines of a page's console and the hosts it asked."""
 
     faults: list[str] = field(default_factory=list)
     hosts: set[str] = field(default_factory=set)

@@ -1,4 +1,4 @@
-"""What an operator types, and what comes back when it is wrong."""
+"""Tests reconstruction from the command line, and its answers to wrong input."""
 
 import subprocess
 import sys

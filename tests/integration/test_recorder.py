@@ -1,4 +1,4 @@
-"""What the recorder promises when the disk is slow, fills up or refuses: every plane is written or counted."""
+"""Tests that every plane is written or counted when the disk is slow, fills up or refuses."""
 
 import errno
 import functools

@@ -228,7 +228,7 @@ def seek(view: Any, u: float) -> None:
 
 
 def pixels(view: Any) -> NDArray[np.uint8]:
-    """What was drawn on the canvas [H, W, 3], in BGR."""
+    """Read the canvas [H, W, 3], in BGR."""
     settle(view)
     url = view.eval_on_selector("#picture", "canvas => canvas.toDataURL()")
     image = cv2.imdecode(np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
@@ -250,7 +250,7 @@ def through(view: Any, index: int) -> Camera:
 
 
 def drawn(arrays: Arrays, u: float, camera: Camera):
-    """What our renderer draws of the scene at u."""
+    """Render the scene at u with our own renderer."""
     now = at(arrays, u)
     given = (now["means"], now["quats_wxyz"], np.log(now["scales"]), now["opacities"], now["intensities"][:, None])
     return render(tuple(torch.tensor(array, dtype=torch.float32) for array in given), camera)

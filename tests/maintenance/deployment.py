@@ -71,7 +71,7 @@ class Deployment:
         return [name for name, process in self.processes.items() if process.poll() is not None]
 
     def last_words(self, name: str) -> str:
-        """How a process ended, and the last line of its log."""
+        """Describe how a process ended, with the last line of its log."""
         lines = (self.data / f"{name}.log").read_text(errors="replace").splitlines()
         return f"exit {self.processes[name].poll()}, {lines[-1] if lines else 'no log'}"
 

@@ -1,4 +1,4 @@
-"""How fast a service answers many clients: each asks once a second for a while, on loopback only, and stops by itself.
+"""Measures a service under many clients: each asks once a second for a while, on loopback only, and stops by itself.
 
 `make load` runs it with 200 clients for a minute, beside 1000 queued jobs.
 

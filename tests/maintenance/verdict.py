@@ -1,4 +1,4 @@
-"""What a campaign of faults must leave: every job done once, no stage done twice, nothing running, locked or torn."""
+"""Judges what a campaign of faults left: every job done once, no stage done twice, nothing running, locked or torn."""
 
 from __future__ import annotations
 

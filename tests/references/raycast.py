@@ -31,7 +31,7 @@ def trace_reference(
 
 
 def _pixels(camera: Camera, steps: Floats) -> Floats:
-    """Where the rays meet the image (u, v) [N, 2]: `steps` into each pixel both ways, row by row."""
+    """Return where the rays meet the image, (u, v) [N, 2]: `steps` into each pixel both ways, row by row."""
     rows, columns = np.arange(camera.height), np.arange(camera.width)
     v, u, dv, du = np.meshgrid(rows, columns, steps, steps, indexing="ij")
     return np.asarray(np.stack([u + du, v + dv], axis=-1).reshape(-1, 2), dtype=np.float64)

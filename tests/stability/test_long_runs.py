@@ -1,4 +1,4 @@
-"""What `spike4dgs stability --full` adds: drift and trainings, small here, and that they notice what they look for."""
+"""Tests the part `spike4dgs stability --full` adds: small drifts and trainings, and that faults in them are noticed."""
 
 import json
 

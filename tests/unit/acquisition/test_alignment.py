@@ -18,7 +18,7 @@ LAYOUT = PlaneLayout(WIDTH, HEIGHT)
 
 
 def recorded(light: np.ndarray, seed: int) -> SpikeStream:
-    """What a real sensor with uneven scenery in front of it records of light [T]."""
+    """Record light [T] with a real sensor before uneven scenery."""
     scenery = np.random.default_rng(seed).uniform(0.1, 0.9, (HEIGHT, WIDTH))
     sensor = Sensor(WIDTH, HEIGHT, "real", seed, 0)
     planes = sensor.expose((light[:, None, None] * scenery).astype(np.float32))

@@ -1,4 +1,4 @@
-"""What every bench says of its machine."""
+"""Tests the part of a bench document that describes the machine."""
 
 import pytest
 

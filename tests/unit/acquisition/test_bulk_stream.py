@@ -1,4 +1,4 @@
-"""What the stream makes of a pipe's answers, told one by one."""
+"""Tests the stream against a pipe's answers, one by one."""
 
 import errno
 from collections import deque

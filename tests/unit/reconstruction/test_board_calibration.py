@@ -32,7 +32,7 @@ DATE = "2026-11-21"
 
 
 def seen_by(rig, noise_px=0.0, instants_s=INSTANTS_S, scale=1.0, bend_m=0.0):
-    """What the cameras of `rig` see of the waved board, printed at `scale`, its middle `bend_m` before its ends."""
+    """Return what the cameras of `rig` see of a waved board printed at `scale`, its middle `bend_m` before its ends."""
     placed, rng = build_scene("board_charuco_moving", 0).placements(instants_s), np.random.default_rng(0)
     printed = scale * (BOARD.points - MIDDLE)
     printed[:, 2] += bend_m * np.cos(printed[:, 0] * 6)

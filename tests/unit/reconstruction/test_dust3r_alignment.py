@@ -42,7 +42,7 @@ def views():
 
 
 def said(views, edges, *, noise=0.0, outliers=0.0, seed=0):
-    """What a network would say of each pair: at its own scale, with noise (a fifth sideways), and points anywhere."""
+    """Imitate a network's answer for each pair: a scale of its own, noise (a fifth sideways), and points anywhere."""
     rng = np.random.default_rng(seed)
     pairs = []
     for a, b in edges:

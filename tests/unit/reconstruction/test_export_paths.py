@@ -1,4 +1,4 @@
-"""Where an export may go, what it refuses, and that nothing half-written ever has a final name."""
+"""Tests where an export may go, its refusals, and that nothing half-written ever has a final name."""
 
 import json
 import subprocess

@@ -114,7 +114,7 @@ def decoded_glb(path):
 
 
 def picture(decoded, camera, light):
-    """What `camera` sees of decoded Gaussians whose linear light over white is `light`."""
+    """Render decoded Gaussians for `camera`; `light` is their linear light over white."""
     means, quats, scales, opacities, _ = decoded
     arrays = (means, quats, np.log(scales), opacities, light[:, None])
     with torch.no_grad():

@@ -1,4 +1,4 @@
-"""What the browser plays, evaluated here as its contract says and rendered: the picture must be the run's own."""
+"""Evaluates the browser's scene by its contract and renders it: the picture must be the run's own."""
 
 import json
 import math

@@ -13,7 +13,7 @@ WIDTH, HEIGHT, PLANES = 96, 64, 400
 
 
 def recorded(gains, camera=0, mover=False):
-    """What a real sensor sees of an uneven wall under light of these gains, and of a block that crosses it."""
+    """Record an uneven wall and a block that crosses it, under light of these gains, with a real sensor."""
     rng = np.random.default_rng(camera)
     wall = rng.uniform(0.1, 0.4, (HEIGHT, WIDTH)).astype(np.float32)
     light = wall[None] * np.asarray(gains, dtype=np.float32)[:, None, None]

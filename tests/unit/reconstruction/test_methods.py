@@ -1,4 +1,4 @@
-"""What every classical spike-to-image method promises, and what each one is."""
+"""Holds every classical spike-to-image method to the common contract and to its own definition."""
 
 import numpy as np
 import pytest

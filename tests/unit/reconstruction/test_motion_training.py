@@ -76,7 +76,7 @@ def cloud(kind: str, speed: float = 0.0) -> DynamicCloud:
 
 @pytest.fixture(scope="module")
 def view() -> TrainingView:
-    """What an ideal sensor records of blobs that cross 60 cm."""
+    """Record blobs that cross 60 cm with an ideal sensor."""
     truth = cloud("polynomial", 0.6)
     with torch.no_grad():
         light = [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0].numpy() for k in range(PLANES)]

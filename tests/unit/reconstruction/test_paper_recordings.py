@@ -1,4 +1,4 @@
-"""What is done to a recording before a method sees it, and the images a camera would have blurred."""
+"""Tests how a recording is prepared for a method, and the images a camera would have blurred."""
 
 import json
 from dataclasses import replace

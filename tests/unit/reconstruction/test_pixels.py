@@ -21,7 +21,7 @@ SEED, CAMERA = 8, 4
 
 
 def exposed(light: np.ndarray | float, planes: int) -> SpikeStream:
-    """What camera 4 of seed 5 records of a still image [H, W]."""
+    """Record a still image [H, W] with camera 4 of seed 5."""
     sensor = Sensor(WIDTH, HEIGHT, "real", SEED, CAMERA, threads=0)
     image = np.broadcast_to(np.asarray(light, dtype=np.float32), (HEIGHT, WIDTH))
     parts = [pack(sensor.expose(np.repeat(image[None], 100, axis=0)), LAYOUT) for _ in range(planes // 100)]

@@ -56,7 +56,7 @@ def cloud(speed: float = 0.0) -> DynamicCloud:
 
 
 def seen(truth: DynamicCloud) -> TrainingView:
-    """What an ideal sensor records of it."""
+    """Record it with an ideal sensor."""
     with torch.no_grad():
         light = [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0].numpy() for k in range(PLANES)]
     layout = PlaneLayout(WIDTH, HEIGHT)

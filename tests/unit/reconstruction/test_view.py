@@ -1,4 +1,4 @@
-"""What `look` makes of a cloud: the surface that takes half the light, not the mean of what shines through."""
+"""Tests that `look` finds the surface that takes half the light, not the mean of all that shines through."""
 
 import numpy as np
 import torch

@@ -41,7 +41,7 @@ STEADY = Light.steady(PLANES)
 
 
 def recorded(light: np.ndarray) -> SpikeStream:
-    """What a real sensor makes of light [T, H, W]."""
+    """Record light [T, H, W] with a real sensor."""
     layout = PlaneLayout(WIDTH, HEIGHT)
     spikes = Sensor(WIDTH, HEIGHT, "real", 1, 0).expose(light.astype(np.float32))
     return SpikeStream(pack(spikes, layout), layout, RATE_HZ)

@@ -1,4 +1,4 @@
-"""What a hostile or broken client sends is refused in order: never a 5xx, never a way out of the data folder."""
+"""Tests that hostile or broken requests are refused in order: never a 5xx, never a way out of the data folder."""
 
 import asyncio
 import json

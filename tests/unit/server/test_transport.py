@@ -1,4 +1,4 @@
-"""What the client does with refusals that pass."""
+"""Tests the client against refusals that pass."""
 
 import time
 
