@@ -33,11 +33,14 @@ $(SPARK)/vendor/spark.js: $(SPARK)/package.json $(SPARK)/package-lock.json $(SPA
 demo: install
 	$(VENV)/bin/spike4dgs demo
 
+# A file's tests stay in one of the two processes, as its fixtures do.
+PYTEST = $(PY) -m pytest -n 2 --dist loadfile
+
 test: install
-	$(PY) -m pytest -m "not slow and not images"
+	$(PYTEST) -m "not slow and not images"
 
 test-slow: install
-	$(PY) -m pytest -m "slow and not images and not long"
+	$(PYTEST) -m "slow and not images and not long"
 
 test-long: install
 	$(PY) -m pytest -m long

@@ -6,6 +6,9 @@ from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parents[1]
 
+# Threads that spin at a barrier take the cores from the tests of the other process.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 # No test asserts on elapsed time. What a run draws is the same every time; `make fuzz` draws afresh.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("fresh", deadline=None)

@@ -242,6 +242,7 @@ def test_noise_of_any_kind_neither_stops_nor_breaks_the_parser(data):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=10_000)
 @given(st.data())
 def test_ten_thousand_kinds_of_noise(data):

@@ -131,6 +131,7 @@ def test_a_changed_manifest_is_read_or_refused(recorded, changes):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=MANY, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes)
 def test_ten_thousand_changed_manifests_are_read_or_refused(recorded, changes):
@@ -246,6 +247,7 @@ def test_any_dat_is_imported_or_refused(tmp_path, given_):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=MANY, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(imports)
 def test_ten_thousand_dats_are_imported_or_refused(tmp_path, given_):
