@@ -1,6 +1,6 @@
-"""Draws the documents of the benches of images, poses, leave-out and viewpoints, one picture each."""
+"""Draws the documents of all benches but the paper's, one picture each."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,8 @@ from reconstruction.bench.figures import (
     relative_error,
     write_figure,
 )
+from reconstruction.bench.paper.diagrams import BARS, ERROR, against_time
 
-BARS = "Mark: median; bar: lowest to highest of recordings."
 LEAST_S = 0.05  # the place of the rig as drawn, which takes no time
 IMAGE_ERROR = "RMS error / white  (PSNR)"
 SWEEPS = (("nominal", "error of the rig as drawn / degrees, cm, %"), ("views", "views"), ("planes", "planes recorded"))
@@ -165,3 +165,19 @@ def _along(axes: Axes, rows: list[dict], scenes: list[str], score: str) -> None:
     places = sorted({row["along_m"] for row in rows})
     means = [np.mean([r[score] for r in rows if r["along_m"] == place]) for place in places]
     axes.plot(places, means, "k.-", linewidth=1.8, label="mean")
+
+
+def plot_training(path: Path, document: dict) -> None:
+    """Draw every method's error against run time; documents of older revisions name the budget, not the effort."""
+    rows = [{"effort": f"{row['budget_s']:g}", **row} for row in document["rows"]]
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    against_time(path, document | {"rows": rows}, names, "psnr_db", ("Whole reconstructions", ERROR))
+
+
+PLOTS: Mapping[str, Callable[[Path, dict], None]] = {
+    "images": plot_images,
+    "leave-out": plot_leave_out,
+    "poses": plot_poses,
+    "training": plot_training,
+    "viewpoints": plot_viewpoints,
+}

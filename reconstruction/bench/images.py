@@ -15,7 +15,6 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.bench.contact_sheet import method_tiles, write_strip
 from reconstruction.bench.conventions import SLOWER, Part, means, measure_parts, named
 from reconstruction.bench.decoding import bench_decoding
 from reconstruction.bench.recordings import (
@@ -90,11 +89,7 @@ class ImageBench:
         clip = simulate_lights(scene, seed, self._rig, PLANES, (1.0, *LEVELS) if sweeps else (1.0,))
         where = {"part": "scenes", "scene": scene, "seed": seed}
         full = {**where, "light": 1.0, "rate_hz": self._rig.tick_rate_hz, "rate_by": "full"}
-        truths = clip.truths(INSTANTS)
-        self._measure(document, full, clip.streams[1.0], INSTANTS, truths)
-        if self._work and seed == self._extent.seeds[0]:
-            middle = truths[INSTANTS.index(MIDDLE)]
-            write_strip(self._work / f"{scene}.png", method_tiles(scene, clip.streams[1.0], MIDDLE, middle))
+        self._measure(document, full, clip.streams[1.0], INSTANTS, clip.truths(INSTANTS))
         if not sweeps:
             return
         slow = frozenset(row["method"] for row in document.rows if row["seconds"] > SLOW_S)

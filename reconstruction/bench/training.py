@@ -3,8 +3,6 @@
 The runs are cells of a protocol, as those of the paper bench. `auto` is scored beside the floors.
 """
 
-from pathlib import Path
-
 import numpy as np
 
 from acquisition.bench_document import BenchDocument
@@ -13,7 +11,6 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
 from reconstruction.bench.conventions import means, named
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.bench import run_protocol
-from reconstruction.bench.paper.diagrams import ERROR, against_time
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import add_times_to, gaps
@@ -89,10 +86,3 @@ def _margins(document: BenchDocument) -> None:
         found = gaps(document.rows, m.AUTO.name, other.name, effort.label)
         if found:
             document.summary[f"margin.{other.name}@{effort.label}"] = sign * float(np.mean(found))
-
-
-def plot_training(path: Path, document: dict) -> None:
-    """Draw every method's error against run time; documents of older revisions name the budget, not the effort."""
-    rows = [{"effort": f"{row['budget_s']:g}", **row} for row in document["rows"]]
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    against_time(path, document | {"rows": rows}, names, "psnr_db", ("Whole reconstructions", ERROR))

@@ -6,10 +6,8 @@ start at the centre of the array and at a corner camera; every viewpoint looks a
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
@@ -18,7 +16,6 @@ from acquisition.scenes.scene import Scene
 from reconstruction.bench.conventions import KnownRecording, means, named
 from reconstruction.evaluation.evaluate import score_view
 from reconstruction.evaluation.truth import TruthFrame
-from reconstruction.report.orbit import write_orbit
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_cloud
@@ -77,32 +74,25 @@ def bench_viewpoints(runs: Sequence[tuple[KnownRecording, RunFolder]], progress:
         cloud = load_cloud(run.snapshots()[-1])
         found = list(viewpoints(clip.recording.rig, run.plan.views, scene.center))
         for j, viewpoint in enumerate(found):
-            scores = _scores(scene, cloud, viewpoint.camera)
             about = {"scene": clip.scene, "seed": clip.seed, "line": viewpoint.line, "method": "auto"}
-            place = {"along_m": viewpoint.along_m, "distance_m": viewpoint.distance_m}
-            spent_s = run.document.seconds["train"]
-            document.rows.append({**about, **place, **scores, "seconds": spent_s})
-            progress(
-                (i + (j + 1) / len(found)) / len(runs), f"{clip.scene}: {viewpoint.line} {viewpoint.along_m:.2f} m"
-            )
+            about |= {"along_m": viewpoint.along_m, "distance_m": viewpoint.distance_m}
+            scores = _scores(scene, cloud, viewpoint.camera)
+            document.rows.append({**about, **scores, "seconds": run.document.seconds["train"]})
+            share = (i + (j + 1) / len(found)) / len(runs)
+            progress(share, f"{clip.scene}: {viewpoint.line} {viewpoint.along_m:.2f} m")
     _summarise(document)
     document.omissions.append("viewpoints behind the scene or more than 1.2 m from the nearest camera")
     return document
 
 
-def frames_at(scene: Scene, camera: Camera, instants_s: NDArray[np.float64]) -> list[TruthFrame]:
-    """Return the truth of a viewpoint at the instants."""
-    frames = scene.render(camera, instants_s, SAMPLES)
-    moving = np.isin(frames.ids, list(scene.movers.values()))
-    return [TruthFrame(-1, *found) for found in zip(frames.intensity, frames.depth, moving, strict=True)]
-
-
 def _scores(scene: Scene, cloud: SceneModel, camera: Camera) -> dict[str, float]:
     """Return means over INSTANTS; `empty` is the share of pixels without a surface where there is one."""
     instants_s = np.array([cloud.clip.instant_s(share) for share in INSTANTS])
+    frames = scene.render(camera, instants_s, SAMPLES)
+    moving = np.isin(frames.ids, list(scene.movers.values()))
     rows: list[dict[str, float]] = []
-    for instant_s, frame in zip(instants_s, frames_at(scene, camera, instants_s), strict=True):
-        view = cloud.look(camera, float(instant_s))
+    for instant_s, *found in zip(instants_s, frames.intensity, frames.depth, moving, strict=True):
+        frame, view = TruthFrame(-1, *found), cloud.look(camera, float(instant_s))
         known = np.isfinite(frame.depth)
         empty = float((known & ~np.isfinite(view.depth)).sum() / max(1, known.sum()))
         rows.append(score_view(view, frame, scene.white) | {"empty": empty})
@@ -114,13 +104,3 @@ def _summarise(document: BenchDocument) -> None:
     for line, along_m in dict.fromkeys((row["line"], row["along_m"]) for row in document.rows):
         rows = [r for r in document.rows if (r["line"], r["along_m"]) == (line, along_m)]
         document.summary |= named(f"{line}{100 * along_m:+.0f}cm", means(rows, SCORES))
-
-
-def write_flythroughs(folder: Path, runs: Sequence[tuple[KnownRecording, RunFolder]], progress: Progress) -> None:
-    """Write SCENE.mp4 for each: intensity beside depth, while the camera circles and the clip plays once."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for i, (clip, run) in enumerate(runs):
-        rig, cloud = clip.recording.rig, load_cloud(run.snapshots()[-1])
-        centre, white = rig.camera(run.config.holdout or rig.ids[0]), build_scene(clip.scene, clip.seed).white
-        write_orbit(folder / f"{clip.scene}.mp4", cloud, rig, centre, white, progress)
-        progress((i + 1) / len(runs), f"fly-through of {clip.scene}")

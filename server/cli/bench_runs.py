@@ -60,19 +60,17 @@ class Bench(NamedTuple):
     trains: bool = False
 
 
+def _draw(_: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.diagrams import PLOTS
+
+    PLOTS[found["bench"]](out / f"{found['bench']}.png", found)
+
+
 def _images(asked: Asked) -> BenchDocument:
     from reconstruction.bench.images import Extent, ImageBench
 
     extent = Extent(asked.named(EVALUATION), asked.seeds, sweeps=not asked.quick)
     return ImageBench(extent, asked.work / "images", asked.metric_files).run(asked.progress_of("images"))
-
-
-def _draw_images(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.contact_sheet import write_sheet
-    from reconstruction.bench.diagrams import plot_images
-
-    plot_images(out / "images.png", found)
-    write_sheet(out / "images-sheet.png", asked.work / "images")
 
 
 def _pixels(asked: Asked) -> BenchDocument:
@@ -90,12 +88,6 @@ def _poses(asked: Asked) -> BenchDocument:
     clips = [KnownRecording(*found) for found in recorded(asked.named(EVALUATION), work)]
     boards = [] if quick else [KnownRecording(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
     return bench_poses(clips, boards[0] if boards else None, work / "poses", asked.progress_of("poses"), quick=quick)
-
-
-def _draw_poses(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.diagrams import plot_poses
-
-    plot_poses(out / "poses.png", found)
 
 
 def _rasterizer(asked: Asked) -> BenchDocument:
@@ -120,14 +112,12 @@ def _training(asked: Asked) -> BenchDocument:
 
 
 def _draw_training(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.contact_sheet import run_tiles, write_sheet, write_strip
-    from reconstruction.bench.training import plot_training, shown_cells
+    from reconstruction.bench.contact_sheet import run_tiles, write_sheet
+    from reconstruction.bench.training import shown_cells
 
-    plot_training(out / "training.png", found)
-    strips = asked.work / "training" / "strips"
-    for clip, run in _training_runs(asked).runs(shown_cells(_training_protocol(asked))):
-        write_strip(strips / f"{clip.scene}.png", run_tiles(clip, run))
-    write_sheet(out / "training-sheet.png", strips, most_px=1200)
+    _draw(asked, out, found)
+    runs = _training_runs(asked).runs(shown_cells(_training_protocol(asked)))
+    write_sheet(out / "training-sheet.png", [run_tiles(clip, run) for clip, run in runs])
 
 
 def _training_protocol(asked: Asked) -> Protocol:
@@ -154,12 +144,6 @@ def _leave_out(asked: Asked) -> BenchDocument:
 
     left, progress = Clock(asked.limit_s).until(), asked.progress_of("leave-out")
     return bench_leave_out(asked.work / "leave-out", progress, quick=asked.quick, time_left=left)
-
-
-def _draw_leave_out(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.diagrams import plot_leave_out
-
-    plot_leave_out(out / "leave-out.png", found)
 
 
 def _paper(asked: Asked) -> BenchDocument:
@@ -193,19 +177,6 @@ def _viewpoints(asked: Asked) -> BenchDocument:
     return bench_viewpoints(_seen(asked), asked.progress_of("viewpoints"))
 
 
-def _draw_viewpoints(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.contact_sheet import viewpoint_tiles, write_sheet, write_strip
-    from reconstruction.bench.diagrams import plot_viewpoints
-    from reconstruction.bench.viewpoints import write_flythroughs
-
-    runs, strips = _seen(asked), asked.work / "viewpoints"
-    plot_viewpoints(out / "viewpoints.png", found)
-    for clip, run in runs:
-        write_strip(strips / f"{clip.scene}.png", viewpoint_tiles(clip, run))
-    write_sheet(out / "viewpoints-sheet.png", strips, most_px=1200)
-    write_flythroughs(asked.work / "flythroughs", runs, asked.progress_of("fly-throughs"))
-
-
 def _seen(asked: Asked) -> list[tuple[KnownRecording, RunFolder]]:
     """Return a recording of each scene and the run of it that `paper` makes at a minute; make those that lack."""
     from reconstruction.bench.paper.methods import AUTO
@@ -230,13 +201,13 @@ def laboratory(asked: Asked) -> Laboratory:
 
 # In the order of `make bench`: viewpoints and leave-out use the runs of paper.
 BENCHES: dict[str, Bench] = {
-    "images": Bench("spikes to images", _images, _draw_images),
+    "images": Bench("spikes to images", _images, _draw),
     "pixels": Bench("calibrated pixels against pixels taken as even", _pixels),
-    "poses": Bench("how well the cameras' poses are found", _poses, _draw_poses),
+    "poses": Bench("how well the cameras' poses are found", _poses, _draw),
     "rasterizer": Bench("Gaussians to pixels", _rasterizer, trains=True),
     "recorder": Bench("rings, writers and parser, on the disk of --out", _recorder),
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
-    "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw_viewpoints),
-    "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw_leave_out),
+    "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
+    "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
 }

@@ -7,12 +7,13 @@ from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
 from acquisition.session.record import simulate
 from reconstruction.bench import training as bench
-from reconstruction.bench.contact_sheet import run_tiles, write_sheet, write_strip
+from reconstruction.bench.contact_sheet import run_tiles, write_sheet
+from reconstruction.bench.diagrams import plot_training
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper import run as runs
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.training import bench_training, plot_training, shown_cells, training_protocol
+from reconstruction.bench.training import bench_training, shown_cells, training_protocol
 from rigs.toml import catalog_rig
 
 SCENE = "fan_and_ball"
@@ -43,8 +44,7 @@ def test_a_bench_scores_what_it_ran_and_runs_nothing_twice(tmp_path, monkeypatch
     assert again["summary"] == document["summary"]
     plot_training(tmp_path / "training.png", document | {"rows": [r | {"budget_s": 1.0} for r in document["rows"]]})
     ((clip, run),) = laboratory.runs(protocol.cells()[:1])
-    write_strip(tmp_path / "strips" / "a.png", run_tiles(clip, run))
-    write_sheet(tmp_path / "sheet.png", tmp_path / "strips")
+    write_sheet(tmp_path / "sheet.png", [run_tiles(clip, run)])
     assert (tmp_path / "training.png").stat().st_size > 1000
     assert (tmp_path / "sheet.png").stat().st_size > 1000
 

@@ -3,27 +3,26 @@
 `EVIDENCE.md.in` beside this file is the text; each `{{NAME FIGURE FORMAT}}` in it becomes a figure of
 `tests/benchmarks/NAME.json`: `revision`, `rows`, a name of the summary, or one of `derived`. `FIGURE minus FIGURE`
 stands for a difference. The tables of a document go into
-`NAME.md` beside it. Pictures of runs (sheets, videos) need the runs and are made by the benches themselves.
+`NAME.md` beside it. The sheet of the training bench needs its runs and is made by the bench itself.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
 from maintenance.evidence_tables import page
 
 from acquisition.durable import write_durably
-from reconstruction.bench.diagrams import plot_images, plot_leave_out, plot_poses, plot_viewpoints
+from reconstruction.bench.diagrams import PLOTS
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import held_out_used, write_tables
 from reconstruction.bench.score_run import METRICS
-from reconstruction.bench.training import plot_training
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training.curve import plot_curves
 from reconstruction.stability.plot import plot_stability
@@ -33,14 +32,6 @@ BENCHMARKS = ROOT / "tests" / "benchmarks"
 NETWORKS = ROOT / "reconstruction" / "networks"
 TEMPLATE = Path(__file__).with_name("EVIDENCE.md.in")
 FIGURE = re.compile(r"\{\{([\w-]+) (\S+)(?: minus (\S+))?(?: (\S+))?\}\}")
-PLOTS: Mapping[str, Callable[[Path, dict], None]] = {
-    "training": plot_training,
-    "images": plot_images,
-    "poses": plot_poses,
-    "viewpoints": plot_viewpoints,
-    "leave-out": plot_leave_out,
-    "stability": plot_stability,
-}
 
 
 def read_documents(folder: Path = BENCHMARKS) -> dict[str, dict]:
@@ -115,7 +106,7 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
 def main(folder: Path, text: Path) -> None:
     """Draw every figure and fill every table anew, and say how long the runs behind them took."""
     documents = read_documents(folder)
-    for name, plot in PLOTS.items():
+    for name, plot in {**PLOTS, "stability": plot_stability}.items():
         if name in documents:
             plot(folder / f"{name}.png", documents[name])
     if "paper" in documents:

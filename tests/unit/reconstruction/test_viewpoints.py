@@ -10,7 +10,6 @@ import torch
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.session.record import simulate
-from reconstruction.bench.contact_sheet import viewpoint_tiles, write_sheet, write_strip
 from reconstruction.bench.conventions import KnownRecording
 from reconstruction.bench.diagrams import plot_viewpoints
 from reconstruction.bench.viewpoints import BEYOND_M, bench_viewpoints, viewpoints
@@ -86,10 +85,7 @@ def test_a_wall_is_scored_everywhere(bench):
     json.dumps(document, allow_nan=False)
 
 
-def test_the_pictures_are_drawn(bench, tmp_path):
-    runs, document = bench
+def test_the_picture_is_drawn(bench, tmp_path):
+    _, document = bench
     plot_viewpoints(tmp_path / "plot.png", document)
-    for clip, run in runs:
-        write_strip(tmp_path / "strips" / f"{clip.scene}.png", viewpoint_tiles(clip, run))
-    write_sheet(tmp_path / "sheet.png", tmp_path / "strips", most_px=900)
-    assert min((tmp_path / name).stat().st_size for name in ("plot.png", "sheet.png")) > 1000
+    assert (tmp_path / "plot.png").stat().st_size > 1000
