@@ -97,28 +97,26 @@ def kept(file: Path | None, measure: Callable[[], dict], key: Mapping[str, objec
     return result
 
 
-@dataclass(frozen=True)
-class Part:
-    """A part of a bench: `measure` adds rows, omissions and summary to an empty document; `name` names its file."""
-
-    name: str
-    measure: Callable[[BenchDocument], None]
-
-
 def measure_parts(
-    bench: str, parts: Sequence[Part], work: Path | None, progress: Progress, key: Mapping[str, object] | None = None
+    bench: str,
+    parts: Mapping[str, Callable[[BenchDocument], None]],
+    work: Path | None,
+    progress: Progress,
+    key: Mapping[str, object] | None = None,
 ) -> BenchDocument:
-    """Return the document of all parts; one that `work` has with an equal `key` is not measured again."""
+    """Return the document of all parts; one that `work` has with an equal `key` is not measured again.
 
-    def measured(part: Part) -> dict:
-        own = BenchDocument(bench)
-        part.measure(own)
+    A part adds rows, omissions and summary to an empty document; its name names its file.
+    """
+
+    def measured(measure: Callable[[BenchDocument], None]) -> dict:
+        measure(own := BenchDocument(bench))
         return {"rows": own.rows, "omissions": own.omissions, "summary": own.summary}
 
     document = BenchDocument(bench)
-    for number, part in enumerate(parts):
-        progress(number / len(parts), part.name)
-        found = kept(work / f"{part.name}.json" if work else None, partial(measured, part), key)
+    for number, (name, measure) in enumerate(parts.items()):
+        progress(number / len(parts), name)
+        found = kept(work / f"{name}.json" if work else None, partial(measured, measure), key)
         document.rows += found["rows"]
         document.omissions += found["omissions"]
         document.summary |= found["summary"]

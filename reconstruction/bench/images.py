@@ -4,18 +4,21 @@ The measurements are cut into parts: decoding, each scene and seed, each publish
 finished part is kept, and a stopped bench goes on after the last one.
 """
 
+import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.bench.conventions import SLOWER, Part, means, measure_parts, named
+from reconstruction.bench.conventions import SLOWER, means, measure_parts, named
 from reconstruction.bench.decoding import bench_decoding
 from reconstruction.bench.recordings import (
     CAR,
@@ -27,7 +30,7 @@ from reconstruction.bench.recordings import (
     spikedata_folder,
 )
 from reconstruction.bench.scores import DEFINITIONS, Scorer
-from reconstruction.bench.streams import LitScene, Slowing, TrueImage, simulate_lights, slow_instant, slowed
+from reconstruction.bench.streams import LitScene, Slowing, simulate_lights, slow_instant, slowed
 from reconstruction.images.catalogue import ImageMethod, methods
 from reconstruction.images.estimate import Estimate
 from rigs.errors import Spike4dgsError
@@ -39,6 +42,7 @@ MIDDLE = 200
 LEVELS = (0.03, 0.1, 0.3, 1.6)  # factors of the scene's own light
 WAYS: tuple[Slowing, ...] = ("drop", "reintegrate")
 METHODS = methods()
+Score = Callable[[NDArray[np.float32]], dict[str, float]]
 SLOW_S = 1.0  # seconds an image from which a method sees other lights and rates in the first scene alone
 AVERAGED = ("psnr_db", "ssim", "dynamic_psnr_db", "static_psnr_db", "edge_sharpness", "lpips", "brisque", "niqe")
 
@@ -57,27 +61,27 @@ class ImageBench:
 
     def __init__(self, extent: Extent, work: Path | None = None, metric_files: Path | None = None) -> None:
         self._extent, self._work = extent, work
-        self._scorer = Scorer.open(metric_files)
+        self._scorer = Scorer(metric_files)
         self._rig = catalog_rig("lab3x3")
 
     def run(self, progress: Progress = silent) -> BenchDocument:
         """Measure every part that is not kept yet, and return the document of all."""
         extent = {"sweeps": self._extent.sweeps, "first": [self._extent.scenes[0], self._extent.seeds[0]]}
         key = {"revision": code_revision(), "methods": list(METHODS), "missing": list(self._scorer.omissions), **extent}
-        document = measure_parts("images", list(self._parts()), self._work, progress, key)
+        document = measure_parts("images", self._parts(), self._work, progress, key)
         document.omissions = list(dict.fromkeys([*self._scorer.omissions, *document.omissions]))
         summarise(document)
         progress(1.0, f"{len(document.rows)} rows; {DEFINITIONS}")
         return document
 
-    def _parts(self) -> Iterator[Part]:
-        yield Part("decoding", self._decoding)
-        for seed in self._extent.seeds:
-            for scene in self._extent.scenes:
-                yield Part(f"{scene}-{seed}", lambda document, s=scene, n=seed: self._scene(document, s, n))
-        if self._extent.sweeps:
-            for file in (CAR, DIM, SYNTHETIC):
-                yield Part(file, lambda document, f=file: self._recording(document, f))
+    def _parts(self) -> dict[str, Callable[[BenchDocument], None]]:
+        scenes = [(scene, seed) for seed in self._extent.seeds for scene in self._extent.scenes]
+        files = (CAR, DIM, SYNTHETIC) if self._extent.sweeps else ()
+        return {
+            "decoding": self._decoding,
+            **{f"{scene}-{seed}": partial(self._scene, scene=scene, seed=seed) for scene, seed in scenes},
+            **{file: partial(self._recording, file=file) for file in files},
+        }
 
     def _decoding(self, document: BenchDocument) -> None:
         scene, seed = self._extent.scenes[0], self._extent.seeds[0]
@@ -89,53 +93,27 @@ class ImageBench:
         clip = simulate_lights(scene, seed, self._rig, PLANES, (1.0, *LEVELS) if sweeps else (1.0,))
         where = {"part": "scenes", "scene": scene, "seed": seed}
         full = {**where, "light": 1.0, "rate_hz": self._rig.tick_rate_hz, "rate_by": "full"}
-        self._measure(document, full, clip.streams[1.0], INSTANTS, clip.truths(INSTANTS))
+        self._measure(document, full, clip.streams[1.0], INSTANTS, self._against(clip, INSTANTS))
         if not sweeps:
             return
         slow = frozenset(row["method"] for row in document.rows if row["seconds"] > SLOW_S)
-        if scene != self._extent.scenes[0]:
-            document.omissions += [
-                f"{m}: other lights and rates only in {self._extent.scenes[0]}; an image takes longer than {SLOW_S:g} s"
-                for m in slow
-            ]
-        else:
+        if scene == self._extent.scenes[0]:
             slow = frozenset()
+        document.omissions += [
+            f"{m}: other lights and rates only in {self._extent.scenes[0]}; an image takes longer than {SLOW_S:g} s"
+            for m in slow
+        ]
         for level in LEVELS:
             lit = {**full, "light": level}
-            self._measure(document, lit, clip.streams[level], (MIDDLE,), clip.truths((MIDDLE,), level), slow)
-        self._rates(document, full, clip, slow)
+            self._measure(document, lit, clip.streams[level], (MIDDLE,), self._against(clip, (MIDDLE,), level), slow)
+        for how, k in itertools.product(WAYS, SLOWER):
+            stream = slowed(clip.streams[1.0], k, how)
+            plane, middle = slow_instant(MIDDLE, k, how)
+            row = {**full, "rate_hz": stream.tick_rate_hz, "rate_by": how, "planes": len(stream)}
+            self._measure(document, row, stream, (plane,), self._against(clip, (middle,)), slow)
 
-    def _rates(self, document: BenchDocument, full: dict, clip: LitScene, slow: frozenset[str]) -> None:
-        for how in WAYS:
-            for k in SLOWER:
-                stream = slowed(clip.streams[1.0], k, how)
-                plane, middle = slow_instant(MIDDLE, k, how)
-                row = {**full, "rate_hz": stream.tick_rate_hz, "rate_by": how, "planes": len(stream)}
-                self._measure(document, row, stream, (plane,), clip.truths((middle,)), slow)
-
-    def _measure(
-        self,
-        document: BenchDocument,
-        row: dict,
-        stream: SpikeStream,
-        instants: Sequence[int],
-        truths: Sequence[TrueImage],
-        without: frozenset[str] = frozenset(),
-    ) -> None:
-        """Add a row a method: means over the instants, the fastest of their times; a refusal is an omission."""
-        for name, method in METHODS.items():
-            if name in without:
-                continue
-            try:
-                made = [timed(method, stream, plane) for plane in instants]
-            except Spike4dgsError as error:
-                document.omissions.append(f"{name}: {error}")
-                continue
-            scores = [self._scorer.against(e.intensity, t) for (e, _), t in zip(made, truths, strict=True)]
-            whole = {key: float(np.mean([score[key] for score in scores])) for key in scores[0]}
-            valid = float(np.mean([e.valid.mean() for e, _ in made]))
-            seconds = min(s for _, s in made)
-            document.rows.append({"method": name, **row, **finite(whole), "valid": valid, "seconds": seconds})
+    def _against(self, clip: LitScene, planes: Sequence[float], level: float = 1.0) -> list[Score]:
+        return [partial(self._scorer.against, truth=truth) for truth in clip.truths(planes, level)]
 
     def _recording(self, document: BenchDocument, file: str) -> None:
         path = spikedata_folder() / file
@@ -143,16 +121,33 @@ class ImageBench:
         if not path.exists() or (truth and not truth.exists()):
             document.omissions.append(f"{file}: not found in $SPIKE4DGS_SHARED/spikedata")
             return
-        stream = open_recording(path)
+        stream, score = open_recording(path), partial(score_recording, self._scorer, truth=truth)
+        self._measure(document, {"part": "recordings", "scene": file}, stream, (len(stream) // 2,), [score])
+
+    def _measure(
+        self,
+        document: BenchDocument,
+        row: dict,
+        stream: SpikeStream,
+        planes: Sequence[int],
+        scores: Sequence[Score],
+        without: frozenset[str] = frozenset(),
+    ) -> None:
+        """Add a row a method: means over the planes, the fastest of their times; a refusal is an omission."""
         for name, method in METHODS.items():
-            try:
-                estimate, seconds = timed(method, stream, len(stream) // 2)
-            except Spike4dgsError as error:
-                document.omissions.append(f"{name} on {file}: {error}")
+            if name in without:
                 continue
-            scores = finite(score_recording(self._scorer, estimate.intensity, truth))
-            row = {"part": "recordings", "method": name, "scene": file, **scores}
-            document.rows.append({**row, "valid": float(estimate.valid.mean()), "seconds": seconds})
+            try:
+                made = [timed(method, stream, plane) for plane in planes]
+            except Spike4dgsError as error:
+                where = f" on {row['scene']}" if row.get("part") == "recordings" else ""
+                document.omissions.append(f"{name}{where}: {error}")
+                continue
+            found = [score(e.intensity) for (e, _), score in zip(made, scores, strict=True)]
+            whole = {key: float(np.mean([each[key] for each in found])) for key in found[0]}
+            valid = float(np.mean([e.valid.mean() for e, _ in made]))
+            seconds = min(s for _, s in made)
+            document.rows.append({"method": name, **row, **finite(whole), "valid": valid, "seconds": seconds})
 
 
 def timed(method: ImageMethod, stream: SpikeStream, plane: int) -> tuple[Estimate, float]:

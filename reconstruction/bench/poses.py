@@ -6,8 +6,9 @@ sweep with the cameras found, on still pixels, and of the method's own points wh
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
 from acquisition.revision import code_revision
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, Part, means, measure_parts, named
-from reconstruction.bench.pose_methods import BOARD, DATE, METHODS, PoseMethod
+from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, means, measure_parts, named
+from reconstruction.bench.pose_methods import BOARD, DATE, METHODS
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
 from reconstruction.calibration.natural import NaturalOptions, gather, solve
 from reconstruction.errors import ReconstructionError
@@ -34,6 +35,7 @@ TRIALS, TRIAL_TURNS_DEG = 20, (2.0, 4.0)
 SWEPT = ("natural", "msdi", "msdi+ba")  # methods that are measured over nominal errors and numbers of views
 SWEPT_CLIPS = 2  # recordings, the first ones, for these
 SCORES = ("rotation_deg", "translation_percent", "focal_percent", "seconds", "abs_rel", "complete", "points_abs_rel")
+Rows = Callable[[], list[dict]]
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,10 @@ def bench_poses(
     `board` is a recording of the board that the method of that name sees. Rows found in the folder `work` are not
     measured again, so that a stopped bench resumes.
     """
-    parts = [part for number, clip in enumerate(clips) for part in parts_of(number, clip, quick)]
+    asked = [(clip, *part) for number, clip in enumerate(clips) for part in parts_of(number, clip, quick)]
     if board:
-        parts.append(_part(board, BOARD.name, lambda: [measured(BOARD, board)]))
+        asked.append((board, BOARD, lambda: [measured(BOARD, board)]))
+    parts = {f"{clip.scene}-{clip.seed}-{about.replace(' ', '-')}": partial(_add, rows) for clip, about, rows in asked}
     document = measure_parts("poses", parts, work, progress)
     _summarise(document)
     document.omissions += [
@@ -71,42 +74,41 @@ def bench_poses(
     return document
 
 
-def parts_of(number: int, clip: KnownRecording, quick: bool) -> list[Part]:
-    """Return the measurements on a clip, which is the one of that number."""
+def parts_of(number: int, clip: KnownRecording, quick: bool) -> Iterator[tuple[str, Rows]]:
+    """Yield the names and the work of the measurements on a clip, which is the one of that number."""
 
-    def part(about: str, method: PoseMethod, sight: Sight, *, scored: bool = False) -> Part:
-        return _part(clip, about, lambda: [measured(method, clip, sight, scored=scored)])
+    def part(name: str, sight: Sight = Sight(), *, scored: bool = False) -> Rows:
+        return lambda: [measured(name, clip, sight, scored=scored)]
 
-    parts = [part(name, method, Sight(), scored=True) for name, method in METHODS.items()]
+    for name in METHODS:
+        if name != BOARD:
+            yield name, part(name, scored=True)
     if quick:
-        return parts
-    for method in (METHODS[name] for name in SWEPT if number < SWEPT_CLIPS):
-        parts += [part(f"{method.name} at {error:g}", method, Sight(error=error)) for error in ERRORS]
-        parts += [part(f"{method.name} of {views}", method, Sight(views=views)) for views in COUNTS]
-    parts += [part(f"natural in {planes}", METHODS["natural"], Sight(planes=planes)) for planes in PLANES]
-    return [*parts, _part(clip, "natural from random rigs", lambda: _trials(clip))]
+        return
+    for name in SWEPT if number < SWEPT_CLIPS else ():
+        yield from ((f"{name} at {error:g}", part(name, Sight(error=error))) for error in ERRORS)
+        yield from ((f"{name} of {views}", part(name, Sight(views=views))) for views in COUNTS)
+    yield from ((f"natural in {planes}", part("natural", Sight(planes=planes))) for planes in PLANES)
+    yield "natural from random rigs", lambda: _trials(clip)
 
 
-def _part(clip: KnownRecording, about: str, rows: Callable[[], list[dict]]) -> Part:
-    def measure(document: BenchDocument) -> None:
-        document.rows += [row | {"revision": code_revision()} for row in rows()]
-
-    return Part(f"{clip.scene}-{clip.seed}-{about.replace(' ', '-')}", measure)
+def _add(rows: Rows, document: BenchDocument) -> None:
+    document.rows += [row | {"revision": code_revision()} for row in rows()]
 
 
-def measured(method: PoseMethod, clip: KnownRecording, sight: Sight = Sight(), *, scored: bool = False) -> dict:
+def measured(method: str, clip: KnownRecording, sight: Sight = Sight(), *, scored: bool = False) -> dict:
     """Return the row of a method: its errors, or why it refused; `scored` adds those of depths and points."""
     nominal = misplaced(clip.rig, sight.error, clip.seed)
     ids = [c for c in nominal.ids if c in ORDER[: sight.views]]
-    about = {"method": method.name, "scene": clip.scene, "seed": clip.seed}
+    about = {"method": method, "scene": clip.scene, "seed": clip.seed}
     about |= {"nominal": sight.error, "views": sight.views} | ({"planes": sight.planes} if sight.planes else {})
     began = time.perf_counter()
     try:
-        found = method.run(replace(clip.recording, rig=nominal), ids, sight.planes)
+        found = METHODS[method](replace(clip.recording, rig=nominal), ids, sight.planes)
     except ReconstructionError as refusal:
         return about | {"seconds": time.perf_counter() - began, "refused": str(refusal)}
     row = about | {"seconds": time.perf_counter() - began} | _errors(found.rig.only(ids), clip.rig)
-    if method is BOARD:
+    if method == BOARD:
         row |= {"scale_percent": 100 * abs(align(found.rig, clip.rig).scale - 1)}
     row |= {name: found.report[name] for name in ("rotation_sd_deg", "focal_sd_percent") if name in found.report}
     if scored:
@@ -137,23 +139,23 @@ def _trials(clip: KnownRecording) -> list[dict]:
 
 def _summarise(document: BenchDocument) -> None:
     """Add means over the scenes: of each method as it is, by nominal error, views and planes; and the trials' worst."""
-    for name in (*METHODS, BOARD.name):
+    for name in METHODS:
         rows = [r for r in document.rows if r["method"] == name]
         for key, wanted in (("nominal", ERRORS), ("views", COUNTS), ("planes", PLANES)):
             for value in wanted:
-                _add(document, f"{name}.{key}{value:g}", [r for r in rows if r.get(key) == value], SCORES[:4])
+                _add_means(document, f"{name}.{key}{value:g}", [r for r in rows if r.get(key) == value], SCORES[:4])
         plain = [r for r in rows if r["nominal"] == ERROR and r["views"] == len(ORDER) and "planes" not in r]
-        _add(document, name, plain, SCORES)
+        _add_means(document, name, plain, SCORES)
     trials = [r for r in document.rows if r["method"] == "natural.trial"]
     if trials:
-        _add(document, "natural.trial", trials, SCORES[:3])
+        _add_means(document, "natural.trial", trials, SCORES[:3])
         document.summary["natural.trial.count"] = len(trials)
         for score in SCORES[:2]:
             worst = max((r[score] for r in trials if score in r), default=float("nan"))
             document.summary[f"natural.trial.worst_{score}"] = worst
 
 
-def _add(document: BenchDocument, name: str, rows: Sequence[dict], scores: Sequence[str]) -> None:
+def _add_means(document: BenchDocument, name: str, rows: Sequence[dict], scores: Sequence[str]) -> None:
     """Add the means over the rows that were not refused, and how many were."""
     found = [row for row in rows if "refused" not in row]
     document.summary |= named(name, means(found, scores))

@@ -1,10 +1,7 @@
 """Scores single images for the image bench: errors against the truth, and naturalness without one."""
 
-from __future__ import annotations
-
-import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,40 +15,33 @@ from reconstruction.metrics.sharpness import edge_sharpness
 from reconstruction.report.display import grey
 
 Image = NDArray[np.float32]
-MODEL, SPANS, PRISTINE = "brisque_model_live.yml", "brisque_range_live.yml", "niqe_pris_params.npz"
+FILES = {  # parameters of each metric that has some
+    "lpips": ("alexnet*.pth",),
+    "brisque": ("brisque_model_live.yml", "brisque_range_live.yml"),
+    "niqe": ("niqe_pris_params.npz",),
+}
 DEFINITIONS = (
     "PSNR over linear intensity with the scene's white as data range, SSIM with a Gaussian window of 1.5 pixels and "
     "population covariance over the same range; dynamic_ over the pixels that see a mover at the instant"
 )
 
 
-@dataclass(frozen=True)
 class Scorer:
-    """The metrics whose parameters were found; `omissions` names the others. Build with `open`."""
+    """The metrics whose parameters are in `folder`; `omissions` names the others; BadRunError for broken ones."""
 
-    lpips: Lpips | None
-    brisque: Callable[[NDArray[np.uint8]], float] | None
-    niqe: Niqe | None
-    omissions: tuple[str, ...]
-
-    @classmethod
-    def open(cls, folder: Path | None) -> Scorer:
-        """Find AlexNet's weights and the parameters of BRISQUE and NIQE; raises BadRunError for broken ones."""
-        network = sorted(folder.glob("alexnet*.pth")) if folder else []
-        model, spans, pristine = ((folder or Path()) / name for name in (MODEL, SPANS, PRISTINE))
-        judged = bool(folder) and model.exists() and spans.exists()
-        known = bool(folder) and pristine.exists()
-        found = {
-            "lpips": (network, "alexnet*.pth"),
-            "brisque": (judged, f"{MODEL} and {SPANS}"),
-            "niqe": (known, PRISTINE),
-        }
-        return cls(
-            Lpips(network[0]) if network else None,
-            functools.partial(brisque, model=model, spans=spans) if judged else None,
-            Niqe(pristine) if known else None,
-            tuple(f"{name}: found no {files} in --metric-files" for name, (there, files) in found.items() if not there),
+    def __init__(self, folder: Path | None) -> None:
+        files = {name: [sorted(folder.glob(p)) if folder else [] for p in FILES[name]] for name in FILES}
+        known = {name: [paths[0] for paths in found] for name, found in files.items() if all(found)}
+        self.omissions = tuple(
+            f"{name}: found no {' and '.join(FILES[name])} in --metric-files" for name in FILES if name not in known
         )
+        self._lpips = Lpips(*known["lpips"]) if "lpips" in known else None
+        self._natural: dict[str, Callable[[NDArray[np.uint8]], float]] = {}
+        if "brisque" in known:
+            model, spans = known["brisque"]
+            self._natural["brisque"] = partial(brisque, model=model, spans=spans)
+        if "niqe" in known:
+            self._natural["niqe"] = Niqe(*known["niqe"])
 
     def against(self, image: Image, truth: TrueImage) -> dict[str, float]:
         """Return the errors of an image [H, W] in spikes per tick, and its naturalness."""
@@ -62,17 +52,12 @@ class Scorer:
             "static_psnr_db": psnr_db(image, truth.light, truth.white, ~truth.moves),
             "edge_sharpness": edge_sharpness(image, truth.light, truth.moves),
         }
-        if self.lpips:
+        if self._lpips:
             display = [(grey(a, truth.white) / np.float32(255)).astype(np.float32) for a in (image, truth.light)]
-            found["lpips"] = self.lpips(*display)
+            found["lpips"] = self._lpips(*display)
         return found | self.alone(image, truth.white)
 
     def alone(self, image: Image, white: float) -> dict[str, float]:
         """Return the naturalness of an image [H, W] as a person would see it; `white` is shown as white."""
         pixels = grey(image, white)
-        found = {}
-        if self.brisque:
-            found["brisque"] = self.brisque(pixels)
-        if self.niqe:
-            found["niqe"] = self.niqe(pixels)
-        return found
+        return {name: judge(pixels) for name, judge in self._natural.items()}

@@ -1,4 +1,5 @@
 import json
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from reconstruction.bench.decoding import tfi_recipe, tfp_recipe
 from reconstruction.bench.diagrams import plot_images
 from reconstruction.bench.images import Extent, ImageBench, finite, summarise
 from reconstruction.bench.scores import Scorer
-from reconstruction.bench.streams import slow_instant, slowed
+from reconstruction.bench.streams import TrueImage, slow_instant, slowed
 from reconstruction.images.methods.tfi import tfi_intensities
 from reconstruction.images.methods.tfp import tfp, tfp_intensities
 from rigs.toml import catalog_rig
@@ -82,8 +83,9 @@ def test_a_method_that_refuses_is_an_omission(monkeypatch):
     monkeypatch.setattr(bench, "METHODS", {"tfp": tfp, "absent": absent})
     planner = ImageBench(Extent(("a",), (1,), False))
     document = BenchDocument("images")
-    truth = bench.TrueImage(np.full((16, 16), 0.5, np.float32), 0.6, np.zeros((16, 16), bool))
-    planner._measure(document, {"scene": "a"}, stream_of(np.ones((9, 16, 16))), (4,), [truth])
+    truth = TrueImage(np.full((16, 16), 0.5, np.float32), 0.6, np.zeros((16, 16), bool))
+    score = partial(Scorer(None).against, truth=truth)
+    planner._measure(document, {"scene": "a"}, stream_of(np.ones((9, 16, 16))), (4,), [score])
     assert [row["method"] for row in document.rows] == ["tfp"]
     assert document.rows[0]["psnr_db"] == pytest.approx(1.58, abs=0.01)
     assert "dynamic_psnr_db" not in document.rows[0]  # nothing moves
@@ -113,7 +115,7 @@ def test_the_summary_has_a_mean_for_each_light_and_rate():
 
 def test_without_parameters_metrics_are_omissions(tmp_path):
     for folder in (None, tmp_path):
-        scorer = Scorer.open(folder)
+        scorer = Scorer(folder)
         assert [line.split(":")[0] for line in scorer.omissions] == ["lpips", "brisque", "niqe"]
         assert scorer.alone(np.full((20, 20), 0.3, np.float32), 0.6) == {}
 
@@ -122,10 +124,10 @@ def test_the_synthetic_recording_is_scored_after_one_gain(tmp_path):
     truth = np.random.default_rng(0).integers(0, 231, (40, 50), dtype=np.uint8)
     cv2.imwrite(str(tmp_path / "truth.png"), truth)
     image = (truth / 255 * 0.6).astype(np.float32)
-    found = recordings.score_recording(Scorer.open(None), image, tmp_path / "truth.png")
+    found = recordings.score_recording(Scorer(None), image, tmp_path / "truth.png")
     assert found["gain"] == pytest.approx(1 / 0.6, rel=1e-5)
     assert found["psnr_db"] > 100
-    dark = recordings.score_recording(Scorer.open(None), 0 * image, tmp_path / "truth.png")
+    dark = recordings.score_recording(Scorer(None), 0 * image, tmp_path / "truth.png")
     assert np.isfinite(dark["psnr_db"])
 
 
