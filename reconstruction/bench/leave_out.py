@@ -61,7 +61,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class PlanCase:
-    """A recording of `ticks` planes; `switches` are the arms that decide otherwise, by the decision they test.
+    """A recording of `ticks` planes; `switches` are the arms that decide otherwise, named by the decision.
 
     `dead`: a camera whose planes are empty. `everything`: choices of the arm `all` beyond EVERYTHING.
     """
@@ -69,7 +69,7 @@ class PlanCase:
     name: str
     scene: str
     seed: int
-    switches: dict[str, Arm]
+    switches: tuple[Arm, ...] = ()
     ticks: int = TICKS
     dead: str | None = None
     everything: dict[str, Any] = field(default_factory=dict)
@@ -91,32 +91,27 @@ EVERYTHING: dict[str, Any] = {
 AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses dark recordings
 PLAN = Arm("plan")
 MOTION = Arm("motion", {"model": "linear"})
-POSES = Arm("poses", {"init": "natural"})
 IMAGES = Arm("images", {"images": "adaptive"})
-INSTANTS = Arm("instants", {"tick_stride": 1})
-SUPERVISION = Arm("supervision", {"supervision": "image-variation"})
-GAUSSIANS_TWICE = Arm("Gaussians", {"gaussians": 2 * GAUSSIANS})
 ALL_VIEWS = Arm("views", {"views": VIEWS})
 GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
 UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a model that was asked for
-
-
-def _switched(*arms: Arm) -> dict[str, Arm]:
-    return {arm.name: arm for arm in arms}
-
-
 CASES = (
-    PlanCase("static", "static", 101, _switched(MOTION, SUPERVISION)),
-    PlanCase("mono", "fan_and_ball", 1, _switched(COLOUR)),
-    PlanCase("calibrated", "fan_and_ball", 2, _switched(POSES)),
-    PlanCase("few-movers", "stiff", 101, _switched(IMAGES, INSTANTS)),
-    PlanCase("dim", "dim", 101, _switched(MOTION), ticks=800, everything=AS_GIVEN),
+    PlanCase("static", "static", 101, (MOTION, Arm("supervision", {"supervision": "image-variation"}))),
+    PlanCase("mono", "fan_and_ball", 1, (COLOUR,)),
+    PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}),)),
+    PlanCase("few-movers", "stiff", 101, (IMAGES, Arm("instants", {"tick_stride": 1}))),
+    PlanCase("dim", "dim", 101, (MOTION,), ticks=800, everything=AS_GIVEN),
     PlanCase(
-        "one-dead-view", "fan_and_ball", 3, _switched(ALL_VIEWS), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}
+        "one-dead-view",
+        "fan_and_ball",
+        3,
+        (Arm("views", {"views": VIEWS}),),
+        dead=DEAD,
+        everything=AS_GIVEN | {"views": VIEWS},
     ),
-    PlanCase("outdoors", "outdoor", 101, _switched(IMAGES, GAUSSIANS_TWICE)),
+    PlanCase("outdoors", "outdoor", 101, (IMAGES, Arm("Gaussians", {"gaussians": 2 * GAUSSIANS}))),
 )
-MISSED = PlanCase("missed-mover", "faint", 101, {})
+MISSED = PlanCase("missed-mover", "faint", 101)
 
 
 @dataclass(frozen=True)
@@ -133,11 +128,12 @@ class Runs:
         name = f"{case.name}-{arm.name}-{extent}"
         about = {"case": case.name, "scene": case.scene, "seed": case.seed, "decision": decision}
         about |= {"run": "plan" if arm in (PLAN, GREY) else "all", "extent": extent}
-        return about | kept(self.work / f"{name}.json", lambda: self._run(case, arm, name, budget_s))
 
-    def _run(self, case: PlanCase, arm: Arm, name: str, budget_s: float | None) -> dict:
-        length = (None, budget_s) if budget_s else (self.steps, None)
-        return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
+        def measure() -> dict:
+            length = (None, budget_s) if budget_s else (self.steps, None)
+            return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
+
+        return about | kept(self.work / f"{name}.json", measure)
 
 
 @dataclass(frozen=True)
@@ -192,12 +188,12 @@ def _compare(document: BenchDocument, runs: Runs, case: PlanCase) -> None:
         document.rows += pair
         gaps = costs(case.name, *pair)
         document.summary |= {f"{k}@{runs.budget_s:g}": v for k, v in gaps.items() if k.endswith("cost_db")}
-    for name, arm in case.switches.items():
-        base = plan if arm.channels is None else runs.row(case, GREY, name)
-        other = runs.row(case, arm, name)
+    for arm in case.switches:
+        base = plan if arm.channels is None else runs.row(case, GREY, arm.name)
+        other = runs.row(case, arm, arm.name)
         document.rows += [other] if base is plan else [base, other]
-        key = f"{case.name}.{name}"
-        document.summary |= costs(key, base, other) | claims(key, plan, name)
+        key = f"{case.name}.{arm.name}"
+        document.summary |= costs(key, base, other) | claims(key, plan, arm.name)
     document.omissions += [
         f"{case.name}, {row['decision']}, {row['run']}: refused, {row['refused']}"
         for row in document.rows
@@ -219,9 +215,8 @@ def costs(key: str, plan: dict, other: dict) -> dict[str, float]:
 def claims(key: str, plan: dict, decision: str) -> dict[str, float]:
     """Return what the plan said that a decision saves, where it said so."""
     said = plan.get("decisions", {}).get(decision, {})
-    found = {"claimed_s": said.get("saves_s"), "claimed_mb": said.get("saves_bytes")}
-    scale = {"claimed_s": 1.0, "claimed_mb": 1e-6}
-    return {f"{key}.{name}": value * scale[name] for name, value in found.items() if value is not None}
+    units = {"claimed_s": ("saves_s", 1.0), "claimed_mb": ("saves_bytes", 1e-6)}
+    return {f"{key}.{name}": said[k] * unit for name, (k, unit) in units.items() if said.get(k) is not None}
 
 
 def _mistaken(document: BenchDocument, runs: Runs) -> None:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acquisition.progress import Progress, silent
+from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.bench.leave_out import PLAN, Job
@@ -42,27 +43,22 @@ def measured(job: Job) -> dict:
 
     The memory is that of this whole process, so call it in a fresh one. Deletes the folder of the run.
     """
-    row: dict = {"revision": code_revision()}
     try:
-        if job.arm.channels is None:
-            row |= _reconstructed(job)
-        else:
-            row |= _trained(job, job.arm.channels)
+        found = _reconstructed(job) if job.arm.channels is None else _trained(job, job.arm.channels)
     except ReconstructionError as refusal:
-        row |= {"refused": str(refusal)}
+        found = {"refused": str(refusal)}
     finally:
         shutil.rmtree(job.out, ignore_errors=True)
-    return row
+    return {"revision": code_revision(), **found}
 
 
 def _reconstructed(job: Job) -> dict:
     shutil.rmtree(job.out, ignore_errors=True)
     run, row = _clocked(lambda: _run(job))
-    plan = run.plan
-    claims = {d.about: asdict(d) for d in plan.decisions}
     row |= {f"seconds.{stage}": run.document.seconds[stage] for stage in STAGES}
-    row |= {"steps": run.document.steps, "model": plan.model, "views": len(plan.views)}
-    return row | _scores(run, load_cloud(run.checkpoint)) | {"decisions": claims}
+    row |= {"steps": run.document.steps, "model": run.plan.model, "views": len(run.plan.views)}
+    row |= {"decisions": {d.about: asdict(d) for d in run.plan.decisions}}
+    return row | _scores(run, load_cloud(run.checkpoint))
 
 
 def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
@@ -77,15 +73,12 @@ def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
 def _run(job: Job) -> RunFolder:
     """Reconstruct up to the training; masks, which have no option, are put in after the plan."""
     config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
-    run = reconstruct(job.recording, job.out, config, _quiet, last="plan")
+    made = partial(reconstruct, job.recording, job.out, config, lambda _: silent)
+    run = made(last="plan")
     if job.arm.everywhere:
         for view in run.plan.views:
             run.write_array(f"plan/moving_{view}", np.ones_like(run.read_array(f"plan/moving_{view}")))
-    return reconstruct(job.recording, job.out, config, _quiet, last="train")
-
-
-def _quiet(stage: str) -> Progress:
-    return silent
+    return made(last="train")
 
 
 def _scores(run: RunFolder, cloud: SceneModel) -> dict[str, float]:

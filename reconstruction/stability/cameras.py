@@ -17,7 +17,7 @@ from reconstruction.calibration.tracks_to_poses import CENTER_SD_M, FOCAL_SD, po
 from reconstruction.calibration.uncertainty import OPTIMISM, camera_sds
 from reconstruction.calibration.verdict import MOST_SD_DEG, refuse_unsure
 from reconstruction.errors import GeometryError
-from reconstruction.stability.case import Case, Observation
+from reconstruction.stability.case import Case, Observation, refusal
 from rigs.toml import catalog_rig
 from rigs.transform import Floats
 
@@ -76,11 +76,7 @@ def _flat(_: str) -> Observation:
     """Look at a flat scene with parallel axes, where a turn and a shift look alike; the verdict must refuse."""
     cameras = _cameras(parallel=True)
     deep, flat = (float(np.mean([sd.rotation_deg for sd in _sds(cameras, d)])) for d in (DEEP_M, FLAT_M))
-    try:
-        refuse_unsure(_sds(cameras, FLAT_M))
-        refused = False
-    except GeometryError:
-        refused = True
+    refused = refusal(lambda: refuse_unsure(_sds(cameras, FLAT_M))) is not None
     said = f"turns to {flat:.3f} degrees, {deep:.3f} were it deep; {'refused' if refused else 'taken'}"
     return Observation(said, 0.0 if refused == (flat >= MOST_SD_DEG) and flat > 2 * deep else math.inf)
 

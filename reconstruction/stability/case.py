@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from rigs.errors import Spike4dgsError
+
 STEEPER = 10.0  # tolerance of gradients over that of values
 
 
@@ -43,6 +45,15 @@ class Row:
     error: float | None
     gradient: float | None
     verdict: Literal["pass", "fail"]
+
+
+def refusal(work: Callable[[], object]) -> Spike4dgsError | None:
+    """Return the error that `work` is refused with; None where it is not."""
+    try:
+        work()
+    except Spike4dgsError as error:
+        return error
+    return None
 
 
 def row_of(case: Case, backend: str) -> Row:

@@ -4,12 +4,11 @@ import math
 
 import torch
 
-from reconstruction.errors import ReconstructionError
 from reconstruction.losses.ssim import ssim_map
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import NAMES, render
 from reconstruction.rendering.result import Rendering
-from reconstruction.stability.case import Case, Observation
+from reconstruction.stability.case import Case, Observation, refusal
 from reconstruction.stability.probe import CAMERA, apart, gaussians_of, renderers, running
 from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
 
@@ -51,12 +50,11 @@ def _refused(renderer: str) -> Observation:
 
 
 def _taken(tensors: list[torch.Tensor], renderer: str, what: str, named: str) -> list[str]:
-    try:
-        with running(renderer) as backend:
-            render(tuple(tensors), CAMERA, backend=backend)  # type: ignore[arg-type]
-    except ReconstructionError as error:
-        return [] if named in error.found else [f"{what} ({error})"]
-    return [what]
+    with running(renderer) as backend:
+        error = refusal(lambda: render(tuple(tensors), CAMERA, backend=backend))  # type: ignore[arg-type]
+    if error is None:
+        return [what]
+    return [] if named in error.found else [f"{what} ({error})"]
 
 
 def _held_depth(_: str) -> Observation:

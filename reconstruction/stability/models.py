@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import chain
 
 import numpy as np
 import torch
@@ -18,7 +17,7 @@ from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
 from reconstruction.initialization.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
 from reconstruction.scene_model import TimeSpan
-from reconstruction.stability.probe import Apart, apart, slopes_of, worst
+from reconstruction.stability.probe import Apart, slopes_of, worst
 
 CLIP = TimeSpan(0.0, 0.02)
 INSTANTS = 8
@@ -99,16 +98,16 @@ def _shaken(cloud: DynamicCloud, scale: float) -> DynamicCloud:
     return cloud
 
 
-def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], dict[str, Tensor]]:
+def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Return the cloud at an instant, and the gradients of an uneven sum of it, in float64."""
     own = DynamicCloud.from_state(cloud.state())
-    leaves = {name: t.requires_grad_() for name, t in own.tensors() if name in own.rates()}
+    leaves = [t.requires_grad_() for name, t in own.tensors() if name in own.rates()]
     now = own.at(instant_s)
     generator = torch.Generator().manual_seed(2)
     total = sum((t.double() * torch.rand(t.shape, generator=generator)).sum() for t in now)
     assert isinstance(total, Tensor)
     total.backward()
-    return tuple(t.detach().double() for t in now), dict(zip(leaves, slopes_of(leaves.values()), strict=True))
+    return tuple(t.detach().double() for t in now), slopes_of(leaves)
 
 
 def against_float64(cloud: DynamicCloud, instants_s: tuple[float, ...]) -> Apart:
@@ -116,11 +115,8 @@ def against_float64(cloud: DynamicCloud, instants_s: tuple[float, ...]) -> Apart
     errors = []
     for instant_s in instants_s:
         values, slopes = evaluated(cloud.to(torch.float64), instant_s)
-        finite = all(bool(t.isfinite().all()) for t in chain(values, slopes.values()))
         for name in code_paths():
             with code_path(name):
                 found, steep = evaluated(cloud, instant_s)
-            gaps = max(apart(a, b) for a, b in zip(found, values, strict=True))
-            steeper = max(apart(steep[key], slopes[key]) for key in slopes)
-            errors.append(Apart(gaps, steeper) if finite else Apart(math.inf, math.inf))
+            errors.append(Apart.of(found, values, steep, slopes))
     return worst(errors)

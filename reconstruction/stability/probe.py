@@ -1,5 +1,7 @@
 """Renders a small scene with its gradients, and compares both with the reference in float64."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -37,10 +39,18 @@ class Probe:
 
 
 class Apart(NamedTuple):
-    """The errors of a probe's images and gradients against the reference in float64; infinite where unsound."""
+    """The errors of values (images) and of gradients against those in float64; infinite where not finite."""
 
     images: float
     gradients: float
+
+    @classmethod
+    def of(
+        cls, values: Iterable[Tensor], expected: Iterable[Tensor], slopes: Iterable[Tensor], steep: Iterable[Tensor]
+    ) -> Apart:
+        """Return the worst errors of values against those expected, and of slopes against those expected."""
+        pairs = zip(values, expected, strict=True), zip(slopes, steep, strict=True)
+        return cls(*(max((apart(*pair) for pair in found), default=0.0) for found in pairs))
 
 
 def worst(errors: Iterable[Apart]) -> Apart:
@@ -104,10 +114,7 @@ def probe(
         (weights * (rendering.intensity[..., 0] + 0.1 * rendering.depth + 0.3 * rendering.alpha)).sum().backward()
     images = (rendering.intensity, rendering.depth, rendering.alpha)
     intensity, depth, alpha = (t.detach().cpu().double() for t in images)
-    return Probe(
-        Rendering(intensity, depth, alpha, rendering.radii.cpu()),
-        slopes_of(leaves),
-    )
+    return Probe(Rendering(intensity, depth, alpha, rendering.radii.cpu()), slopes_of(leaves))
 
 
 def slopes_of(leaves: Iterable[Tensor]) -> tuple[Tensor, ...]:
@@ -131,7 +138,4 @@ def against_reference(
     expected = probe(gaussians, "reference", near_m, background, torch.float64)
     if not (found.sound and expected.sound):
         return found, Apart(math.inf, math.inf)
-    names = ("intensity", "depth", "alpha")
-    images = max(apart(getattr(found.rendering, name), getattr(expected.rendering, name)) for name in names)
-    pairs = zip(found.gradients, expected.gradients, strict=True)
-    return found, Apart(images, max(apart(f, e) for f, e in pairs))
+    return found, Apart.of(found.rendering[:3], expected.rendering[:3], found.gradients, expected.gradients)

@@ -22,11 +22,10 @@ from reconstruction.images.methods.tfi import tfi
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.plan import make_plan
 from reconstruction.scene_model import TimeSpan, gain_at
-from reconstruction.stability.case import Case, Observation
+from reconstruction.stability.case import Case, Observation, refusal
 from reconstruction.stability.images import ORDERS, SIZE, method_names
 from reconstruction.stability.models import models
 from rigs.clock import RigClock
-from rigs.errors import Spike4dgsError
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
 
@@ -41,12 +40,12 @@ def _fired(first: int, last: int) -> list[int]:
     return [-(-last // int(p)) + (-first // int(p)) for p in PERIODS]
 
 
-def _long(folder: str, planes: int = PLANES) -> SpikeStream:
+def _long(folder: str) -> SpikeStream:
     """Write a recording of ten megabytes and map it."""
     ticks = np.arange(int(np.lcm.reduce(PERIODS)))[:, None]
     packed = pack((ticks % PERIODS == 0)[:, None], ROW)
     path = Path(folder) / "long.dat"
-    path.write_bytes(np.resize(packed, (planes, 1)).tobytes())
+    path.write_bytes(np.resize(packed, (PLANES, 1)).tobytes())
     return SpikeStream.open(path, ROW, 20000.0)
 
 
@@ -76,9 +75,8 @@ def _long_images(name: str) -> Observation:
     with tempfile.TemporaryDirectory() as folder:
         stream = _long(folder)
         for plane in (PLANES - 1, PLANES - 700, 2**23 + 3):
-            first = plane - 700
-            last = min(PLANES, plane + 700)
-            short = SpikeStream(np.array(stream.window(first, last)), ROW, 20000.0)
+            window = np.array(stream.window(plane - 700, min(PLANES, plane + 700)))
+            short = SpikeStream(window, ROW, 20000.0)
             long, own = methods()[name](stream, plane), methods()[name](short, 700)
             differing += int((long.intensity != own.intensity).sum() + (long.valid != own.valid).sum())
         del stream
@@ -116,11 +114,8 @@ def _long_light(_: str) -> Observation:
 
 def _refused(work: Callable[[], object], *names: str) -> bool:
     """Return whether `work` is refused by an error whose `where` or `found` names all of `names`."""
-    try:
-        work()
-    except Spike4dgsError as error:
-        return all(name in error.where or name in error.found for name in names)
-    return False
+    error = refusal(work)
+    return error is not None and all(name in error.where or name in error.found for name in names)
 
 
 def _lengths(_: str) -> Observation:
@@ -170,10 +165,10 @@ def _useless_views(_: str) -> Observation:
     skipped = [d.choice for d in plan.decisions if d.about == "views"]
     if plan.views != ("cam00", "cam01", "cam10") or skipped != ["cam02 skipped"]:
         wrong.append("dark")
-    plan = make_plan(ReconstructionConfig(), three, _streams(three))[0]
-    if plan.views != three.ids:
+    if make_plan(ReconstructionConfig(), three, _streams(three))[0].views != three.ids:
         wrong.append("three")
-    dropped = Manifest(20000.0, "software", "test", "", (_file("cam00"), _file("cam02")))
+    files = (CameraFile(c, f"{c}.dat", PlaneLayout(40, 26), 0, 0, 1, (), None) for c in ("cam00", "cam02"))
+    dropped = Manifest(20000.0, "software", "test", "", tuple(files))
     light = {c: np.full((26, 40), 0.0 if c == "cam01" else 0.3, np.float32) for c in three.ids}
     one = ReconstructionConfig(views=("cam00",))
     refusals = {
@@ -186,10 +181,6 @@ def _useless_views(_: str) -> Observation:
     }
     wrong += [what for what, (work, *names) in refusals.items() if not _refused(work, *names)]
     return Observation(f"{len(refusals) + 2} kinds, wrong: {', '.join(wrong) or 'none'}", float(len(wrong)))
-
-
-def _file(camera: str) -> CameraFile:
-    return CameraFile(camera, f"{camera}.dat", PlaneLayout(40, 26), 0, 0, 1, (), None)
 
 
 CASES = (

@@ -140,17 +140,16 @@ def _training_runs(asked: Asked) -> Laboratory:
 
 def _leave_out(asked: Asked) -> BenchDocument:
     from reconstruction.bench.leave_out import bench_leave_out
-    from reconstruction.bench.paper.bench import Clock
+    from reconstruction.bench.paper.bench import timer
 
-    left, progress = Clock(asked.limit_s).until(), asked.progress_of("leave-out")
-    return bench_leave_out(asked.work / "leave-out", progress, quick=asked.quick, time_left=left)
+    work, progress = asked.work / "leave-out", asked.progress_of("leave-out")
+    return bench_leave_out(work, progress, quick=asked.quick, time_left=timer(asked.limit_s))
 
 
 def _paper(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.paper.bench import Clock, bench_paper
+    from reconstruction.bench.paper.bench import bench_paper, timer
 
-    clock = Clock(asked.limit_s)
-    return bench_paper(_protocol(asked), laboratory(asked), asked.progress_of("paper"), clock)
+    return bench_paper(_protocol(asked), laboratory(asked), asked.progress_of("paper"), timer(asked.limit_s))
 
 
 def _draw_paper(asked: Asked, out: Path, found: dict) -> None:

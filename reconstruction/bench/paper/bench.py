@@ -2,11 +2,10 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
-from reconstruction.bench.paper.method import Cell, Protocol
+from reconstruction.bench.paper.method import Protocol
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import name_of, summarise
 from rigs.errors import Spike4dgsError
@@ -21,62 +20,49 @@ NOTES = (
 )
 
 
-@dataclass(frozen=True)
-class Clock:
-    """A limit in seconds after which no more work is begun; None is no limit."""
-
-    limit_s: float | None = None
-    now: Callable[[], float] = time.monotonic
-
-    def until(self) -> Callable[[], bool]:
-        """Return a function that tells whether there is time left, counted from now on."""
-        began = self.now()
-        return lambda: self.limit_s is None or self.now() - began < self.limit_s
+def timer(limit_s: float | None, now: Callable[[], float] = time.monotonic) -> Callable[[], bool]:
+    """Return a function that tells whether there is time left, counted from now on; None is no limit."""
+    began = now()
+    return lambda: limit_s is None or now() - began < limit_s
 
 
 def bench_paper(
-    protocol: Protocol, laboratory: Laboratory, progress: Progress, clock: Clock = Clock()
+    protocol: Protocol, laboratory: Laboratory, progress: Progress, time_left: Callable[[], bool] = lambda: True
 ) -> BenchDocument:
     """Run the protocol of the paper, and return its rows, omissions and summary."""
-    document = run_protocol("paper", protocol, laboratory, progress, clock)
+    document = run_protocol("paper", protocol, laboratory, progress, time_left)
     document.omissions += NOTES
     summarise(document, protocol)
     return document
 
 
 def run_protocol(
-    name: str, protocol: Protocol, laboratory: Laboratory, progress: Progress, clock: Clock = Clock()
+    name: str,
+    protocol: Protocol,
+    laboratory: Laboratory,
+    progress: Progress,
+    time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
     """Run the cells that have no result yet, the most wanted first, and return the document of that name.
 
-    Cells that were refused or left out stand in the omissions. The summary is empty.
+    Without `time_left` no cell is begun. Cells that were refused or left out stand in the omissions. The summary is
+    empty.
     """
-    document, refusals, time_left = BenchDocument(name), {}, clock.until()
+    document, refusals = BenchDocument(name), {}
     cells = protocol.cells()
     for number, cell in enumerate(cells):
         progress(number / len(cells), cell.name)
-        found = _found(cell, laboratory, time_left, refusals)
-        if found is not None:
+        try:
+            found = laboratory.known(cell) or (laboratory.result(cell) if time_left() else None)
+        except Spike4dgsError as refusal:
+            found = {"refused": " ".join(str(refusal).split())}
+        if found and "refused" in found:
+            refusals[cell.name] = found["refused"]
+        elif found:
             document.rows.append(found)
     _omissions(document, protocol, refusals)
     progress(1.0, f"{len(document.rows)} of {len(cells)} runs")
     return document
-
-
-def _found(cell: Cell, laboratory: Laboratory, time_left: Callable[[], bool], refusals: dict[str, str]) -> dict | None:
-    """Return the row of a cell; None where it was not run for lack of time, or refused, which goes into `refusals`."""
-    try:
-        found = laboratory.known(cell)
-        if found is None:
-            if not time_left():
-                return None
-            found = laboratory.result(cell)
-    except Spike4dgsError as refusal:
-        found = {"refused": " ".join(str(refusal).split())}
-    if "refused" in found:
-        refusals[cell.name] = found["refused"]
-        return None
-    return found
 
 
 def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[str, str]) -> None:

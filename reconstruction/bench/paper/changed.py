@@ -1,5 +1,6 @@
 """Writes changed copies of a recording: its rig as drawn, or fewer planes a second."""
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,15 +35,10 @@ def _write(recording: Recording, rig: Rig, change: Change, out: Path) -> None:
     streams = {c: _slower(recording.stream(c), change) for c in recording.camera_ids}
     total = sum(stream.packed.nbytes for stream in streams.values())
     with RecordingWriter(out, rig, total) as writer:
-        entries = []
         for camera_id, stream in streams.items():
-            file = writer.stream(camera_id, stream.layout, len(stream))
-            try:
+            with closing(writer.stream(camera_id, stream.layout, len(stream))) as file:
                 file.append(stream.packed)
-            finally:
-                file.close()
-            entries.append(file.entry())
-        writer.commit(entries, "import")
+        writer.commit(writer.entries(), "import")
 
 
 def _slower(stream: SpikeStream, change: Change) -> SpikeStream:
@@ -52,8 +48,7 @@ def _slower(stream: SpikeStream, change: Change) -> SpikeStream:
     """
     if change.every == 1:
         return stream
-    if change.slowing == "reintegrate":
-        return slowed(stream, change.every, "reintegrate")
-    whole = len(stream) // change.every * change.every
-    middles = SpikeStream(stream.packed[change.every // 2 : whole], stream.layout, stream.tick_rate_hz)
-    return slowed(middles, change.every, "drop")
+    if change.slowing == "drop":
+        whole = len(stream) // change.every * change.every
+        stream = SpikeStream(stream.packed[change.every // 2 : whole], stream.layout, stream.tick_rate_hz)
+    return slowed(stream, change.every, change.slowing)

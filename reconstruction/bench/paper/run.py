@@ -49,12 +49,9 @@ class Laboratory:
         With `keep` no recording is made only to compare its digest.
         """
         found = [file.parent for file in (self.work / "cells" / cell.name).glob(f"*/{SCORES}")]
-        if not found:
-            return None
-        if self.keep:
-            return max(found, key=lambda run: (_is_of_this_code(_row(run)), (run / SCORES).stat().st_mtime))
-        own = self._own(cell)
-        return own if own in found else None
+        if found and self.keep:
+            return max(found, key=lambda run: (_row(run).get("code") == this_code(), (run / SCORES).stat().st_mtime))
+        return self._own(cell) if found and self._own(cell) in found else None
 
     def known(self, cell: Cell) -> dict | None:
         """Return the row that was kept of a cell; None where there is none."""
@@ -62,25 +59,18 @@ class Laboratory:
         if folder is None:
             return None
         row = _row(folder)
-        return row if _is_of_this_code(row) else row | {"kept": True}
-
-    def folder(self, cell: Cell) -> Path:
-        """Return the folder of a cell's run, made where there is none; raises ReconstructionError if it was refused."""
-        found = self.kept(cell)
-        if found is None:
-            self.result(cell)
-            found = self._own(cell)
-        refused = _row(found).get("refused")
-        if refused:
-            raise ReconstructionError(refused)
-        return found
+        return row if row.get("code") == this_code() else row | {"kept": True}
 
     def runs(self, cells: Iterable[Cell]) -> list[tuple[KnownRecording, RunFolder]]:
         """Return each cell's recording and run, made where there is none; raises ReconstructionError if refused."""
-        return [
-            (KnownRecording(c.scene, c.seed, self.recording_of(c.scene, c.seed)), RunFolder.open(self.folder(c)))
-            for c in cells
-        ]
+        found = []
+        for cell in cells:
+            row = self.known(cell) or self.result(cell)
+            if "refused" in row:
+                raise ReconstructionError(row["refused"])
+            recording = KnownRecording(cell.scene, cell.seed, self.recording_of(cell.scene, cell.seed))
+            found.append((recording, RunFolder.open(self.kept(cell) or self._own(cell))))
+        return found
 
     def _own(self, cell: Cell) -> Path:
         return self.work / "cells" / cell.name / cell_digest(cell, self.recording_of(cell.scene, cell.seed))
@@ -100,8 +90,8 @@ class Laboratory:
                 raise
             found = {"refused": " ".join(str(refusal).split())}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
-        about = {**device(), "revision": code_revision(), "code": this_code()}
-        found = row | {"budget_s": cell.effort.budget_s} | about | found
+        row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision(), "code": this_code()}
+        found = row | found
         out.mkdir(parents=True, exist_ok=True)
         write_json(out / SCORES, found)
         _reduce(out)
@@ -144,10 +134,6 @@ class Laboratory:
 
 def _row(run: Path) -> dict:
     return json.loads((run / SCORES).read_text())
-
-
-def _is_of_this_code(row: dict) -> bool:
-    return row.get("code") == this_code()
 
 
 def _reduce(out: Path) -> None:

@@ -49,7 +49,7 @@ def test_every_case_is_a_configuration_of_a_known_scene():
     assert len({case.name for case in CASES}) == len(CASES)
     for case in (*CASES, MISSED):
         assert case.scene in SCENES
-        for arm in (PLAN, case.all, UNWATCHED, *case.switches.values()):
+        for arm in (PLAN, case.all, UNWATCHED, *case.switches):
             assert arm.config(steps=3).steps == 3
             assert arm.config(budget_s=2.0).budget_s == 2.0
         assert case.dead is None or case.dead in case.all.config(steps=1).views

@@ -8,7 +8,7 @@ import pytest
 from acquisition.progress import silent
 from reconstruction.bench.paper import digest
 from reconstruction.bench.paper import run as runs
-from reconstruction.bench.paper.bench import Clock, bench_paper
+from reconstruction.bench.paper.bench import bench_paper, timer
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import SCORES, Laboratory
 from reconstruction.errors import StereoError
@@ -106,14 +106,14 @@ def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, mon
 
 def test_when_time_is_up_no_run_begins_and_what_is_missing_is_named(laboratory):
     seconds = iter([0.0, 0.0, 99.0, 99.0, 99.0])
-    document = bench_paper(PROTOCOL, laboratory.own, silent, Clock(50.0, lambda: next(seconds)))
+    document = bench_paper(PROTOCOL, laboratory.own, silent, timer(50.0, lambda: next(seconds)))
     assert laboratory.made == ["fan_and_ball-2-good-10"]
     assert "t, bad: no time was left (fan_and_ball-2 @10)" in document.omissions
 
 
 def test_no_recording_is_made_of_what_will_not_be_run(laboratory):
     laboratory.own.recording_of = lambda scene, seed: pytest.fail("simulated for nothing")
-    document = bench_paper(PROTOCOL, laboratory.own, silent, Clock(0.0))
+    document = bench_paper(PROTOCOL, laboratory.own, silent, timer(0.0))
     assert document.rows == []
 
 
