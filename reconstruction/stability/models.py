@@ -1,21 +1,18 @@
 """Makes a small cloud by every motion model, and compares its float32 with its float64."""
 
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from acquisition.native import code_path, code_paths
-from reconstruction.gaussians.canonical import CanonicalMotion
-from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points
-from reconstruction.initialization.seeding import seed_cloud, seed_field, seed_rigid, seed_spacetime, seed_timesteps
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.definition import Seeds
 from reconstruction.scene_model import TimeSpan
 from reconstruction.stability.probe import Apart, slopes_of, worst
 
@@ -26,76 +23,39 @@ POINTS = INSTANTS * BESIDE
 TIMES_S = (np.arange(INSTANTS) + 0.5) / INSTANTS * CLIP.last_s
 
 
-def models() -> Mapping[str, Callable[..., DynamicCloud]]:
-    """Return by name the makers of a cloud of `count` moving points, up to POINTS, with lengths in `scale` m."""
-    return {
-        "linear": partial(_free, cubic=False),
-        "cubic": partial(_free, cubic=True),
-        "bases": _rigid,
-        "4dgs": partial(_field, model=HexPlaneMotion),
-        "dy-spikegs": partial(_field, model=DeformationMotion),
-        "stg": _spacetime,
-        "d3dgs": _timesteps,
-    }
-
-
 def model_names() -> tuple[str, ...]:
-    """Return the names of `models`."""
-    return tuple(models())
+    """Return the names of the models whose Gaussians move."""
+    return ("linear", "cubic", "bases", "4dgs", "dy-spikegs", "stg", "d3dgs")
 
 
-def _points(scale: float, count: int) -> Points:
+def cloud_of(name: str, scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
+    """Return a model's cloud of `count` points, up to POINTS, with lengths in `scale` m, after all of it has moved."""
     rng, times = np.random.default_rng(0), np.repeat(TIMES_S, BESIDE)[:count]
     places, light = scale * rng.normal(size=(count, 3)), rng.random(count).astype(np.float32)
-    return Points(places, light, np.full(count, 0.02 * scale), times)
-
-
-def _free(scale: float = 1.0, count: int = POINTS, *, cubic: bool) -> DynamicCloud:
-    return _shaken(seed_cloud(Points.none(), _points(scale, count), CLIP, INSTANTS, cubic=cubic), scale)
-
-
-def _rigid(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
-    """Return a cloud whose body turns half a circle."""
-    angles = np.linspace(0, math.pi, INSTANTS) / 2
-    quats = np.stack([np.cos(angles), 0 * angles, 0 * angles, np.sin(angles)], axis=1)[None]
-    centers = scale * np.stack([angles, 0 * angles, 0 * angles], axis=1)[None]
-    owners = np.resize([0, 0, 0, 0, -1, -1], count)
-    bodies = Bodies(owners, quats, centers, TIMES_S, np.array([[0, INSTANTS - 1]]), np.full(count, ""))
-    return _shaken(seed_rigid(Points.none(), _points(scale, count), CLIP, INSTANTS, bodies), scale)
-
-
-def _field(scale: float = 1.0, count: int = POINTS, *, model: type[CanonicalMotion]) -> DynamicCloud:
-    """Return a field whose last layer, which starts at zero, deforms."""
-    cloud = seed_field(Points.none(), _points(scale, count), CLIP, 0, model)
+    points = Points(places, light, np.full(count, 0.02 * scale), times)
+    cloud = METHODS[name].start(Seeds(Points.none(), points, CLIP, INSTANTS, 0, (), lambda: _bodies(scale, count)))
+    assert isinstance(cloud, DynamicCloud)
     generator = torch.Generator().manual_seed(1)
-    for name, tensor in cloud.motion.tensors():
-        if name in ("heads", "exit"):
-            tensor[:] = 0.1 * torch.randn(tensor.shape, generator=generator)
-    return cloud
-
-
-def _spacetime(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
-    cloud = _shaken(seed_spacetime(Points.none(), _points(scale, count), CLIP, INSTANTS), scale)
-    for name, tensor in cloud.motion.tensors():
-        if name == "turns":
+    for key, tensor in cloud.motion.tensors():
+        if key in ("velocities", "accelerations", "jerks"):
+            tensor[:] = scale
+        elif key == "turns":
             tensor[:] = 1
-    return cloud
-
-
-def _timesteps(scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
-    """Return a cloud as after a whole training that moved it a little."""
-    cloud = seed_timesteps(Points.none(), _points(scale, count), CLIP)
-    for done in (0.5, 0.8, 1.0):
+        elif key in ("heads", "exit"):  # last layers of fields, which start at zero
+            tensor[:] = 0.1 * torch.randn(tensor.shape, generator=generator)
+    for done in (0.5, 0.8, 1.0) if isinstance(cloud.motion, TimestepMotion) else ():
         cloud.advance(done)
         cloud.moving.means += 0.01 * scale
     return cloud
 
 
-def _shaken(cloud: DynamicCloud, scale: float) -> DynamicCloud:
-    for name, tensor in cloud.motion.tensors():
-        if name in ("velocities", "accelerations", "jerks"):
-            tensor[:] = scale
-    return cloud
+def _bodies(scale: float, count: int) -> Bodies:
+    """Return a body that turns half a circle."""
+    angles = np.linspace(0, math.pi, INSTANTS) / 2
+    quats = np.stack([np.cos(angles), 0 * angles, 0 * angles, np.sin(angles)], axis=1)[None]
+    centers = scale * np.stack([angles, 0 * angles, 0 * angles], axis=1)[None]
+    owners = np.resize([0, 0, 0, 0, -1, -1], count)
+    return Bodies(owners, quats, centers, TIMES_S, np.array([[0, INSTANTS - 1]]), np.full(count, ""))
 
 
 def evaluated(cloud: DynamicCloud, instant_s: float) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:

@@ -16,7 +16,7 @@ from reconstruction.gaussians.rigid import knot_weights
 from reconstruction.initialization.points import spacing
 from reconstruction.rendering.render import render
 from reconstruction.stability.case import Case, Observation, refusal
-from reconstruction.stability.models import CLIP, against_float64, evaluated, model_names, models
+from reconstruction.stability.models import CLIP, against_float64, cloud_of, evaluated, model_names
 from reconstruction.stability.probe import CAMERA, Apart, apart, worst
 from reconstruction.training.exposure import passed_px
 
@@ -30,7 +30,7 @@ BOUND = 20.0  # largest length of a place, in the unit of the cloud
 
 def _with(*names: str) -> Callable[[], tuple[str, ...]]:
     """Return a list of the models whose motion stores all the tensors `names`."""
-    return lambda: tuple(n for n, make in models().items() if set(names) <= dict(make().motion.tensors()).keys())
+    return lambda: tuple(n for n in model_names() if set(names) <= dict(cloud_of(n).motion.tensors()).keys())
 
 
 def _worst(clouds: list[DynamicCloud], instants_s: tuple[float, ...] = WITHIN_S) -> Apart:
@@ -42,7 +42,7 @@ def _said(count: int, error: Apart, more: str = "") -> str:
 
 
 def _zero_quaternions(name: str) -> Observation:
-    cloud = models()[name]()
+    cloud = cloud_of(name)
     cloud.moving.quats_wxyz.zero_()
     for key, tensor in cloud.motion.tensors():
         if "quats" in key:
@@ -52,7 +52,7 @@ def _zero_quaternions(name: str) -> Observation:
 
 
 def _few(name: str) -> Observation:
-    clouds = [models()[name](count=count) for count in (0, 1)]
+    clouds = [cloud_of(name, count=count) for count in (0, 1)]
     error = _worst(clouds)
     sizes = [len(cloud.at(0.007).means) for cloud in clouds]
     found = error.images if sizes == [0, 1] else math.inf
@@ -60,9 +60,9 @@ def _few(name: str) -> Observation:
 
 
 def _scales(name: str) -> Observation:
-    plain, error = models()[name](), Apart(0.0, 0.0)
+    plain, error = cloud_of(name), Apart(0.0, 0.0)
     for scale in (1e-3, 2e3, 1e9):
-        other = models()[name](scale=scale)
+        other = cloud_of(name, scale=scale)
         error = Apart(*map(max, error, _worst([other])))
         for instant_s in WITHIN_S:
             one, two = plain.at(instant_s), other.at(instant_s)
@@ -74,7 +74,7 @@ def _scales(name: str) -> Observation:
 def _outside_the_box(name: str) -> Observation:
     clouds, error = [], 0.0
     for far in (2.0, 1e6, 1e20):
-        cloud = models()[name]()
+        cloud = cloud_of(name)
         cloud.moving.means[:] = far * BOUND * torch.tensor([1.0, -1.0, 0.5])
         clouds.append(cloud)
         if isinstance(cloud.motion, HexPlaneMotion):
@@ -96,9 +96,9 @@ def _unlike_the_edge(cloud: DynamicCloud) -> float:
 
 
 def _body_weights(name: str) -> Observation:
-    plain, clouds, error = models()[name](), [], 0.0
+    plain, clouds, error = cloud_of(name), [], 0.0
     for length in (1e-20, 1e20):
-        cloud = models()[name]()
+        cloud = cloud_of(name)
         for key, tensor in cloud.motion.tensors():
             if key == "knot_quats":
                 tensor *= length
@@ -136,7 +136,7 @@ def _spacings(_: str) -> Observation:
 def _durations(name: str) -> Observation:
     clouds, error = [], 0.0
     for log_duration in (-100.0, -3.4e38, math.log(0.3), 100.0, 3.4e38):
-        cloud = models()[name]()
+        cloud = cloud_of(name)
         tensors = dict(cloud.motion.tensors())
         tensors["log_durations"][:], tensors["instants"][:] = log_duration, 0.5
         clouds.append(cloud)
@@ -150,7 +150,7 @@ def _durations(name: str) -> Observation:
 
 
 def _beyond_the_clip(name: str) -> Observation:
-    cloud = models()[name]()
+    cloud = cloud_of(name)
     found, farthest = _worst([cloud], BEYOND_S), 0.0
     for instant_s in BEYOND_S:
         now = cloud.at(instant_s)
@@ -163,11 +163,11 @@ def _beyond_the_clip(name: str) -> Observation:
 def _refused(name: str) -> Observation:
     """Fill every tensor with NaN and infinity, but for infinity where it has a meaning; all must be refused."""
     taken, tried = [], 0
-    for key, tensor in models()[name]().tensors():
+    for key, tensor in cloud_of(name).tensors():
         if not tensor.is_floating_point() or not tensor.numel() or key.endswith(UNSEEN):
             continue
         for value in (math.nan,) if key.endswith(LIMITED) else (math.nan, math.inf):
-            cloud = models()[name]()
+            cloud = cloud_of(name)
             dict(cloud.tensors())[key].fill_(value)
             paths = [path for path in code_paths() if _rendered(cloud, path)]
             taken += [f"{value} in {key} by {path}" for path in paths]

@@ -24,7 +24,7 @@ from reconstruction.run.plan import make_plan
 from reconstruction.scene_model import TimeSpan, gain_at
 from reconstruction.stability.case import Case, Observation, refusal
 from reconstruction.stability.images import ORDERS, SIZE, method_names
-from reconstruction.stability.models import models
+from reconstruction.stability.models import cloud_of
 from rigs.clock import RigClock
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
@@ -103,7 +103,7 @@ def _long_clock(_: str) -> Observation:
 
 def _long_light(_: str) -> Observation:
     """Give every plane a gain, and check that each instant finds its own."""
-    cloud = models()["linear"](count=1)
+    cloud = cloud_of("linear", count=1)
     gains = np.resize(np.arange(1009, dtype=np.int16), PLANES)
     cloud.light, cloud.clip = torch.from_numpy(gains), TimeSpan(0.0, PLANES / 20000.0)
     clock, wrong = RigClock(20000.0), 0
