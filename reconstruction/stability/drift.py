@@ -6,6 +6,7 @@ pixel that starts with the charge c and loses nothing has n = floor(c + Q), so t
 
 import copy
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -36,62 +37,53 @@ def _light(first: int, last: int) -> NDArray[np.float32]:
     return (swell[:, None, None] * LIGHTS).astype(np.float32)
 
 
-class _Balance:
-    """n - Q of every pixel, in whole numbers."""
+def _exposed(
+    sensor: Sensor, ticks: int, progress: Progress, what: str
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
+    """Yield the light and the spikes [n, 1, W] of all ticks, some at a time."""
+    for first in range(0, ticks, CHUNK):
+        light = _light(first, min(ticks, first + CHUNK))
+        yield light, sensor.expose(light)
+        progress(first / ticks, f"{first:,} ticks of {what}")
 
-    def __init__(self) -> None:
-        self._last = np.zeros(len(LIGHTS), dtype=np.int64)
-        self._low, self._high = self._last.copy(), self._last.copy()
 
-    def add(self, light: NDArray[np.float32], spikes: NDArray[np.uint8]) -> None:
-        """Add the charge that came in and the spikes that went out, tick by tick [n, 1, W]."""
-        charge = (light[:, 0].astype(np.float64) * 2.0**FRACTION_BITS + 0.5).astype(np.int64)
-        steps = (spikes[:, 0].astype(np.int64) << FRACTION_BITS) - charge
-        balance = self._last + np.cumsum(steps, axis=0)
-        self._last = balance[-1]
-        self._low = np.minimum(self._low, balance.min(axis=0))
-        self._high = np.maximum(self._high, balance.max(axis=0))
-
-    @property
-    def span(self) -> float:
-        """The widest range of a pixel's n - Q, in spikes."""
-        return float((self._high - self._low).max()) / 2.0**FRACTION_BITS
+def _unlike_its_twin(sensor: Sensor, ticks: int) -> int:
+    """Return how many bits of the next ticks differ between the kernel and NumPy."""
+    twin, light = copy.deepcopy(sensor), _light(ticks, ticks + REPLAYED)
+    return int((sensor.expose(light) != twin.expose_reference(light)).sum())
 
 
 def _charge(renderer: str, ticks: int, progress: Progress) -> Observation:
     """Compare the spikes with the charge, then count all of them from the file they make."""
     path = renderer.split()[1]
-    sensor, balance = Sensor(len(LIGHTS), 1, "ideal", 7, 0), _Balance()
-    total, wrong = np.zeros(len(LIGHTS), dtype=np.int64), 0
+    sensor, total = Sensor(len(LIGHTS), 1, "ideal", 7, 0), np.zeros(len(LIGHTS), dtype=np.int64)
+    balance = np.zeros((1, len(LIGHTS)), dtype=np.int64)  # n - Q of the last ticks, in whole numbers
+    low = high = balance[-1]
     with code_path(path), tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "long.dat"
         with file.open("wb") as out:
-            for first in range(0, ticks, CHUNK):
-                light = _light(first, min(ticks, first + CHUNK))
-                spikes = sensor.expose(light)
-                balance.add(light, spikes)
+            for light, spikes in _exposed(sensor, ticks, progress, f"a sensor, {path}"):
+                charge = (light[:, 0].astype(np.float64) * 2.0**FRACTION_BITS + 0.5).astype(np.int64)
+                balance = balance[-1] + np.cumsum((spikes[:, 0].astype(np.int64) << FRACTION_BITS) - charge, axis=0)
+                low, high = np.minimum(low, balance.min(axis=0)), np.maximum(high, balance.max(axis=0))
                 total += spikes[:, 0].sum(axis=0, dtype=np.int64)
                 out.write(pack(spikes, ROW).tobytes())
-                progress(first / ticks, f"{first:,} ticks of a sensor, {path}")
         stream = SpikeStream.open(file, ROW, TICK_RATE_HZ)
-        wrong += int((stream.counts(0, ticks)[0] != total).sum()) + (sensor.tick != ticks)
+        wrong = int((stream.counts(0, ticks)[0] != total).sum()) + (sensor.tick != ticks)
         del stream
-        twin, light = copy.deepcopy(sensor), _light(ticks, ticks + REPLAYED)
-        wrong += int((sensor.expose(light) != twin.expose_reference(light)).sum())
-    said = f"{int(total.sum()):,} spikes, spikes less charge within {balance.span:.6f}, {wrong} counts or bits wrong"
-    return Observation(said, max(0.0, balance.span - 1) + wrong)
+        wrong += _unlike_its_twin(sensor, ticks)
+    span = float((high - low).max()) / 2.0**FRACTION_BITS
+    said = f"{int(total.sum()):,} spikes, spikes less charge within {span:.6f}, {wrong} counts or bits wrong"
+    return Observation(said, max(0.0, span - 1) + wrong)
 
 
 def _noise(renderer: str, ticks: int, progress: Progress) -> Observation:
     """Compare the kernel of a noisy sensor with its twin after all ticks."""
     path = renderer.split()[1]
-    sensor, spikes = Sensor(len(LIGHTS), 1, "real", 7, 0), 0
+    sensor = Sensor(len(LIGHTS), 1, "real", 7, 0)
     with code_path(path):
-        for first in range(0, ticks, CHUNK):
-            spikes += int(sensor.expose(_light(first, min(ticks, first + CHUNK))).sum())
-            progress(first / ticks, f"{first:,} ticks of a noisy sensor, {path}")
-        twin, light = copy.deepcopy(sensor), _light(ticks, ticks + REPLAYED)
-        differing = int((sensor.expose(light) != twin.expose_reference(light)).sum())
+        spikes = sum(int(s.sum()) for _, s in _exposed(sensor, ticks, progress, f"a noisy sensor, {path}"))
+        differing = _unlike_its_twin(sensor, ticks)
     return Observation(f"{spikes:,} spikes; of the next {REPLAYED} ticks {differing} bits differ", float(differing))
 
 

@@ -82,12 +82,9 @@ def _silent(name: str) -> Observation:
 
 def _saturated(name: str) -> Observation:
     own, lit = _patched(name, 1)
-    least, surest = float(own.intensity.min()), float(own.sigma.min())
-    flagged = not own.valid.any()
-    unsure = flagged or surest >= COARSEST
-    how = "flagged" if flagged else f"as unsure as {surest:.2f}"
-    said = f"{least:.4f} at least, {how}; the others {lit:.0e} off"
-    return Observation(said, max(lit, 1 - least) if unsure else math.inf)
+    least, surest, flagged = float(own.intensity.min()), float(own.sigma.min()), not own.valid.any()
+    said = f"{least:.4f} at least, {'flagged' if flagged else f'as unsure as {surest:.2f}'}; the others {lit:.0e} off"
+    return Observation(said, max(lit, 1 - least) if flagged or surest >= COARSEST else math.inf)
 
 
 def _defects(name: str) -> Observation:

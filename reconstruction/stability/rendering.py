@@ -1,5 +1,6 @@
 """Defines cases 1 to 15: Gaussians at the limits of every renderer."""
 
+import itertools
 import math
 
 import torch
@@ -35,27 +36,24 @@ def _long_quaternions(renderer: str) -> Observation:
 
 def _endless_scales(renderer: str) -> Observation:
     clouds = [gaussians_of(log_scales=torch.full((1, 3), s)) for s in (100.0, -100.0, 20.0, 3e38, -3e38)]
-    slope = max(float(probe(cloud, renderer).gradients[2].abs().max()) for cloud in clouds)
-    covered = [float(probe(cloud, renderer).rendering.alpha.mean()) for cloud in clouds]
-    cover = max(abs(c - e) for c, e in zip(covered, (0.7, 0, 0.7, 0.7, 0), strict=True))
+    found = [probe(cloud, renderer) for cloud in clouds]
+    slope = max(float(p.gradients[2].abs().max()) for p in found)
+    covers = zip(found, (0.7, 0, 0.7, 0.7, 0), strict=True)
+    cover = max(abs(float(p.rendering.alpha.mean()) - expected) for p, expected in covers)
     said, error, steepest = _worst(clouds, renderer)
     return Observation(f"{said}, gradient {slope:.0e}", max(error, slope, cover), steepest)
 
 
 def _needles(renderer: str) -> Observation:
-    clouds, thin = [], True
-    for degrees in (0.0, 17.0, 45.0, 90.0):
+    clouds, thin = [], []
+    for degrees, ratio in itertools.product((0.0, 17.0, 45.0, 90.0), (1e2, 1e4)):
         half = math.radians(degrees) / 2
         quats = torch.tensor([[math.cos(half), 0, 0, math.sin(half)]])
-        for ratio in (1e2, 1e4):
-            width = math.log(0.3) - math.log(ratio) / 2
-            clouds.append(
-                gaussians_of(quats_wxyz=quats, log_scales=torch.tensor([[width + math.log(ratio), width, width]]))
-            )
-            scales = torch.tensor([[math.log(0.3), *[math.log(0.3 / ratio)] * 2]])
-            thin = thin and probe(gaussians_of(quats_wxyz=quats, log_scales=scales), renderer).sound
+        for needles, length in ((clouds, 0.3 * math.sqrt(ratio)), (thin, 0.3)):
+            scales = torch.tensor([[length, *[length / ratio] * 2]]).log()
+            needles.append(gaussians_of(quats_wxyz=quats, log_scales=scales))
     found = _worst(clouds, renderer)
-    return found if thin else found._replace(error=math.inf)
+    return found if all(probe(cloud, renderer).sound for cloud in thin) else found._replace(error=math.inf)
 
 
 def _below_a_pixel(renderer: str) -> Observation:
@@ -89,11 +87,10 @@ def _near_plane(renderer: str) -> Observation:
 
 
 def _off_the_axis(renderer: str) -> Observation:
-    clouds = []
-    for x in (0.7, 1.0, 3.0, 100.0, 1e20):
-        clouds.append(gaussians_of(means=torch.tensor([[x, 0.1, 2.0]]), log_scales=torch.full((1, 3), -0.5)))
-        clouds.append(gaussians_of(means=torch.tensor([[x, 0.1, 0.02]])))
-    return _worst(clouds, renderer)
+    places = (0.7, 1.0, 3.0, 100.0, 1e20)
+    far = [gaussians_of(means=torch.tensor([[x, 0.1, 2.0]]), log_scales=torch.full((1, 3), -0.5)) for x in places]
+    near = [gaussians_of(means=torch.tensor([[x, 0.1, 0.02]])) for x in places]
+    return _worst([*far, *near], renderer)
 
 
 def _endless_logits(renderer: str) -> Observation:
