@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.images.estimate import shrunk
-from reconstruction.initialization.depth_maps import consistent
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
     back_project,
+    consistent,
     depth_range_m,
     neighbours,
     sweep_view,

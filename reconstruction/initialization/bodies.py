@@ -9,7 +9,7 @@ registration: coherent point drift", PAMI 2010, with an intensity term.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.initialization.points import Points, nearest
-from reconstruction.initialization.registration import ALIKE, Placed, nearest_of, register, sampled
+from reconstruction.initialization.registration import ALIKE, nearest_of, register, sampled
 from rigs.transform import Transform
 
 LEAST_POINTS = 40  # points of a cluster that may become a body
@@ -55,12 +55,10 @@ class Body:
         """The number of its points, of all instants."""
         return sum(map(len, self.members.values()))
 
-    def model(self, points: Placed, but: int | None = None) -> Placed:
+    def model(self, points: Points, but: int | None = None) -> Points:
         """Return all its points in its own frame, without those of the instant `but`."""
-        parts = [
-            points.select(members).moved(self.poses[i].inverse()) for i, members in self.members.items() if i != but
-        ]
-        return Placed.joined(parts)
+        members = {i: m for i, m in self.members.items() if i != but}
+        return Points.joined([points.select(m).moved(self.poses[i].inverse()) for i, m in members.items()])
 
     def predicted(self, instant: int) -> Transform:
         """Return its pose if it moved on as it did between the two nearest instants."""
@@ -129,12 +127,13 @@ def track_bodies(points: Points, instants_s: Sequence[float]) -> list[Body]:
 
     A body that did not move as one piece may be several that touch, and is looked at once more by a shorter link.
     """
-    placed = Placed.of(points)
+    positions, intensities = points.positions.astype(np.float32), points.intensities.astype(np.float32)
+    placed = replace(points, positions=positions, intensities=intensities)
     bodies = _tracked(placed, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
     return _by_size([part for body in bodies for part in _torn(body, placed, len(instants_s))])
 
 
-def _torn(body: Body, points: Placed, instants: int) -> list[Body]:
+def _torn(body: Body, points: Points, instants: int) -> list[Body]:
     """Return the parts of a doubtful body where most of it moves better in parts; else the body alone."""
     if len(body.members) < 2 or (body.likeness >= DOUBTFUL and not _fault(body, instants)):
         return [body]
@@ -148,9 +147,9 @@ def _torn(body: Body, points: Placed, instants: int) -> list[Body]:
     return parts if likeness > body.likeness + BETTER else [body]
 
 
-def _tracked(points: Placed, swept: Sequence[NDArray[np.int64]], link: float) -> list[Body]:
+def _tracked(points: Points, swept: Sequence[NDArray[np.int64]], link: float) -> list[Body]:
     """Return the bodies among the points at indices `swept`, by instant, begun where most are apart."""
-    gaps = [_spacing(points.select(which).positions) * link if len(which) >= LEAST_POINTS else 0.0 for which in swept]
+    gaps = [_spacing(points.positions[which]) * link if len(which) >= LEAST_POINTS else 0.0 for which in swept]
     apart = [len(clusters(points, which, gap)) for which, gap in zip(swept, gaps, strict=True)]
     first = int(np.argmax(apart)) if apart else 0
     bodies: list[Body] = []
@@ -184,11 +183,11 @@ def _fault(body: Body, instants: int) -> str:
     return STILL if body.likeness < min(1.0, body.at_rest + BETTER) else ""
 
 
-def clusters(points: Placed, which: NDArray[np.int64], gap_m: float) -> list[NDArray[np.int64]]:
+def clusters(points: Points, which: NDArray[np.int64], gap_m: float) -> list[NDArray[np.int64]]:
     """Return connected clusters of at least LEAST_POINTS among the points at indices `which`, largest first."""
     if len(which) < LEAST_POINTS:
         return []
-    at = points.select(which).positions.double().numpy()
+    at = points.positions[which].astype(np.float64)
     linked = np.square(at[:, None] - at).sum(axis=-1) <= gap_m**2
     left = np.ones(len(at), dtype=bool)
     found = []
@@ -203,14 +202,13 @@ def clusters(points: Placed, which: NDArray[np.int64], gap_m: float) -> list[NDA
     return sorted((c for c in found if len(c) >= LEAST_POINTS), key=lambda c: -len(c))
 
 
-def _begin(points: Placed, instant: int, cluster: NDArray[np.int64]) -> Body:
-    own = points.select(cluster)
-    pose = Transform(np.eye(3), own.positions.double().mean(dim=0).numpy())
-    radius = float((own.positions - _vector(pose.translation)).norm(dim=1).amax())
-    return Body(_spacing(own.positions), radius, {instant: pose}, {instant: cluster})
+def _begin(points: Points, instant: int, cluster: NDArray[np.int64]) -> Body:
+    own = points.positions[cluster]
+    pose = Transform(np.eye(3), torch.from_numpy(own).double().mean(dim=0).numpy())
+    return Body(_spacing(own), float(_distances(own, pose).amax()), {instant: pose}, {instant: cluster})
 
 
-def _follow(body: Body, points: Placed, step: tuple[int, int], unclaimed: NDArray[np.int64]) -> NDArray[np.int64]:
+def _follow(body: Body, points: Points, step: tuple[int, int], unclaimed: NDArray[np.int64]) -> NDArray[np.int64]:
     """Claim the points that the body explains at an instant, and return the others; a lost body claims none."""
     instant, before = step
     if len(unclaimed) < LEAST_POINTS or before not in body.members:
@@ -228,15 +226,14 @@ def _follow(body: Body, points: Placed, step: tuple[int, int], unclaimed: NDArra
     return unclaimed[~mine]
 
 
-def _found(body: Body, model: Placed, target: Placed, step: tuple[int, int]) -> Transform | None:
+def _found(body: Body, model: Points, target: Points, step: tuple[int, int]) -> Transform | None:
     """Return the better of two registrations: begun where the body would be had it moved on, and where it last was."""
     instant, before = step
     last, width = body.poses[before], max(START * body.radius, body.spacing)
     guesses = [last] if len(body.members) < 2 else [body.predicted(instant), last]
     best, most = None, -1.0
     for guess in guesses:
-        away = (target.positions - _vector(guess.translation)).norm(dim=1)
-        near = target.select((away <= body.radius + 3 * width).numpy())
+        near = target.select((_distances(target.positions, guess) <= body.radius + 3 * width).numpy())
         if len(near) < LEAST_POINTS:
             continue
         pose = register(model, sampled(near), guess, width, body.spacing)
@@ -248,14 +245,14 @@ def _found(body: Body, model: Placed, target: Placed, step: tuple[int, int]) -> 
     return best
 
 
-def _explained(own: Placed, others: Placed, reach: float) -> float:
+def _explained(own: Points, others: Points, reach: float) -> float:
     """Return the share of the points that have another one as bright within `reach`."""
     near, which = nearest_of(own, others)
-    alike = (own.intensities - others.intensities[which]).abs() <= 2 * ALIKE
-    return float(((near <= reach) & alike.numpy()).mean())
+    alike = np.abs(own.intensities - others.intensities[which]) <= 2 * ALIKE
+    return float(((near <= reach) & alike).mean())
 
 
-def _settle(body: Body, points: Placed) -> None:
+def _settle(body: Body, points: Points) -> None:
     """Register every instant once more against all others, so that errors do not add up, and judge the outcome."""
     carried, resting = [], []
     for instant in sorted(body.members):
@@ -268,20 +265,21 @@ def _settle(body: Body, points: Placed) -> None:
     body.likeness, body.at_rest = float(np.median(carried)), float(np.median(resting))
 
 
-def _likeness(own: Placed, others: Placed) -> float:
+def _likeness(own: Points, others: Points) -> float:
     """Return the correlation in brightness of points and those nearest to them; 1 where there is no texture."""
     twins = others.intensities[nearest_of(own, others)[1]]
-    a, b = own.intensities - own.intensities.mean(), twins - twins.mean()
+    a, b = (light - light.mean() for light in map(torch.from_numpy, (own.intensities, twins)))
     spread = float(a.square().mean().sqrt())
     if spread < TEXTURE:
         return 1.0
     return float((a * b).mean() / (a.square().mean() * b.square().mean()).sqrt().clamp_min(1e-12))
 
 
-def _spacing(positions: Tensor) -> float:
-    near, _ = nearest(positions.numpy(), positions.numpy(), min(4, len(positions)))
+def _spacing(positions: NDArray[np.floating]) -> float:
+    near, _ = nearest(positions, positions, min(4, len(positions)))
     return max(float(np.median(near[:, -1])), 1e-6)
 
 
-def _vector(values: NDArray[np.float64]) -> Tensor:
-    return torch.from_numpy(np.asarray(values, dtype=np.float32))
+def _distances(positions: NDArray[np.floating], pose: Transform) -> Tensor:
+    """Return how far points [n, 3] are from the origin of a body, in float32."""
+    return torch.from_numpy(positions - pose.translation.astype(np.float32)).norm(dim=1)

@@ -1,15 +1,16 @@
 """The geometry that an initialiser finds in a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.calibration.calibrated import displacement
 from reconstruction.errors import BadRunError, GeometryError
+from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.similarity import Similarity, align
-from rigs.transform import rotvec_of
 
 Images = Mapping[str, NDArray[np.float32]]
 FEWEST_VIEWS = 3  # views that poses can be found from
@@ -53,6 +54,16 @@ def usable_views(rig: Rig, images: Images) -> tuple[str, ...]:
     return tuple(c for c in rig.ids if c in images)
 
 
+def first_of_one_size(cameras: Sequence[Camera], reason: str) -> Camera:
+    """Return the first camera; raises BadRunError with the `reason` where another one has another size."""
+    first = cameras[0]
+    odd = next((c for c in cameras if (c.width, c.height) != (first.width, first.height)), None)
+    if odd:
+        expected = f"{first.width}x{first.height} as of {first.id}"
+        raise BadRunError(f"found the size {odd.width}x{odd.height}", expected, reason, where=odd.id)
+    return first
+
+
 def toned(images: Images) -> dict[str, NDArray[np.float32]]:
     """Return linear images as a camera would store them, in [0, 1]: the square root, with one white for all of them."""
     white = max(float(np.quantile(np.concatenate([image.ravel() for image in images.values()]), WHITE_QUANTILE)), 1e-9)
@@ -67,29 +78,23 @@ def laid_on(rig: Rig, found: Rig) -> tuple[Rig, Similarity, dict[str, object]]:
     """
     similarity = align(found, rig)
     moved = {c.id: c for c in similarity.carry_rig(found).cameras}
-    turns, shifts, focals = {}, {}, {}
-    for camera_id, camera in moved.items():
-        given = rig.camera(camera_id)
-        turn = rotvec_of(camera.cam_from_rig.rotation @ given.cam_from_rig.rotation.T)
-        turns[camera_id] = float(np.degrees(np.linalg.norm(turn)))
-        shifts[camera_id] = float(np.linalg.norm(camera.center - given.center))
-        focals[camera_id] = 100 * (camera.fx / given.fx - 1)
-    worst = max(turns, key=lambda c: turns[c])
-    if turns[worst] > MOST_TURN_DEG:
+    off = {c: displacement(camera, rig.camera(c)) for c, camera in moved.items()}
+    worst = max(off, key=lambda c: off[c].turn_deg)
+    if off[worst].turn_deg > MOST_TURN_DEG:
         raise GeometryError(
-            f"found {worst} turned {turns[worst]:.1f} degrees from where the rig has it",
+            f"found {worst} turned {off[worst].turn_deg:.1f} degrees from where the rig has it",
             f"less than {MOST_TURN_DEG:g}",
             "give images with more texture, or keep the rig's poses",
         )
-    changed = max(focals.values(), key=abs)
+    changed = max((100 * (camera.fx / rig.camera(c).fx - 1) for c, camera in moved.items()), key=abs)
     if abs(changed) > MOST_FOCAL_PERCENT:
         found_focal = f"found a focal length {changed:+.1f}% off the rig's"
         raise GeometryError(found_focal, f"less than {MOST_FOCAL_PERCENT:g}", "keep the rig's focal length")
     report: dict[str, object] = {
         "estimated": list(moved),
         "kept_nominal": [c for c in rig.ids if c not in moved],
-        "largest_turn_deg": turns[worst],
-        "largest_shift_m": max(shifts.values()),
+        "largest_turn_deg": off[worst].turn_deg,
+        "largest_shift_m": max(one.shift_m for one in off.values()),
         "focal_change_percent": changed,
         "scale_from": "the camera centres of the rig that was given",
     }

@@ -17,9 +17,8 @@ from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.calibrated import displacement
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.depth_maps import AGREEING, confirmations
 from reconstruction.initialization.geometry import Geometry
-from reconstruction.initialization.sweep import DepthMap, back_project
+from reconstruction.initialization.sweep import AGREEING, DepthMap, back_project, confirmations
 from reconstruction.networks.image_inference import MOST_GROUP
 from reconstruction.networks.msdi.inference import Inferred, infer_views
 from reconstruction.networks.msdi.network import trained_msdi

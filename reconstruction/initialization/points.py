@@ -6,12 +6,13 @@ Letters: V views, N points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.initialization.sweep import DepthMap, back_project
+from rigs.transform import Transform
 
 NEIGHBOURS = 3  # points that a point's spacing is measured to
 SINGLE_TREE = 4  # FLANN's name for the k-d tree that searches exactly
@@ -21,7 +22,7 @@ SINGLE_TREE = 4  # FLANN's name for the k-d tree that searches exactly
 class Points:
     """Positions [N, 3] in m, linear intensities [N] in spikes per tick, spacing [N] in m, instants [N] in s."""
 
-    positions: NDArray[np.float64]
+    positions: NDArray[np.floating]
     intensities: NDArray[np.float32]
     spacing: NDArray[np.float64]
     instants_s: NDArray[np.float64]
@@ -32,6 +33,11 @@ class Points:
     def select(self, which: NDArray) -> Points:
         """Return the points at indices, or where a mask is true."""
         return Points(self.positions[which], self.intensities[which], self.spacing[which], self.instants_s[which])
+
+    def moved(self, pose: Transform) -> Points:
+        """Return the points carried by `pose`, in float32."""
+        turn, shift = (np.asarray(a, np.float32) for a in (pose.rotation, pose.translation))
+        return replace(self, positions=self.positions @ turn.T + shift)
 
     @classmethod
     def none(cls) -> Points:
@@ -65,13 +71,11 @@ def sample_points(
     chosen = rng.permutation(len(all_positions))[:count]
     if len(chosen) == 0:
         return Points.none()
-    positions_kept = all_positions[chosen]
-    return Points(
-        positions_kept, all_intensities[chosen], spacing(positions_kept), np.full(len(chosen), float(instant_s))
-    )
+    kept = all_positions[chosen]
+    return Points(kept, all_intensities[chosen], spacing(kept), np.full(len(chosen), float(instant_s)))
 
 
-def spacing(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def spacing(positions: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the mean distance [N] in m from points [N, 3] to their nearest ones; a point alone gets 1 cm."""
     if len(positions) < 2:
         return np.full(len(positions), 0.01)

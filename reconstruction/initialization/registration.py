@@ -6,15 +6,11 @@ residuals down to `floor`. Cost: n x m a round, so both are thinned to MOST_POIN
 Sources: Myronenko & Song, "Point set registration: coherent point drift", PAMI 2010; Umeyama, PAMI 1991 (the fit).
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from acquisition.native import Address
 from reconstruction.initialization.points import Points, nearest
@@ -35,40 +31,6 @@ _soft_matches = kernel("soft_matches", *[Address, Address, Int] * 2, Address, *[
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """Points as tensors: positions [n, 3] in m and intensities [n] in spikes per tick, float32."""
-
-    positions: Tensor
-    intensities: Tensor
-
-    @classmethod
-    def of(cls, points: Points) -> Placed:
-        """Return the same points."""
-        return cls(
-            torch.from_numpy(points.positions.astype(np.float32)),
-            torch.from_numpy(points.intensities.astype(np.float32)),
-        )
-
-    @classmethod
-    def joined(cls, parts: Sequence[Placed]) -> Placed:
-        """Return all points of `parts`, in order."""
-        return cls(torch.cat([p.positions for p in parts]), torch.cat([p.intensities for p in parts]))
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-    def select(self, which: NDArray) -> Placed:
-        """Return the points at indices or where a mask is true."""
-        chosen = torch.from_numpy(which)
-        return Placed(self.positions[chosen], self.intensities[chosen])
-
-    def moved(self, pose: Transform) -> Placed:
-        """Return the points carried by `pose`."""
-        turn, shift = (np.asarray(a, np.float32) for a in (pose.rotation, pose.translation))
-        return Placed(torch.from_numpy(self.positions.numpy() @ turn.T + shift), self.intensities)
-
-
-@dataclass(frozen=True, eq=False)
 class Matches:
     """Sums over all pairs: of a match between 0 and 1, and of a match times what the field names."""
 
@@ -79,25 +41,25 @@ class Matches:
     cross: NDArray[np.float64]  # [3, 3] m^2, target by model
 
 
-def sampled(points: Placed) -> Placed:
+def sampled(points: Points) -> Points:
     """Return at most MOST_POINTS points, evenly spread over their order."""
     if len(points) <= MOST_POINTS:
         return points
     return points.select(np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64))
 
 
-def nearest_of(points: Placed, others: Placed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def nearest_of(points: Points, others: Points) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return for each of n points the distance [n] in m to the nearest of the others, and the index [n] of that one."""
-    apart, which = nearest(points.positions.numpy(), others.positions.numpy())
+    apart, which = nearest(points.positions, others.positions)
     return apart[:, 0], which[:, 0]
 
 
-def register(model: Placed, target: Placed, guess: Transform, width: float, floor: float) -> Transform:
+def register(model: Points, target: Points, guess: Transform, width: float, floor: float) -> Transform:
     """Return target from model, begun at `guess` with matches `width` metres wide, which narrow to half of `floor`."""
     pose = guess
-    volume = float((target.positions.amax(dim=0) - target.positions.amin(dim=0)).clamp_min(floor).prod())
-    lever = float(model.positions.norm(dim=1).amax())
-    model_cloud, target_cloud = ((p.positions.numpy(), p.intensities.numpy()) for p in (model, target))
+    volume = float(torch.from_numpy(np.ptp(target.positions, axis=0)).clamp_min(floor).prod())
+    lever = float(torch.from_numpy(model.positions).norm(dim=1).amax())
+    model_cloud, target_cloud = ((p.positions, p.intensities) for p in (model, target))
     for _ in range(ROUNDS):
         stray = STRAY / (1 - STRAY) * len(model) * CROWDING * (2 * np.pi) ** 1.5 * width**3 / volume
         matches = soft_matches(model_cloud, target_cloud, pose, width, stray)

@@ -2,8 +2,7 @@
 
 The rig that is given lends its focal length as a start and its centres for frame and scale; its poses are not used.
 When to use it: scenes with texture, no trust in the nominal poses. Periodic or flat scenes may end in a wrong minimum
-with an innocent residual. Sources: Schonberger & Frahm, "Structure-from-motion revisited", CVPR 2016 (incremental);
-Pan et al., "Global structure-from-motion revisited", ECCV 2024 (global); both by pycolmap.
+with an innocent residual. Source: Schonberger & Frahm, "Structure-from-motion revisited", CVPR 2016, by pycolmap.
 """
 
 import signal
@@ -22,11 +21,20 @@ from numpy.typing import NDArray
 
 from acquisition.progress import Progress, silent
 from reconstruction.errors import BadRunError, GeometryError
-from reconstruction.initialization.geometry import FEWEST_VIEWS, Geometry, Images, laid_on, toned, usable_views
+from reconstruction.initialization.geometry import (
+    FEWEST_VIEWS,
+    Geometry,
+    Images,
+    first_of_one_size,
+    laid_on,
+    toned,
+    usable_views,
+)
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
 
+Focal = Literal["estimated", "rig"]
 SEED = 0
 QUIET = 2  # level of COLMAP's log: errors and worse
 CAUCHY_PX = 0.25  # scale of the loss in the last adjustment
@@ -34,55 +42,25 @@ MOST_ERROR_PX = 2.0  # most reprojection error of a point
 LEAST_ANGLE_DEG = 1.0  # least angle between the rays to a point
 
 
-@dataclass(frozen=True)
-class SfmOptions:
-    """Settings of `sfm`. `mapping` adds view by view, or places all at once; `focal`: one factor for all, or the rig's.
-
-    `peak_threshold` is the contrast that a SIFT feature needs, of 1: raise it where images are noisy. `missing`: views
-    that do not register are an error, or keep the rig's pose, which the report says. Raises BadRunError for others.
-    """
-
-    mapping: Literal["incremental", "global"] = "incremental"
-    focal: Literal["estimated", "rig"] = "estimated"
-    peak_threshold: float = 0.02 / 3
-    missing: Literal["refuse", "nominal"] = "refuse"
-
-    def __post_init__(self) -> None:
-        known = {"mapping": ("incremental", "global"), "focal": ("estimated", "rig"), "missing": ("refuse", "nominal")}
-        for name, values in known.items():
-            if getattr(self, name) not in values:
-                raise BadRunError(f"found {name} {getattr(self, name)!r}", f"{' or '.join(values)}")
-        if not 0 < self.peak_threshold < 1:
-            raise BadRunError(f"found a peak threshold of {self.peak_threshold}", "more than 0, less than 1")
-
-
-def sfm(rig: Rig, images: Images, options: SfmOptions | None = None, progress: Progress = silent) -> Geometry:
+def sfm(rig: Rig, images: Images, progress: Progress = silent, *, focal: Focal = "estimated") -> Geometry:
     """Return poses, one shared focal length and points from `images`: camera id to [H, W], linear, spikes per tick.
 
-    A point's confidence is the number of views that see it. The same input gives the same result. Raises BadRunError
-    for images that do not fit the rig and GeometryError, by name, for views that could not be placed.
+    `focal`: one factor for all, or the rig's. A point's confidence is the number of views that see it. The same input
+    gives the same result. Raises BadRunError for images that do not fit the rig and GeometryError, by name, for views
+    that could not be placed.
     """
-    options = options or SfmOptions()
     views = usable_views(rig, images)
     lens = _shared_lens(rig.only(views))
     with tempfile.TemporaryDirectory(prefix="spike4dgs-sfm-") as folder, _quiet_pycolmap() as pycolmap:
         _write_images(Path(folder), rig, lens, toned({c: images[c] for c in views}))
-        models = _Run(pycolmap, Path(folder), options, progress).models(lens)
-        return _geometry(rig, views, lens, models, options)
+        models = _Run(pycolmap, Path(folder), focal == "estimated", progress).models(lens)
+        return _geometry(rig, views, lens, models, focal)
 
 
 def _shared_lens(rig: Rig) -> Camera:
     """Return the pinhole that all views are seen through: the mean of the rig's lenses, without their distortion."""
     mean = {name: float(np.mean([getattr(c, name) for c in rig.cameras])) for name in ("fx", "fy", "cx", "cy")}
-    first = rig.cameras[0]
-    odd = next((c for c in rig.cameras if (c.width, c.height) != (first.width, first.height)), None)
-    if odd:
-        raise BadRunError(
-            f"found the size {odd.width}x{odd.height}",
-            f"{first.width}x{first.height} as of {first.id}",
-            "structure from motion takes one lens for all cameras",
-            where=odd.id,
-        )
+    first = first_of_one_size(rig.cameras, "structure from motion takes one lens for all cameras")
     return replace(first, **mean, distortion=(0.0, 0.0, 0.0, 0.0))
 
 
@@ -132,7 +110,7 @@ class _Run:
 
     pycolmap: Any
     folder: Path
-    options: SfmOptions
+    free_focal: bool
     progress: Progress
 
     def models(self, lens: Camera) -> list[Any]:
@@ -143,7 +121,7 @@ class _Run:
             self._extract(lens)
             self.progress(0.35, "matches")
             self._match()
-            self.progress(0.65, f"{self.options.mapping} mapping")
+            self.progress(0.65, "incremental mapping")
             found = sorted(self._map().values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), reverse=True)
             self.progress(0.85, "bundle adjustment")
             self._adjust(found[:1])
@@ -165,7 +143,6 @@ class _Run:
         reader.camera_params = ",".join(repr(n) for n in numbers)
         extraction = colmap.FeatureExtractionOptions()
         extraction.num_threads = 1
-        extraction.sift.peak_threshold = self.options.peak_threshold
         how = {"camera_mode": colmap.CameraMode.SINGLE, "device": colmap.Device.cpu}
         colmap.extract_features(*self._places, reader_options=reader, extraction_options=extraction, **how)
 
@@ -178,25 +155,17 @@ class _Run:
         colmap.match_exhaustive(self._places[0], **how)
 
     def _map(self) -> Mapping[int, Any]:
-        colmap, free = self.pycolmap, self.options.focal == "estimated"
-        if self.options.mapping == "incremental":
-            how = colmap.IncrementalPipelineOptions()
-            how.ba_refine_focal_length = free
-            how.mapper.abs_pose_refine_focal_length = False  # one view alone says too little
-            mapping = colmap.incremental_mapping
-        else:
-            how = colmap.GlobalPipelineOptions()
-            how.mapper.bundle_adjustment.refine_focal_length = free
-            how.mapper.bundle_adjustment.ceres.use_gpu = how.mapper.global_positioning.use_gpu = False
-            mapping = colmap.global_mapping
+        how = self.pycolmap.IncrementalPipelineOptions()
+        how.ba_refine_focal_length = self.free_focal
+        how.mapper.abs_pose_refine_focal_length = False  # one view alone says too little
         how.min_model_size, how.num_threads, how.random_seed = FEWEST_VIEWS, 1, SEED
-        return mapping(*self._places, self.folder / "models", how)
+        return self.pycolmap.incremental_mapping(*self._places, self.folder / "models", how)
 
     def _adjust(self, models: list[Any]) -> None:
         """Adjust once more with a loss that forgets what does not fit: without it movers pull by .05 degrees."""
         colmap = self.pycolmap
         how = colmap.BundleAdjustmentOptions()
-        how.refine_focal_length = self.options.focal == "estimated"
+        how.refine_focal_length = self.free_focal
         how.refine_principal_point = how.refine_extra_params = how.print_summary = False
         how.ceres.use_gpu = False
         how.ceres.solver_options.num_threads = 1
@@ -207,37 +176,33 @@ class _Run:
             for image_id in model.reg_image_ids():
                 what.add_image(image_id)
             what.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-            colmap.create_default_bundle_adjuster(
-                how, what, model
-            ).solve()  # bundle_adjustment() logs whatever one asks
+            # bundle_adjustment() logs whatever one asks
+            colmap.create_default_bundle_adjuster(how, what, model).solve()
             colmap.ObservationManager(model).filter_all_points3D(MOST_ERROR_PX, LEAST_ANGLE_DEG)
             model.update_point_3d_errors()
 
 
-def _geometry(rig: Rig, views: tuple[str, ...], lens: Camera, models: list[Any], options: SfmOptions) -> Geometry:
-    """Return the largest model as cameras on the rig and points; raises GeometryError where it lacks views it needs."""
-    poses = (
-        {image.name.removesuffix(".png"): image.cam_from_world() for image in models[0].images.values()}
-        if models
-        else {}
-    )
+def _geometry(rig: Rig, views: tuple[str, ...], lens: Camera, models: list[Any], focal: Focal) -> Geometry:
+    """Return the largest model as cameras on the rig and points; raises GeometryError where it lacks a view."""
+    images = models[0].images.values() if models else ()
+    poses = {image.name.removesuffix(".png"): image.cam_from_world() for image in images}
     absent = [c for c in views if c not in poses]
-    if absent and (options.missing == "refuse" or len(poses) < FEWEST_VIEWS):
-        advice = "give sharper or less noisy images, another peak threshold, or keep the rig's poses"
+    if absent:
+        advice = "give sharper or less noisy images, or keep the rig's poses"
         raise GeometryError(f"found no place for {', '.join(absent)} of {len(views)} views", "all", advice)
     (colmap_lens,) = models[0].cameras.values()
     x, y = colmap_lens.focal_length_x / lens.fx, colmap_lens.focal_length_y / lens.fy
     cameras = []
-    for camera in rig.only(c for c in views if c in poses).cameras:
+    for camera in rig.only(views).cameras:
         pose = poses[camera.id]
         placed = Transform(np.asarray(pose.rotation.matrix()), np.asarray(pose.translation))
         cameras.append(replace(camera, fx=camera.fx * x, fy=camera.fy * y, cam_from_rig=placed))
     estimated, similarity, report = laid_on(rig, replace(rig, cameras=tuple(cameras)))
     points = [(point.xyz, point.track.length()) for _, point in sorted(models[0].points3D.items())]
     report |= {
-        "method": f"sfm {options.mapping}",
-        "focal": options.focal,
-        "unregistered": absent,
+        "method": "sfm incremental",
+        "focal": focal,
+        "unregistered": [],
         "models": len(models),
         "points": len(points),
         "reprojection_error_px": float(models[0].compute_mean_reprojection_error()),

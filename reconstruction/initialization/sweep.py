@@ -1,7 +1,7 @@
-"""Plane-sweep stereo with known poses: dense depth in each view, kept where other views agree.
+"""Plane-sweep stereo with known poses: dense depth in each view, kept where other views agree, and filled.
 
 Cost: a third of a second of one core for 128 hypotheses at 400x250. Fails on texture that repeats along the baselines
-or is flat; `consistency` removes most of that, and too few survivors is a StereoError: training does not recover from
+or is flat; `consistent` removes most of that, and too few survivors is a StereoError: training does not recover from
 bad points.
 Source: Collins, CVPR 1996 (plane sweep); Hirschmueller, PAMI 2008 (semi-global matching); ZNCC and best-k by design.
 """
@@ -13,15 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.native import Address
-from reconstruction.native import Float, Int, kernel
+from reconstruction.native import Double, Float, Int, kernel
 from rigs.camera import Camera
 from rigs.rig import object_distance_m
 
 Image = NDArray[np.float32]
 SOURCES = 4  # nearest views matched against each reference
+AGREEING = 2  # other views that must confirm a depth
+AGREEMENT_PX = 1.0  # inverse-depth steps by which a confirming depth may be off
 
 _IMAGES = (Address, Int, Int, Address, Int, Int, Int)
 _plane_sweep = kernel("plane_sweep", *_IMAGES, *[Address] * 3, Int, Int, Float, Float, Float, Address, Address)
+_confirm_depths = kernel("confirm_depths", Address, Int, Int, *[Address] * 3, Int, Int, Double, Address)
 
 
 @dataclass(frozen=True)
@@ -102,3 +105,52 @@ def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64
     source_from_reference = source.cam_from_rig @ reference.cam_from_rig.inverse()
     homography = source.K @ source_from_reference.rotation @ np.linalg.inv(reference.K)
     return homography.ravel(), source.K @ source_from_reference.translation
+
+
+def consistent(maps: Sequence[DepthMap], options: SweepOptions, agreeing: int = AGREEING) -> list[DepthMap]:
+    """Return the same depths with NaN wherever fewer than `agreeing` other views see the same surface."""
+    tolerance = AGREEMENT_PX * float(np.diff(options.inverse_depths[:2])[0])
+    checked = []
+    for i, reference in enumerate(maps):
+        others = [other for j, other in enumerate(maps) if j != i]
+        votes = confirmations(reference, others, tolerance)
+        kept = np.where(votes >= min(agreeing, len(others)), reference.depth, np.float32(np.nan))
+        checked.append(DepthMap(reference.camera, kept.astype(np.float32), reference.cost))
+    return checked
+
+
+def confirmations(reference: DepthMap, others: Sequence[DepthMap], tolerance: float) -> NDArray[np.uint8]:
+    """Return how many of the others [H, W] have a depth whose inverse is within `tolerance` (1/m) of the point's."""
+    camera = reference.camera
+    depth = np.ascontiguousarray(reference.depth, dtype=np.float32)
+    votes = np.zeros(depth.shape, np.uint8)
+    for other in others:
+        seen_by = other.camera
+        other_from_reference = seen_by.cam_from_rig @ camera.cam_from_rig.inverse()
+        rows = other_from_reference.rotation @ np.linalg.inv(camera.K)
+        numbers = np.concatenate([rows.ravel(), other_from_reference.translation])
+        pinhole = np.array([seen_by.fx, seen_by.fy, seen_by.cx, seen_by.cy])
+        there = np.ascontiguousarray(other.depth, dtype=np.float32)
+        _confirm_depths(depth, *depth.shape, numbers, pinhole, there, *there.shape, tolerance, votes)
+    return votes
+
+
+def filled(depth_map: DepthMap) -> DepthMap:
+    """Return the map with its unknown depths taken from the nearest known one, or unchanged where none is known.
+
+    Where fewer than two other views confirm a depth there would be no points, and training grows none there: the
+    border of the picture and the rims of occlusion stayed empty. On `fan_and_ball` this gained 1.0 dB after 1,500
+    steps, more than a depth that one view confirms (0.4) or the farthest depth around (0.6).
+    """
+    import cv2  # which listing the methods does without
+
+    unknown = ~np.isfinite(depth_map.depth)
+    if unknown.all() or not unknown.any():
+        return depth_map
+    _, found = cv2.distanceTransformWithLabels(
+        unknown.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    labels = np.asarray(found, dtype=np.int64)
+    known = np.empty(int(labels.max()) + 1, dtype=np.float32)
+    known[labels[~unknown]] = depth_map.depth[~unknown]
+    return DepthMap(depth_map.camera, known[labels], depth_map.cost)

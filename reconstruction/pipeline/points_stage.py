@@ -9,9 +9,17 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.estimate import shrunk
-from reconstruction.initialization.depth_maps import consistent, filled
 from reconstruction.initialization.points import Points, sample_points
-from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions, depth_range_m, neighbours, sweep_view
+from reconstruction.initialization.sweep import (
+    DepthMap,
+    Image,
+    SweepOptions,
+    consistent,
+    depth_range_m,
+    filled,
+    neighbours,
+    sweep_view,
+)
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.run.document import BodyCounts

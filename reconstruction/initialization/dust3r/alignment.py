@@ -17,8 +17,7 @@ from torch import Tensor
 
 from acquisition.progress import Progress, silent
 from reconstruction.errors import GeometryError
-from reconstruction.initialization.dust3r.pairs import PairMaps
-from reconstruction.initialization.dust3r.start import Start, started
+from reconstruction.initialization.dust3r.start import PairMaps, Start, started
 from reconstruction.networks.msdi.views import cross_matrices
 from rigs.transform import Floats, Transform
 

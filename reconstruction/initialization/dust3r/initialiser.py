@@ -5,10 +5,12 @@ ones are under CC BY-NC-SA, so none is shipped) and, on a CPU, minutes. Precisio
 `sfm` where that works. Source: Wang et al., "DUSt3R: geometric 3D vision made easy", CVPR 2024.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -17,12 +19,13 @@ from torch import Tensor
 from acquisition.progress import Progress, part, silent
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.dust3r.alignment import aligned
-from reconstruction.initialization.dust3r.pairs import PairMaps, complete, rays_of, sampled_pixels
-from reconstruction.initialization.geometry import Geometry, Images, laid_on, toned, usable_views
+from reconstruction.initialization.dust3r.start import PairMaps
+from reconstruction.initialization.geometry import Geometry, Images, first_of_one_size, laid_on, toned, usable_views
 from reconstruction.networks.dust3r.checkpoint import load_network
 from reconstruction.networks.dust3r.network import Dust3r
 from rigs.camera import Camera
 from rigs.rig import Rig
+from rigs.transform import Floats
 
 MOST_PIXELS = 2000  # most pixels of a view that the alignment works on
 AT_ONCE = 4  # images or pairs in the network
@@ -45,9 +48,10 @@ def dust3r_with(network: Dust3r, rig: Rig, images: Images, progress: Progress = 
     """Do as `dust3r` with a network at hand."""
     views = usable_views(rig, images)
     seen = rig.only(views)
-    rows, columns = sampled_pixels(*_common_size(seen.cameras), MOST_PIXELS)
+    first = first_of_one_size(seen.cameras, "dust3r takes images of one size")
+    rows, columns = sampled_pixels(first.height, first.width, MOST_PIXELS)
     tones = toned({c: images[c] for c in views})
-    edges = complete(len(views))
+    edges = list(itertools.permutations(range(len(views)), 2))
     pairs = predicted(network, [tones[c] for c in views], edges, (rows, columns), part(progress, 0, 0.8))
     found = aligned(views, rays_of(seen.cameras, rows, columns), pairs, part(progress, 0.8, 1))
     turned = (replace(c, cam_from_rig=pose) for c, pose in zip(seen.cameras, found.cam_from_world, strict=True))
@@ -59,15 +63,18 @@ def dust3r_with(network: Dust3r, rig: Rig, images: Images, progress: Progress = 
     return Geometry(estimated, points, confidence, report=placed | report | {"residual_of_depth": residuals})
 
 
-def _common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
-    """Return the height and width that all images have."""
-    first = cameras[0]
-    for camera in cameras:
-        if (camera.width, camera.height) != (first.width, first.height):
-            expected = f"{first.width}x{first.height} as of {first.id}"
-            found = f"found the size {camera.width}x{camera.height}"
-            raise BadRunError(found, expected, "dust3r takes images of one size", where=camera.id)
-    return first.height, first.width
+def sampled_pixels(height: int, width: int, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows and columns [n] of an even grid of at most `most` pixels."""
+    stride = max(1, int(np.ceil(np.sqrt(height * width / most))))
+    rows, columns = np.meshgrid(*(np.arange(stride // 2, side, stride) for side in (height, width)), indexing="ij")
+    return rows.ravel(), columns.ravel()
+
+
+def rays_of(cameras: Sequence[Camera], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+    """Return where the pixels' centres look, as x / z and y / z [v, n, 2] in camera axes, without lens distortion."""
+    pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)[:, None]
+    rays = [cv2.undistortPoints(pixels, c.K, np.array(c.distortion))[:, 0] for c in cameras]
+    return np.stack(rays).astype(np.float64)
 
 
 @torch.no_grad()

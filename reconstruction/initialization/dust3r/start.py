@@ -1,4 +1,4 @@
-"""A first guess for the alignment of pairs: poses along a spanning tree, and a similarity for each pair.
+"""Pairs of views as the network sees them: the pose of each view along a spanning tree, and a similarity for each pair.
 
 Letters: v views, n sampled pixels of each, m points. Source: Wang et al., "DUSt3R", CVPR 2024, sections 3.3 and 3.4.
 """
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.errors import GeometryError
-from reconstruction.initialization.dust3r.pairs import PairMaps
 from rigs.similarity import Similarity
 from rigs.transform import Floats, Transform
 
@@ -21,6 +21,32 @@ PNP_TOLERANCE = 0.015  # in units of the focal length, 5 pixels at 350
 LEAST_INLIERS = 0.5  # share of a view's points that one pose explains
 LEAST_LOG_CONFIDENCE = 0.1
 SMALL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PairMaps:
+    """The network's answer to two views, numbered `first` and `second`.
+
+    `points` [2, n, 3]: of the first and of the second view's pixels, both in the first camera's frame, at a scale of
+    the pair's own. `confidence` [2, n] >= 1, larger is better.
+    """
+
+    first: int
+    second: int
+    points: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+
+    @property
+    def weights(self) -> Floats:
+        """Return the logarithm of the confidence [2, n]; 0 where a point is not finite."""
+        usable = np.isfinite(self.points).all(axis=-1) & np.isfinite(self.confidence)
+        return np.where(usable, np.log(np.maximum(np.where(usable, self.confidence, 1), 1)), 0).astype(np.float64)
+
+    @property
+    def finite_points(self) -> Floats:
+        """Return the points [2, n, 3], zero where one is not finite."""
+        points = self.points.astype(np.float64)
+        return np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, 0)
 
 
 @dataclass(frozen=True, eq=False)

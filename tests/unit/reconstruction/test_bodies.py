@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-import torch
 from references.stereo import matches_of, soft_matches_reference
 
 from reconstruction.initialization.bodies import LONE, STILL, UNLIKE, Bodies, find_bodies
 from reconstruction.initialization.points import Points, spacing
-from reconstruction.initialization.registration import Placed, register, rigid_fit, soft_matches
+from reconstruction.initialization.registration import register, rigid_fit, soft_matches
 from rigs.transform import Transform
 
 INSTANTS = 5
@@ -95,8 +94,10 @@ def test_registration_is_the_same_at_every_scale_of_the_scene(scale):
     rng = np.random.default_rng(1)
     (a, light_a), (b, light_b) = board(rng, 300), board(rng, 300)
     true = Transform(turn(0.1), np.array([0.01, 0.0, 0.005]))
-    model = Placed(torch.tensor(a * scale, dtype=torch.float32), torch.tensor(light_a))
-    target = Placed(torch.tensor(true.apply(b) * scale, dtype=torch.float32), torch.tensor(light_b))
+    model, target = (
+        Points((at * scale).astype(np.float32), light, np.full(300, 0.01 * scale), np.zeros(300))
+        for at, light in ((a, light_a), (true.apply(b), light_b))
+    )
     found = register(model, target, Transform.identity(), 0.05 * scale, 0.012 * scale)
     assert np.abs(found.rotation - true.rotation).max() < 0.02
     assert np.abs(found.translation / scale - true.translation).max() < 0.003

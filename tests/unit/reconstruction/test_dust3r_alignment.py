@@ -1,4 +1,5 @@
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -6,8 +7,8 @@ import pytest
 from acquisition.scenes.catalog import build_scene
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.dust3r.alignment import aligned
-from reconstruction.initialization.dust3r.pairs import PairMaps, complete, rays_of, sampled_pixels
-from reconstruction.initialization.dust3r.start import link, registered
+from reconstruction.initialization.dust3r.initialiser import rays_of, sampled_pixels
+from reconstruction.initialization.dust3r.start import PairMaps, link, registered
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
@@ -15,6 +16,7 @@ from rigs.transform import Transform
 
 DISTANCE_M = 1.8
 MOST = 400
+COMPLETE = tuple(permutations(range(5), 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ def said(views, edges, *, noise=0.0, outliers=0.0, seed=0):
 @pytest.fixture(scope="module")
 def noisy(views):
     """Pairs with 0.5% noise in depth and a tenth of all points anywhere, and what they make when aligned."""
-    pairs = said(views, complete(5), noise=0.005, outliers=0.1)
+    pairs = said(views, COMPLETE, noise=0.005, outliers=0.1)
     return pairs, aligned(views.rig.ids, views.rays, pairs)
 
 
@@ -75,7 +77,7 @@ def errors_of(found, views):
 
 
 def test_exact_point_maps_give_exact_poses(views):
-    found = aligned(views.rig.ids, views.rays, said(views, complete(5)))
+    found = aligned(views.rig.ids, views.rays, said(views, COMPLETE))
     turn, shift = errors_of(found, views)
     assert turn < 1e-5  # float32 point maps
     assert shift < 1e-5
@@ -112,7 +114,7 @@ def test_the_same_input_gives_the_same_result(views, noisy):
 
 @pytest.mark.slow
 def test_points_lie_on_the_scene_and_outliers_earn_less_confidence(views):
-    pairs = said(views, complete(5), noise=0.005)
+    pairs = said(views, COMPLETE, noise=0.005)
     spoilt = np.arange(0, pairs[0].points.shape[1], 7)
     rng = np.random.default_rng(3)
     for pair in pairs:  # the same pixels are wrong in every pair, each time otherwise
@@ -127,7 +129,7 @@ def test_points_lie_on_the_scene_and_outliers_earn_less_confidence(views):
 
 
 def test_a_view_that_the_network_is_not_sure_of_is_refused_by_name(views):
-    pairs = said(views, complete(5))
+    pairs = said(views, COMPLETE)
     doubtful = [
         replace(p, confidence=np.full_like(p.confidence, 1.01)) if 1 in (p.first, p.second) else p for p in pairs
     ]
@@ -139,7 +141,7 @@ def test_a_view_that_the_network_is_not_sure_of_is_refused_by_name(views):
 
 def test_a_view_that_no_pose_explains_is_refused_by_name(views):
     rng = np.random.default_rng(1)
-    pairs = said(views, complete(5))
+    pairs = said(views, COMPLETE)
     for pair in pairs:
         for side in (0, 1):
             if 3 in (pair.first, pair.second):
@@ -152,7 +154,7 @@ def test_a_view_that_no_pose_explains_is_refused_by_name(views):
 def test_a_view_that_every_pair_puts_elsewhere_is_refused_by_name(views):
     """Each pair with it makes sense alone; together they do not."""
     rng = np.random.default_rng(2)
-    pairs = said(views, complete(5))
+    pairs = said(views, COMPLETE)
     for pair in pairs:
         if 4 in (pair.first, pair.second):
             other = int(pair.first == 4)
@@ -163,7 +165,7 @@ def test_a_view_that_every_pair_puts_elsewhere_is_refused_by_name(views):
 
 
 def test_points_that_are_not_finite_count_for_nothing(views):
-    pairs = said(views, complete(5), noise=0.005)
+    pairs = said(views, COMPLETE, noise=0.005)
     for pair in pairs:
         pair.points[0, ::9] = np.nan
         pair.confidence[1, ::11] = np.inf
@@ -174,7 +176,7 @@ def test_points_that_are_not_finite_count_for_nothing(views):
 
 @pytest.mark.parametrize("shape", ["one place", "a line", "nothing", "behind"])
 def test_maps_without_sense_are_refused(views, shape):
-    pairs = said(views, complete(5))
+    pairs = said(views, COMPLETE)
     for pair in pairs:
         match shape:
             case "one place":
@@ -213,8 +215,7 @@ def test_a_link_is_the_pose_of_the_second_camera(views):
     assert shift @ expected.translation / np.linalg.norm(shift) / np.linalg.norm(expected.translation) > 0.999
 
 
-def test_graphs_and_samples():
-    assert complete(3) == [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
+def test_samples():
     rows, columns = sampled_pixels(250, 400, 2000)
     assert len(rows) == len(columns) <= 2000
     assert rows.max() < 250

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.initialization.depth_maps import filled
-from reconstruction.initialization.sweep import DepthMap
+from reconstruction.initialization.sweep import DepthMap, filled
 from rigs.toml import catalog_rig
 
 CAMERA = catalog_rig("ci3x3").cameras[0].scaled(9, 5)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from references.stereo import confirmations_reference, sweep_view_reference
 
-from reconstruction.initialization.depth_maps import confirmations, consistent
 from reconstruction.initialization.points import Points, sample_points, spacing
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
     back_project,
+    confirmations,
+    consistent,
     depth_range_m,
     neighbours,
     sweep_view,
