@@ -20,7 +20,7 @@ from acquisition.scenes.misplaced import misplaced
 from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, means, measure_parts, named
 from reconstruction.bench.pose_methods import BOARD, DATE, METHODS
 from reconstruction.bench.pose_scores import score_own_points, score_sweep
-from reconstruction.calibration.natural import NaturalOptions, gather, solve
+from reconstruction.calibration.natural import gather, solve
 from reconstruction.errors import ReconstructionError
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import Rig, object_distance_m
@@ -129,7 +129,7 @@ def _trials(clip: KnownRecording) -> list[dict]:
         nominal = misplaced(clip.rig, ERROR, 1000 * clip.seed + trial, turn_deg=turn)
         row = {"method": "natural.trial", "scene": clip.scene, "seed": clip.seed, "trial": trial, "turn_deg": turn}
         try:
-            found = solve(nominal, evidence, DATE, NaturalOptions())
+            found = solve(nominal, evidence, DATE)
             row |= _errors(found.rig, clip.rig) | {"rotation_sd_deg": found.report["rotation_sd_deg"]}
         except ReconstructionError as refusal:
             row |= {"refused": str(refusal)}

@@ -47,10 +47,6 @@ class Solution:
     problem: Problem
     state: State
 
-    def residuals_px(self) -> Floats:
-        """Return the residuals [O, 2] of the observations in px."""
-        return linearised(self.problem, self.state).residuals
-
 
 def cost(problem: Problem, state: State) -> float:
     """Return the robust cost of a state, with priors."""

@@ -18,12 +18,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from reconstruction.calibration.adjustment import Solution, adjust, linearised
 from reconstruction.calibration.board_sightings import Sightings
 from reconstruction.calibration.problem import BoardPoses, Freedom, Loss, Observations, Problem, State
-from reconstruction.calibration.projection import PARAMETERS, Cameras, project
+from reconstruction.calibration.projection import Cameras, project
 from reconstruction.errors import GeometryError
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -55,24 +54,6 @@ class BoardSolution(Solution):
     found: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Values:
-    """All values that can be free, and which of them [g] belong to each group."""
-
-    freedom: Freedom
-    groups: dict[str, NDArray[np.int64]]
-
-    def only(self, groups: tuple[str, ...]) -> Freedom:
-        """Return the freedom with these groups alone."""
-        kept = self.places(groups)
-        free = self.freedom
-        return Freedom(free.mixing[:, :, kept], free.prior_sd[kept])
-
-    def places(self, groups: tuple[str, ...]) -> NDArray[np.int64]:
-        """Return where the groups' values are among all."""
-        return np.concatenate([self.groups[name] for name in groups])
-
-
 def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[BoardSolution, Sightings]:
     """Find the cameras of `rig` by `sightings` of a board with `points` [N, 3] in m; return the sightings used, too.
 
@@ -82,89 +63,59 @@ def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[BoardSolution
     sightings = sightings.only(np.array([pose is not None for pose in poses]))
     if not len(sightings):
         raise GeometryError("found no picture with four points of the board that are not in a line", do="show it whole")
-    cameras, values = Cameras.of(rig.cameras), _all_values(rig)
     stood = [pose for pose in poses if pose is not None]
     turns, shifts = np.array([pose.rotation for pose in stood]), np.array([pose.translation for pose in stood])
     blocks = BoardPoses(turns, shifts, points[sightings.point])
-    groups: tuple[str, ...] = ("poses",)
-    state = State(cameras, blocks, np.zeros(len(values.places(groups))))
-    state = adjust(_problem(sightings, values.only(groups), ROUGH_PX, 10.0), state)
-    state = replace(state, steps=np.append(state.steps, np.zeros(len(values.freedom.prior_sd) - len(state.steps))))
-    groups = ("poses", "focal", *LENS_GROUPS)
-    state = adjust(_problem(sightings, values.only(groups), FINE_PX, BEND), state, 60)
-    return _reduced(values, sightings, state, groups), sightings
+    freedom = _whole_freedom(rig)
+    first = freedom.only(freedom.of("poses"))
+    state = State(Cameras.of(rig.cameras), blocks, np.zeros(len(first.prior_sd)))
+    state = adjust(_problem(sightings, first, ROUGH_PX, 10.0), state)
+    state = replace(state, steps=np.append(state.steps, np.zeros(len(freedom.prior_sd) - len(state.steps))))
+    state = adjust(_problem(sightings, freedom, FINE_PX), state, 60)
+    return _reduced(freedom, sightings, state), sightings
 
 
-def _reduced(values: _Values, sightings: Sightings, state: State, groups: tuple[str, ...]) -> BoardSolution:
+def _reduced(freedom: Freedom, sightings: Sightings, state: State) -> BoardSolution:
     """Return the solution in which every group that is not significant has its nominal values."""
     while True:
-        problem = _problem(sightings, values.only(groups), FINE_PX, BEND)
-        problem = _problem(sightings, values.only(groups), noise_px(problem, state), BEND)
+        problem = _problem(sightings, freedom, noise_px(_problem(sightings, freedom, FINE_PX), state))
         state = adjust(problem, state, least_gain=1e-9)
         sd_px = noise_px(problem, state)
-        problem = _problem(sightings, values.only(groups), sd_px, BEND)
+        problem = _problem(sightings, freedom, sd_px)
         covariance = plain_covariance(problem, state)
-        weakest = _weakest(values, groups, state.steps, covariance, 2 * len(sightings))
+        weakest = _weakest(freedom, state.steps, covariance, 2 * len(sightings))
         if weakest is None:
             covariance = covariance * sightings.poses / sightings.distinct()
-            return BoardSolution(problem, state, sd_px, covariance, tuple(g for g in groups if g in LENS_GROUPS))
-        state, groups = _without(weakest, values, groups, state)
+            return BoardSolution(
+                problem, state, sd_px, covariance, tuple(g for g in LENS_GROUPS if g in freedom.groups)
+            )
+        own = freedom.of(weakest)
+        back = -freedom.mixing[:, :, own] @ state.steps[own]
+        state = State(state.cameras.moved(back), state.blocks, np.delete(state.steps, own))
+        freedom = freedom.only(np.delete(np.arange(len(freedom.prior_sd)), own))
 
 
-def _weakest(values: _Values, groups: tuple[str, ...], steps: Floats, covariance: Floats, numbers: int) -> str | None:
+def _weakest(freedom: Freedom, steps: Floats, covariance: Floats, numbers: int) -> str | None:
     """Return the least significant group, if it is not significant; k1 is judged once k2 is gone."""
-    judged = [g for g in groups if g in LENS_GROUPS and not (g == K1 and K2 in groups)]
-    place = {g: _within(values, groups, g) for g in judged}
     ratios = {}
-    for group in judged:
-        own, x = place[group], steps[place[group]]
-        ratios[group] = float(x @ np.linalg.solve(covariance[np.ix_(own, own)], x)) / (len(x) * np.log(numbers))
+    for group in LENS_GROUPS:
+        if group in freedom.groups and not (group == K1 and K2 in freedom.groups):
+            own = freedom.of(group)
+            x = steps[own]
+            ratios[group] = float(x @ np.linalg.solve(covariance[np.ix_(own, own)], x)) / (len(x) * np.log(numbers))
     weakest = min(ratios, key=ratios.__getitem__, default=None)
     return weakest if weakest is not None and ratios[weakest] < 1 else None
 
 
-def _without(group: str, values: _Values, groups: tuple[str, ...], state: State) -> tuple[State, tuple[str, ...]]:
-    """Take a group's steps back; return the state and the groups that remain."""
-    own = _within(values, groups, group)
-    back = -values.only(groups).mixing[:, :, own] @ state.steps[own]
-    steps = np.delete(state.steps, own)
-    return State(state.cameras.moved(back), state.blocks, steps), tuple(g for g in groups if g != group)
+def _whole_freedom(rig: Rig) -> Freedom:
+    """Return the freedom of all values that may be found, by group."""
+    cameras, width = Cameras.of(rig.cameras), max(camera.width for camera in rig.cameras)
+    freedom = Freedom.poses(len(cameras), CENTER_SD_M, TURN_SD).shared_focal(cameras, FOCAL_SD)
+    freedom = freedom.own_focal(cameras, OWN_FOCAL_SD, OWN).each(("cx", "cy"), PRINCIPAL_SD * width, PRINCIPAL)
+    return freedom.each((K1,), DISTORTION_SD, K1).each((K2,), DISTORTION_SD, K2)
 
 
-def _within(values: _Values, groups: tuple[str, ...], group: str) -> NDArray[np.int64]:
-    """Return where the values of `group` are among those of `groups`."""
-    before = sum(len(values.groups[g]) for g in groups[: groups.index(group)])
-    return before + np.arange(len(values.groups[group]))
-
-
-def _all_values(rig: Rig) -> _Values:
-    cameras, count = Cameras.of(rig.cameras), len(rig.cameras)
-    width = max(camera.width for camera in rig.cameras)
-    own = np.zeros((count, len(PARAMETERS), count))
-    for number, name in enumerate(("fx", "fy")):
-        own[np.arange(count), PARAMETERS.index(name), np.arange(count)] = cameras.lenses[:, number]
-    freedom, groups = Freedom.none(count), {}
-
-    def free(group: str, names: tuple[str, ...], prior_sd: float) -> None:
-        nonlocal freedom
-        for name in names:
-            before = len(freedom.prior_sd)
-            freedom = freedom.each(name, prior_sd)
-            groups[group] = np.append(groups.get(group, np.zeros(0, dtype=np.int64)), np.arange(before, before + count))
-
-    free("poses", PARAMETERS[:3], TURN_SD)
-    free("poses", PARAMETERS[3:6], CENTER_SD_M)
-    groups["focal"] = np.array([len(freedom.prior_sd)])
-    freedom = freedom.shared_focal(cameras, FOCAL_SD)
-    groups[OWN] = len(freedom.prior_sd) + np.arange(count)
-    freedom = freedom.freed(own, OWN_FOCAL_SD)
-    free(PRINCIPAL, ("cx", "cy"), PRINCIPAL_SD * width)
-    free(K1, ("k1",), DISTORTION_SD)
-    free(K2, ("k2",), DISTORTION_SD)
-    return _Values(freedom, groups)
-
-
-def _problem(sightings: Sightings, freedom: Freedom, sd_px: float, bend: float) -> Problem:
+def _problem(sightings: Sightings, freedom: Freedom, sd_px: float, bend: float = BEND) -> Problem:
     sds = np.full(len(sightings), sd_px)
     observations = Observations(sightings.camera, sightings.pose, sightings.pixels, sds)
     return Problem(observations, freedom, Loss("huber", bend))

@@ -3,7 +3,7 @@
 The metres are the board's own; the nominal cameras say only where the rig's frame lies.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 
@@ -12,9 +12,17 @@ from acquisition.recording.reader import Recording
 from reconstruction.calibration.board_adjustment import K1, K2, OWN, PRINCIPAL, BoardSolution, solve
 from reconstruction.calibration.board_sightings import Sightings, sight_board
 from reconstruction.calibration.board_spec import BoardSpec
-from reconstruction.calibration.calibrated import INLIER_PX, Calibrated, CameraSd, Fit, calibrated, displacement
+from reconstruction.calibration.calibrated import (
+    INLIER_PX,
+    OPTIMISM,
+    Calibrated,
+    CameraSd,
+    Fit,
+    calibrated,
+    camera_sds,
+    displacement,
+)
 from reconstruction.calibration.projection import Cameras
-from reconstruction.calibration.uncertainty import OPTIMISM, camera_sds
 from reconstruction.errors import BadRunError, GeometryError
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import Similarity, align
@@ -52,7 +60,7 @@ def from_sightings(rig: Rig, board: BoardSpec, sightings: Sightings, date: str) 
             "the board is bent, or its millimetres are others",
             where=f"board {board.text}",
         )
-    free = replace(rig, cameras=solution.state.cameras.written_to(rig.cameras))
+    free = solution.state.cameras.written_to(rig)
     similarity = align(free, rig)
     _refuse_displaced(rig, similarity.carry_rig(free))
     _refuse_rescaled(board, rig, similarity.scale)

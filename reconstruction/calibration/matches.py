@@ -7,7 +7,6 @@ Letters: V views, M matches of a pair, T tracks.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -148,8 +147,3 @@ def joined(features: Sequence[Features], matches: Mapping[Pair, Matches], least_
     places = np.full((*count.shape, 2), np.nan)
     places[track, view] = np.concatenate([f.places for f in features])[linked] if len(linked) else places[track, view]
     return Tracks(places[(count.max(axis=1, initial=0) == 1) & ((count > 0).sum(axis=1) >= least_views)])
-
-
-def all_pairs(views: int) -> list[Pair]:
-    """Return every two of `views` views."""
-    return list(itertools.combinations(range(views), 2))

@@ -3,17 +3,17 @@
 Metric scale, place and turn of the whole come from the nominal cameras alone. Letters: V views.
 """
 
+import itertools
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acquisition.progress import Progress, silent
 from reconstruction.calibration.adjustment import Solution, covariance
-from reconstruction.calibration.calibrated import Calibrated, Fit, calibrated
+from reconstruction.calibration.calibrated import Calibrated, Fit, calibrated, camera_sds
 from reconstruction.calibration.features import Features, Image, find_features
-from reconstruction.calibration.matches import Gate, Matches, Pair, Tracks, all_pairs, gated, joined, matched, verified
+from reconstruction.calibration.matches import Gate, Matches, Pair, Tracks, gated, joined, matched, verified
 from reconstruction.calibration.patches import refined
 from reconstruction.calibration.problem import Loss
 from reconstruction.calibration.projection import Cameras
@@ -24,13 +24,13 @@ from reconstruction.calibration.tracks_to_poses import (
     observed,
     with_focal,
 )
-from reconstruction.calibration.uncertainty import camera_sds
 from reconstruction.calibration.verdict import Evidence, judge, refuse_blind, refuse_unsure
 from rigs.camera import Camera
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 
 NOMINAL_GATE = Gate(45.0)
+AFTER_MSDI = Gate(15.0, along=1.0)  # its cameras are off by a few tenths of a degree at most
 COARSE_GATE = Gate(8.0, along=1.0)  # once turns are found
 LEAST_VIEWS = 3  # fewest views of a track
 MOST_TRACKS = 1000
@@ -39,34 +39,25 @@ CELLS = (8, 5)  # across and down a view, that tracks are spread over
 BEND_PX = 0.3  # Cauchy's, at the end
 
 
-@dataclass(frozen=True)
-class NaturalOptions:
-    """The `gate` that the nominal rig puts on matches, and the `seed` of all draws."""
-
-    gate: Gate = NOMINAL_GATE
-    seed: int = 0
-
-
-AFTER_MSDI = NaturalOptions(Gate(15.0, along=1.0))  # its cameras are off by a few tenths of a degree at most
-
-
 def calibrate_natural(
     rig: Rig,
     images: Mapping[str, Image],
     date: str,
-    options: NaturalOptions | None = None,
     progress: Progress = silent,
+    *,
+    gate: Gate = NOMINAL_GATE,
+    seed: int = 0,
 ) -> Calibrated:
     """Find the poses of the cameras of `rig` that have an image, and one focal factor; the others keep what they have.
 
     `images` (camera id to [H, W], spikes per tick) are of the same instant or the same long window; `date` is the
-    calibration's, in ISO form. Raises GeometryError, with the reason, where the result could not be trusted: keep the
-    nominal rig then.
+    calibration's, in ISO form; `gate` is what the rig as drawn says of matches, `seed` that of all draws. Raises
+    GeometryError, with the reason, where the result could not be trusted: keep the nominal rig then.
     """
     began = time.monotonic()
     ordered = {c: images[c] for c in rig.ids if c in images}
     refuse_blind(ordered)
-    found = solve(rig, gather(ordered, progress), date, options or NaturalOptions(), progress)
+    found = solve(rig, gather(ordered, progress), date, progress, gate=gate, seed=seed)
     found.report["seconds"] = round(time.monotonic() - began, 3)
     return found
 
@@ -77,15 +68,23 @@ def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence
     for i, (camera, picture) in enumerate(images.items()):
         features.append(find_features(picture))
         progress(0.3 * (i + 1) / len(images), f"features of {camera}: {len(features[-1])}")
-    candidates = {(a, b): matched(features[a], features[b]) for a, b in all_pairs(len(images))}
+    candidates = {(a, b): matched(features[a], features[b]) for a, b in itertools.combinations(range(len(images)), 2)}
     progress(0.5, f"{sum(map(len, candidates.values()))} matches")
     return Evidence(images, features, candidates)
 
 
-def solve(rig: Rig, evidence: Evidence, date: str, options: NaturalOptions, progress: Progress = silent) -> Calibrated:
+def solve(
+    rig: Rig,
+    evidence: Evidence,
+    date: str,
+    progress: Progress = silent,
+    *,
+    gate: Gate = NOMINAL_GATE,
+    seed: int = 0,
+) -> Calibrated:
     """Return what `calibrate_natural` does, from features and matches that were gathered before."""
     nominal = rig.only(evidence.images)
-    start, tracks = _coarse(nominal, evidence, options)
+    start, tracks = _coarse(nominal, evidence, gate, seed)
     progress(0.6, f"{len(tracks)} tracks")
     solution = annealed(start, tracks)
     tracks = refined(tracks, list(evidence.images.values()))
@@ -99,19 +98,18 @@ def solve(rig: Rig, evidence: Evidence, date: str, options: NaturalOptions, prog
     return found
 
 
-def _coarse(nominal: Rig, evidence: Evidence, options: NaturalOptions) -> tuple[Solution, Tracks]:
+def _coarse(nominal: Rig, evidence: Evidence, gate: Gate, seed: int) -> tuple[Solution, Tracks]:
     """Find the cameras' turns from matches that the nominal rig allows, and the tracks that these turns allow."""
     features = evidence.features
-    allowed = _allowed(nominal.cameras, features, evidence.candidates, options.gate)
+    allowed = _allowed(nominal.cameras, features, evidence.candidates, gate)
     for (a, b), pairs in allowed.items():
-        allowed[a, b] = pairs[
-            verified((features[a].places[pairs[:, 0]], features[b].places[pairs[:, 1]]), options.seed)
-        ]
+        places = features[a].places[pairs[:, 0]], features[b].places[pairs[:, 1]]
+        allowed[a, b] = pairs[verified(places, seed)]
     tracks = evidence.enough(joined(features, allowed, LEAST_VIEWS))
-    start = coarse(Cameras.of(nominal.cameras), spread(tracks, nominal.cameras, COARSE_TRACKS, options.seed))
-    turned = start.state.cameras.written_to(nominal.cameras)
+    start = coarse(Cameras.of(nominal.cameras), spread(tracks, nominal.cameras, COARSE_TRACKS, seed))
+    turned = start.state.cameras.written_to(nominal).cameras
     tracks = joined(features, _allowed(turned, features, evidence.candidates, COARSE_GATE), LEAST_VIEWS)
-    return start, spread(evidence.enough(tracks), nominal.cameras, MOST_TRACKS, options.seed)
+    return start, spread(evidence.enough(tracks), nominal.cameras, MOST_TRACKS, seed)
 
 
 def _allowed(
@@ -145,7 +143,7 @@ def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, date: s
     cameras, problem, fit = solution.state.cameras, solution.problem, Fit.of(solution)
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
     sd_deg = refuse_unsure(sds)
-    found = replace(nominal, cameras=cameras.written_to(nominal.cameras))
+    found = cameras.written_to(nominal)
     focal = float(solution.state.steps[-1])
     report: dict[str, object] = {
         "date": date,

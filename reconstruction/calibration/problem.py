@@ -6,8 +6,9 @@ Letters: C cameras, G free camera values, L blocks of D unknowns, O observations
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,20 +17,6 @@ from reconstruction.calibration.projection import PARAMETERS, Cameras
 from rigs.transform import Floats, cross_matrices, rotations
 
 Indices = NDArray[np.int64]
-
-
-class Blocks(Protocol):
-    """The things that cameras look at, each with D unknowns."""
-
-    def __len__(self) -> int: ...
-
-    def place(self, which: Indices) -> tuple[Floats, Floats]:
-        """Return each observation's point [O, 3] in m and its derivatives [O, 3, D]; `which` [O] is its block."""
-        ...
-
-    def moved(self, steps: Floats) -> Blocks:
-        """Return the blocks after steps [L, D]."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +29,11 @@ class ScenePoints:
         return len(self.positions)
 
     def place(self, which: Indices) -> tuple[Floats, Floats]:
-        """See Blocks."""
+        """Return each observation's point [O, 3] in m and its derivatives [O, 3, 3]; `which` [O] is its block."""
         return self.positions[which], np.broadcast_to(np.eye(3), (len(which), 3, 3))
 
     def moved(self, steps: Floats) -> ScenePoints:
-        """See Blocks."""
+        """Return the points after steps [L, 3]."""
         return ScenePoints(self.positions + steps)
 
 
@@ -65,18 +52,18 @@ class BoardPoses:
         return len(self.translations)
 
     def place(self, which: Indices) -> tuple[Floats, Floats]:
-        """See Blocks."""
+        """Return each observation's point [O, 3] in m and its derivatives [O, 3, 6]; `which` [O] is its block."""
         turned = (self.rotations[which] @ self.corners[:, :, None])[:, :, 0]
         shift = np.broadcast_to(np.eye(3), (len(which), 3, 3))
         return turned + self.translations[which], np.concatenate([-cross_matrices(turned), shift], axis=2)
 
     def moved(self, steps: Floats) -> BoardPoses:
-        """See Blocks."""
-        return replace(
-            self,
-            rotations=rotations(steps[:, :3]) @ self.rotations,
-            translations=self.translations + steps[:, 3:],
-        )
+        """Return the poses after steps [L, 6], turns first."""
+        turned = rotations(steps[:, :3]) @ self.rotations
+        return replace(self, rotations=turned, translations=self.translations + steps[:, 3:])
+
+
+Blocks = ScenePoints | BoardPoses
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,34 +107,62 @@ class Loss:
 class Freedom:
     """The camera parameters that may change: steps [C, 14] of PARAMETERS are `mixing` [C, 14, G] times G free values.
 
-    `prior_sd` [G] is how far each value may be from zero (infinity: anywhere).
+    `prior_sd` [G] is how far each value may be from zero (infinity: anywhere), `groups` [G] what it is a part of.
     """
 
     mixing: Floats
     prior_sd: Floats
+    groups: tuple[str, ...] = ()
 
     @classmethod
     def none(cls, cameras: int) -> Freedom:
         """Return a freedom in which nothing may change."""
         return cls(np.zeros((cameras, len(PARAMETERS), 0)), np.zeros(0))
 
-    def freed(self, columns: Floats, prior_sd: float) -> Freedom:
-        """Add values that mix steps by `columns` [C, 14, n], all with the same prior around zero."""
-        sds = np.full(columns.shape[2], prior_sd)
-        return Freedom(np.concatenate([self.mixing, columns], axis=2), np.append(self.prior_sd, sds))
+    @classmethod
+    def poses(cls, cameras: int, center_sd_m: float, turn_sd: float = np.inf) -> Freedom:
+        """Return a freedom of the poses, in the group "poses", with priors on the centres and on the turns in rad."""
+        freedom = cls.none(cameras).each(PARAMETERS[:3], turn_sd, "poses")
+        return freedom.each(PARAMETERS[3:6], center_sd_m, "poses")
 
-    def each(self, name: str, prior_sd: float) -> Freedom:
-        """Free the parameter `name` of every camera by itself."""
-        columns = np.zeros((len(self.mixing), len(PARAMETERS), len(self.mixing)))
-        columns[:, PARAMETERS.index(name)] = np.eye(len(self.mixing))
-        return self.freed(columns, prior_sd)
+    def freed(self, columns: Floats, prior_sd: float, group: str) -> Freedom:
+        """Add a group of values that mix steps by `columns` [C, 14, n], all with the same prior around zero."""
+        sds = np.append(self.prior_sd, np.full(columns.shape[2], prior_sd))
+        return Freedom(np.concatenate([self.mixing, columns], axis=2), sds, self.groups + (group,) * columns.shape[2])
+
+    def each(self, names: Sequence[str], prior_sd: float, group: str) -> Freedom:
+        """Free the parameters `names` of every camera by itself."""
+        freedom = self
+        for name in names:
+            columns = np.zeros((len(self.mixing), len(PARAMETERS), len(self.mixing)))
+            columns[:, PARAMETERS.index(name)] = np.eye(len(self.mixing))
+            freedom = freedom.freed(columns, prior_sd, group)
+        return freedom
 
     def shared_focal(self, cameras: Cameras, prior_sd: float) -> Freedom:
-        """Free one factor of all focal lengths, as a relative change."""
-        columns = np.zeros((len(self.mixing), len(PARAMETERS), 1))
-        for number, name in enumerate(("fx", "fy")):
-            columns[:, PARAMETERS.index(name), 0] = cameras.lenses[:, number]
-        return self.freed(columns, prior_sd)
+        """Free one factor of all focal lengths, as a relative change, in the group "focal"."""
+        return self.freed(_own_focal(cameras).sum(axis=2, keepdims=True), prior_sd, "focal")
+
+    def own_focal(self, cameras: Cameras, prior_sd: float, group: str) -> Freedom:
+        """Free a factor of each camera's focal lengths, as a relative change."""
+        return self.freed(_own_focal(cameras), prior_sd, group)
+
+    def of(self, *groups: str) -> Indices:
+        """Return where the values of these groups are."""
+        return np.flatnonzero(np.isin(self.groups, groups))
+
+    def only(self, kept: Indices) -> Freedom:
+        """Return the freedom with the values at these places alone."""
+        return Freedom(self.mixing[:, :, kept], self.prior_sd[kept], tuple(self.groups[i] for i in kept))
+
+
+def _own_focal(cameras: Cameras) -> Floats:
+    """Return the steps [C, 14, C] by which both focal lengths of one camera grow by their own size."""
+    every = np.arange(len(cameras))
+    columns = np.zeros((len(cameras), len(PARAMETERS), len(cameras)))
+    for number, name in enumerate(("fx", "fy")):
+        columns[every, PARAMETERS.index(name), every] = cameras.lenses[:, number]
+    return columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigs.camera import Camera
+from rigs.rig import Rig
 from rigs.transform import Floats, Transform, cross_matrices, rotations
 
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
@@ -42,17 +43,15 @@ class Cameras:
         turned = rotations(steps[:, TURN]) @ self.rotations
         return Cameras(turned, self.centers + steps[:, CENTER], self.lenses + steps[:, 6:])
 
-    def written_to(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-        """Return `cameras` with these poses and lenses."""
+    def written_to(self, rig: Rig) -> Rig:
+        """Return `rig` with these poses and lenses."""
         found = []
-        for camera, rotation, center, lens in zip(cameras, self.rotations, self.centers, self.lenses, strict=True):
+        for camera, rotation, center, lens in zip(rig.cameras, self.rotations, self.centers, self.lenses, strict=True):
             u, _, vt = np.linalg.svd(rotation)  # steps leave it a rotation to rounding; make it one again
-            pose = Transform(u @ vt, -(u @ vt) @ center)
-            fx, fy, cx, cy, *distortion = map(float, lens)
-            k1, k2, p1, p2 = distortion
+            fx, fy, cx, cy, k1, k2, p1, p2 = map(float, lens)
             values = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": (k1, k2, p1, p2)}
-            found.append(replace(camera, cam_from_rig=pose, **values))
-        return tuple(found)
+            found.append(replace(camera, cam_from_rig=Transform(u @ vt, -(u @ vt) @ center), **values))
+        return replace(rig, cameras=tuple(found))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from reconstruction.calibration.adjustment import Solution, adjust
 from reconstruction.calibration.matches import Tracks
 from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, ScenePoints, State
-from reconstruction.calibration.projection import PARAMETERS, Cameras
+from reconstruction.calibration.projection import Cameras
 from rigs.transform import Floats
 
 FEATURE_SD_PX, PATCH_SD_PX = 0.3, 0.1
@@ -24,9 +24,8 @@ STEPS = ((10.0, 1e-3), (5.0, 4e-3), (3.0, CENTER_SD_M), (1.0, CENTER_SD_M))  # C
 
 def coarse(cameras: Cameras, tracks: Tracks) -> Solution:
     """Find the turns, with centres and focal length all but held: enough to judge matches by."""
-    state = State(cameras, ScenePoints(triangulated(cameras, tracks)), np.zeros(0))
-    freedom = pose_freedom(len(cameras), HELD_M)
-    state = replace(state, steps=np.zeros(len(freedom.prior_sd)))
+    freedom = Freedom.poses(len(cameras), HELD_M)
+    state = State(cameras, ScenePoints(triangulated(cameras, tracks)), np.zeros(len(freedom.prior_sd)))
     problem = Problem(observed(tracks, FEATURE_SD_PX), freedom, Loss("huber", 3.0 / FEATURE_SD_PX))
     return Solution(problem, adjust(problem, state, least_gain=ROUGHLY))
 
@@ -37,29 +36,17 @@ def annealed(start: Solution, tracks: Tracks) -> Solution:
     observations = observed(tracks, FEATURE_SD_PX)
     state = State(cameras, ScenePoints(triangulated(cameras, tracks)), start.state.steps)
     for px, center_m in STEPS:
-        freedom = pose_freedom(len(cameras), center_m)
+        freedom = Freedom.poses(len(cameras), center_m)
         state = adjust(Problem(observations, freedom, Loss("cauchy", px / FEATURE_SD_PX)), state, least_gain=ROUGHLY)
     return with_focal(state, observations, Loss("cauchy", STEPS[-1][0] / FEATURE_SD_PX))
 
 
 def with_focal(state: State, observations: Observations, loss: Loss) -> Solution:
     """Adjust on with the focal length free, and with other observations of the same points."""
-    freedom = pose_freedom(len(state.cameras), CENTER_SD_M)
-    poses = len(freedom.prior_sd)
-    freedom = freedom.shared_focal(state.cameras, FOCAL_SD)
-    steps = state.steps if len(state.steps) > poses else np.append(state.steps, 0.0)
+    freedom = Freedom.poses(len(state.cameras), CENTER_SD_M).shared_focal(state.cameras, FOCAL_SD)
+    steps = np.append(state.steps, np.zeros(len(freedom.prior_sd) - len(state.steps)))
     problem = Problem(observations, freedom, loss)
     return Solution(problem, adjust(problem, replace(state, steps=steps), 40))
-
-
-def pose_freedom(cameras: int, center_m: float) -> Freedom:
-    """Free the turns, and the centres within `center_m` of where they are nominally."""
-    freedom = Freedom.none(cameras)
-    for name in PARAMETERS[:3]:
-        freedom = freedom.each(name, np.inf)
-    for name in PARAMETERS[3:6]:
-        freedom = freedom.each(name, center_m)
-    return freedom
 
 
 def observed(tracks: Tracks, sd_px: float) -> Observations:

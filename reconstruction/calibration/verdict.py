@@ -102,7 +102,7 @@ def judge(nominal: Rig, solution: Solution) -> None:
 
 def _refuse_displaced(nominal: Rig, solution: Solution) -> None:
     """Raise GeometryError where a camera is too far off its drawing, naming the one or the two that explain it."""
-    found = replace(nominal, cameras=solution.state.cameras.written_to(nominal.cameras))
+    found = solution.state.cameras.written_to(nominal)
     if not displaced(found, nominal):
         return
     for one, other in itertools.combinations(nominal.ids, 2):

@@ -5,7 +5,7 @@ What does the work is imported when it is called: some need torch, some pycolmap
 
 import datetime
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -58,10 +58,10 @@ def _sweep(recording: Recording, views: Sequence[str], options: InitOptions, pro
 
 
 def _natural(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
-    from reconstruction.calibration.natural import NaturalOptions, calibrate_natural
+    from reconstruction.calibration.natural import calibrate_natural
 
-    images, chosen = _long_images(recording, views), NaturalOptions(seed=options.seed)
-    found = calibrate_natural(recording.rig, images, _today(), chosen, progress)
+    images = _long_images(recording, views)
+    found = calibrate_natural(recording.rig, images, _today(), progress, seed=options.seed)
     return Geometry(found.rig, report=found.report)
 
 
@@ -83,8 +83,8 @@ def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, prog
     from reconstruction.calibration.natural import AFTER_MSDI, calibrate_natural
 
     found = msdi_alone(recording, views, part(progress, 0, MSDI_SHARE))
-    images, chosen = _long_images(recording, views), replace(AFTER_MSDI, seed=options.seed)
-    fine = calibrate_natural(found.rig, images, _today(), chosen, part(progress, MSDI_SHARE, 1))
+    images, rest = _long_images(recording, views), part(progress, MSDI_SHARE, 1)
+    fine = calibrate_natural(found.rig, images, _today(), rest, gate=AFTER_MSDI, seed=options.seed)
     return Geometry(fine.rig, found.points, found.confidence, found.images, {**fine.report, "msdi": found.report})
 
 

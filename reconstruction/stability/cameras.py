@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from reconstruction.calibration.adjustment import covariance
-from reconstruction.calibration.calibrated import CameraSd
+from reconstruction.calibration.calibrated import OPTIMISM, CameraSd, camera_sds
 from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, ScenePoints, State
 from reconstruction.calibration.projection import Cameras, project
-from reconstruction.calibration.tracks_to_poses import CENTER_SD_M, FOCAL_SD, pose_freedom
-from reconstruction.calibration.uncertainty import OPTIMISM, camera_sds
+from reconstruction.calibration.tracks_to_poses import CENTER_SD_M, FOCAL_SD
 from reconstruction.calibration.verdict import MOST_SD_DEG, refuse_unsure
 from reconstruction.errors import GeometryError
 from reconstruction.stability.case import Case, Observation, refusal
@@ -47,7 +46,7 @@ def _seen(cameras: Cameras, depths_m: tuple[float, float], freedom: Freedom) -> 
 
 
 def _freedom(cameras: Cameras, focal_sd: float = FOCAL_SD) -> Freedom:
-    return pose_freedom(len(cameras), CENTER_SD_M).shared_focal(cameras, focal_sd)
+    return Freedom.poses(len(cameras), CENTER_SD_M).shared_focal(cameras, focal_sd)
 
 
 def _sds(cameras: Cameras, depths_m: tuple[float, float]) -> list[CameraSd]:

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from reconstruction.calibration.calibrated import aligning
 from reconstruction.calibration.projection import Cameras
-from reconstruction.calibration.uncertainty import aligning
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.motion_model import Instantaneous
 from rigs.camera import Camera

@@ -7,10 +7,9 @@ import pytest
 
 from acquisition.scenes.misplaced import misplaced
 from reconstruction.calibration.adjustment import adjust, cost, covariance, linearised
+from reconstruction.calibration.calibrated import aligning, camera_sds
 from reconstruction.calibration.problem import BoardPoses, Freedom, Loss, Observations, Problem, ScenePoints, State
 from reconstruction.calibration.projection import PARAMETERS, Cameras, project
-from reconstruction.calibration.tracks_to_poses import pose_freedom
-from reconstruction.calibration.uncertainty import aligning, camera_sds
 from reconstruction.metrics.poses import pose_errors
 from rigs.toml import catalog_rig
 from rigs.transform import rotations
@@ -30,7 +29,7 @@ def seen_points(count, rng, sd_px, share=0.6):
 
 
 def posed_problem(observations, cameras, loss=None, center_sd_m=0.02):
-    freedom = pose_freedom(VIEWS, center_sd_m).shared_focal(cameras, 0.02)
+    freedom = Freedom.poses(VIEWS, center_sd_m).shared_focal(cameras, 0.02)
     return Problem(observations, freedom, loss or Loss())
 
 
@@ -39,7 +38,7 @@ def started(problem, cameras, points):
 
 
 def errors(cameras):
-    return pose_errors(replace(RIG, cameras=cameras.written_to(RIG.cameras)), RIG, 1.9)
+    return pose_errors(cameras.written_to(RIG), RIG, 1.9)
 
 
 def test_derivatives_of_the_projection_are_those_of_finite_differences():
@@ -86,7 +85,7 @@ def test_a_board_whose_corners_are_known_gives_its_poses():
     camera, block, corner = (a.ravel() for a in np.meshgrid(np.arange(VIEWS), np.arange(5), np.arange(24)))
     true = BoardPoses(turns, shifts, corners[corner])
     pixels = project(true.place(block)[0], TRUE, camera).pixels
-    problem = Problem(Observations(camera, block, pixels, np.ones(len(camera))), pose_freedom(VIEWS, 10.0), Loss())
+    problem = Problem(Observations(camera, block, pixels, np.ones(len(camera))), Freedom.poses(VIEWS, 10.0), Loss())
     off = BoardPoses(turns @ rotations(np.full(3, 0.1)), shifts + 0.05, corners[corner])
     start = State(Cameras.of(misplaced(RIG, 1, 1).cameras), off, np.zeros(len(problem.freedom.prior_sd)))
     start = replace(start, cameras=replace(start.cameras, lenses=TRUE.lenses))
@@ -99,7 +98,7 @@ def test_the_adjustment_agrees_with_pycolmap():
     pycolmap = pytest.importorskip("pycolmap")
     rng = np.random.default_rng(4)
     points, observations = seen_points(200, rng, 0.3)
-    problem = Problem(observations, pose_freedom(VIEWS, 1e3), Loss())
+    problem = Problem(observations, Freedom.poses(VIEWS, 1e3), Loss())
     ours = adjust(problem, started(problem, TRUE, points), 50, 1e-12)
     scene = pycolmap.Reconstruction()
     for i, camera in enumerate(RIG.cameras):
@@ -127,8 +126,8 @@ def test_the_adjustment_agrees_with_pycolmap():
         TRUE.lenses,
     )
     apart = pose_errors(
-        replace(RIG, cameras=theirs.written_to(RIG.cameras)),
-        replace(RIG, cameras=ours.cameras.written_to(RIG.cameras)),
+        theirs.written_to(RIG),
+        ours.cameras.written_to(RIG),
         1.9,
     )
     assert apart.rotation_deg < 1e-4  # they differ by .008 degrees from the truth
