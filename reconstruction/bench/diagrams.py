@@ -1,5 +1,6 @@
 """Draws the documents of all benches but the paper's, one picture each."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,10 +12,10 @@ from reconstruction.bench.figures import (
     bars,
     caption,
     db_scale,
+    errors,
     log_axes,
     name_axes,
     new_figure,
-    relative_error,
     write_figure,
 )
 from reconstruction.bench.paper.diagrams import BARS, ERROR, against_time
@@ -42,11 +43,11 @@ def plot_images(path: Path, document: dict) -> None:
         full = [row for row in own if row["rate_by"] == "full"]
         usual = [row for row in full if row["light"] == 1]
         if usual:
-            seconds = float(np.median([r["seconds"] for r in usual]))
-            bars(by_time, [seconds], [relative_error([r["psnr_db"] for r in usual]).tolist()], number, name)
+            bars(by_time, {float(np.median([r["seconds"] for r in usual])): errors(usual)}, number, name)
         for how, style in (("reintegrate", "-"), ("drop", ":")):
-            _by_key(by_rate, usual + [row for row in own if row["rate_by"] == how], "rate_hz", number, style)
-        _by_key(by_light, full, "light", number, "-")
+            slower = usual + [row for row in own if row["rate_by"] == how]
+            bars(by_rate, _errors_by(slower, "rate_hz"), number, style=style)
+        bars(by_light, _errors_by(full, "light"), number)
     log_axes(by_time, "seconds an image", IMAGE_ERROR)
     log_axes(by_rate, "planes a second (solid: re-integrated, dotted: dropped)", "")
     log_axes(by_light, "times the usual light", "")
@@ -55,11 +56,8 @@ def plot_images(path: Path, document: dict) -> None:
     write_figure(path, figure, caption(document, rows, BARS))
 
 
-def _by_key(axes: Axes, rows: Sequence[dict], key: str, number: int, style: str) -> None:
-    x = sorted({r[key] for r in rows})
-    groups = [relative_error([r["psnr_db"] for r in rows if r[key] == place]).tolist() for place in x]
-    if groups:
-        bars(axes, x, groups, number, style=style)
+def _errors_by(rows: Sequence[dict], key: str) -> dict[float, list[float]]:
+    return {place: errors([r for r in rows if r[key] == place]) for place in sorted({r[key] for r in rows})}
 
 
 def plot_poses(path: Path, document: dict) -> None:
@@ -78,7 +76,7 @@ def plot_poses(path: Path, document: dict) -> None:
             found = [r for r in own if r.get(score, 0) > 0]
             if found:
                 seconds = max(float(np.median([r["seconds"] for r in found])), LEAST_S)
-                bars(axes, [seconds], [[r[score] for r in found]], number, method)
+                bars(axes, {seconds: [r[score] for r in found]}, number, method)
         for axes, (key, _) in zip(swept, SWEEPS, strict=False):
             _summarised(axes, document["summary"], f"{method}.{key}", COLOURS[number % len(COLOURS)])
     dots = {"color": "#999", "markersize": 2, "label": f"natural, {len(trials)} random rigs"}
@@ -95,9 +93,8 @@ def plot_poses(path: Path, document: dict) -> None:
 
 def _summarised(axes: Axes, summary: dict[str, float], start: str, colour: str) -> None:
     """Draw the mean rotation errors that the summary names by `start` and a number."""
-    found = {key.removeprefix(start): value for key, value in summary.items() if key.startswith(start)}
-    end = ".rotation_deg"
-    places = sorted((float(key.removesuffix(end)), value) for key, value in found.items() if key.endswith(end))
+    named = re.compile(rf"{re.escape(start)}([\d.]+)\.rotation_deg")
+    places = sorted((float(match[1]), value) for key, value in summary.items() if (match := named.fullmatch(key)))
     if places:
         axes.plot(*zip(*places, strict=True), "o-", color=colour, markersize=4, linewidth=1)
 

@@ -6,7 +6,7 @@ carries dB at its ticks, and has the better end below.
 
 import io
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -94,12 +94,17 @@ def band(axes: Axes, x: ArrayLike, levels: ArrayLike, number: int, label: str) -
         axes.fill_between(np.asarray(x), values.min(axis=0), values.max(axis=0), color=colour, alpha=0.12, lw=0)
 
 
-def bars(
-    axes: Axes, x: Sequence[float], groups: Sequence[Sequence[float]], number: int, label: str = "", style: str = "-"
-) -> None:
+def errors(rows: Sequence[dict]) -> list[float]:
+    """Return the relative errors behind the PSNR of rows."""
+    return relative_error([row["psnr_db"] for row in rows]).tolist()
+
+
+def bars(axes: Axes, groups: Mapping[float, Sequence], number: int, label: str = "", style: str = "-") -> None:
     """Draw the median of the group at each place, joined, and a bar from the group's lowest to its highest value."""
-    middle = np.array([np.median(group) for group in groups])
-    reach = np.abs(np.array([[min(group), max(group)] for group in groups]).T - middle)
+    if not groups:
+        return
+    x, middle = list(groups), np.array([np.median(group) for group in groups.values()])
+    reach = np.abs(np.array([[min(group), max(group)] for group in groups.values()]).T - middle)
     colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
     axes.plot(x, middle, marker=mark, color=colour, linewidth=1.6, markersize=5.5, label=label or None, ls=style)
     axes.errorbar(x, middle, reach, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2)

@@ -20,16 +20,17 @@ from acquisition.revision import code_revision
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.conventions import SLOWER, means, measure_parts, named
 from reconstruction.bench.decoding import bench_decoding
-from reconstruction.bench.recordings import (
+from reconstruction.bench.scores import (
     CAR,
+    DEFINITIONS,
     DIM,
     SYNTHETIC,
     TRUTH,
+    Scorer,
     open_recording,
     score_recording,
     spikedata_folder,
 )
-from reconstruction.bench.scores import DEFINITIONS, Scorer
 from reconstruction.bench.streams import LitScene, Slowing, simulate_lights, slow_instant, slowed
 from reconstruction.images.catalogue import ImageMethod, methods
 from reconstruction.images.estimate import Estimate

@@ -14,6 +14,7 @@ from reconstruction.bench.figures import (
     bars,
     caption,
     chart,
+    errors,
     name_axes,
     new_figure,
     relative_error,
@@ -103,7 +104,7 @@ def _ends(axes: Axes, rows: Sequence[dict], metric: str, number: int) -> None:
 def _time_to(path: Path, document: dict) -> bool:
     """Draw the seconds to each level, of the methods and levels that every recording reached."""
     rows = [r for r in document["rows"] if r["method"] in SHOWN]
-    places: dict[str, dict[int, list[float]]] = {}
+    places: dict[str, dict[float, list[float]]] = {}
     for name in SHOWN:
         for target in TARGETS_DB:
             times = times_to(rows, name, target)
@@ -115,7 +116,7 @@ def _time_to(path: Path, document: dict) -> bool:
     names = ("PSNR of the held-out view / dB", SECONDS)
     with chart(path, "Run time to a level of the held-out view", names, below, log_x=False) as axes:
         for name, reached in places.items():
-            bars(axes, list(reached), list(reached.values()), SHOWN.index(name), name)
+            bars(axes, reached, SHOWN.index(name), name)
         axes.set_xticks(TARGETS_DB)
     return True
 
@@ -148,8 +149,7 @@ def _sweep(path: Path, document: dict, kinds: Sequence[str], title: str) -> bool
     rows = [r for _, found in drawn for some in found.values() for r in some]
     with chart(path, title, (SWEEPS[kinds[0]][0], ERROR), caption(document, rows, BARS)) as axes:
         for number, (name, found) in enumerate(drawn):
-            x = sorted(found)
-            bars(axes, x, [relative_error([r["psnr_db"] for r in found[k]]).tolist() for k in x], number, name)
+            bars(axes, {place: errors(found[place]) for place in sorted(found)}, number, name)
     return True
 
 

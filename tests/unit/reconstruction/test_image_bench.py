@@ -11,13 +11,12 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench import images as bench
-from reconstruction.bench import recordings
 from reconstruction.bench.contact_sheet import write_sheet
 from reconstruction.bench.conventions import SLOWER
 from reconstruction.bench.decoding import tfi_recipe, tfp_recipe
 from reconstruction.bench.diagrams import plot_images
 from reconstruction.bench.images import Extent, ImageBench, finite, summarise
-from reconstruction.bench.scores import Scorer
+from reconstruction.bench.scores import CAR, Scorer, open_recording, score_recording
 from reconstruction.bench.streams import TrueImage, slow_instant, slowed
 from reconstruction.images.methods.tfi import tfi_intensities
 from reconstruction.images.methods.tfp import tfp, tfp_intensities
@@ -124,24 +123,24 @@ def test_the_synthetic_recording_is_scored_after_one_gain(tmp_path):
     truth = np.random.default_rng(0).integers(0, 231, (40, 50), dtype=np.uint8)
     cv2.imwrite(str(tmp_path / "truth.png"), truth)
     image = (truth / 255 * 0.6).astype(np.float32)
-    found = recordings.score_recording(Scorer(None), image, tmp_path / "truth.png")
+    found = score_recording(Scorer(None), image, tmp_path / "truth.png")
     assert found["gain"] == pytest.approx(1 / 0.6, rel=1e-5)
     assert found["psnr_db"] > 100
-    dark = recordings.score_recording(Scorer(None), 0 * image, tmp_path / "truth.png")
+    dark = score_recording(Scorer(None), 0 * image, tmp_path / "truth.png")
     assert np.isfinite(dark["psnr_db"])
 
 
 def test_recordings_that_are_not_there_are_omissions(tmp_path, monkeypatch):
     monkeypatch.setenv("SPIKE4DGS_SHARED", str(tmp_path))
     document = BenchDocument("images")
-    ImageBench(Extent(("a",), (1,)))._recording(document, recordings.CAR)
-    assert document.omissions == [f"{recordings.CAR}: not found in $SPIKE4DGS_SHARED/spikedata"]
+    ImageBench(Extent(("a",), (1,)))._recording(document, CAR)
+    assert document.omissions == [f"{CAR}: not found in $SPIKE4DGS_SHARED/spikedata"]
 
 
 def test_an_upright_npz_becomes_a_stream(tmp_path):
     planes = np.random.default_rng(0).integers(0, 2, (9, 5, 11), dtype=np.uint8)
     np.savez(tmp_path / "spikes.npz", spk=planes)
-    np.testing.assert_array_equal(recordings.open_recording(tmp_path / "spikes.npz").planes(0, 9), planes)
+    np.testing.assert_array_equal(open_recording(tmp_path / "spikes.npz").planes(0, 9), planes)
 
 
 def test_titled_pictures_make_one_sheet_and_rows_a_plot(tmp_path):
