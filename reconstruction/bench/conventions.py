@@ -25,14 +25,9 @@ RATE_HZ = 20000
 SLOWER = (2, 4, 10, 20, 40, 100, 200)  # factors between RATE_HZ and the slower plane rates: 10 kHz down to 100 Hz
 
 
-def _nearest_first(rig: Rig) -> tuple[str, ...]:
-    """Return the ids of all cameras but HOLDOUT, the nearest to it first."""
-    centre = rig.camera(HOLDOUT).center
-    apart = {camera.id: round(float(np.linalg.norm(camera.center - centre)), 6) for camera in rig.cameras}
-    return tuple(sorted((name for name in rig.ids if name != HOLDOUT), key=apart.__getitem__))
-
-
-VIEWS = _nearest_first(catalog_rig("lab3x3"))
+_CENTERS = {camera.id: camera.center for camera in catalog_rig("lab3x3").cameras}
+_AWAY_M = {name: float(np.linalg.norm(center - _CENTERS[HOLDOUT]).round(6)) for name, center in _CENTERS.items()}
+VIEWS = tuple(sorted(_AWAY_M, key=_AWAY_M.__getitem__)[1:])  # all cameras but HOLDOUT, the nearest to it first
 
 
 def seed_of(scene: str, number: int = 0) -> int:

@@ -107,7 +107,8 @@ def _kernel_row(cloud: Instantaneous, camera: Camera, threads: int) -> dict:
         "forward_s": forward,
         "backward_s": backward,
         "seconds": forward + backward,
-        **{f"{name}_limit_s": limit for name, limit in zip(("forward", "backward"), limits, strict=True)},
+        "forward_limit_s": limits[0],
+        "backward_limit_s": limits[1],
         **work._asdict(),
     }
 
@@ -126,21 +127,26 @@ def _limits_s(work: Work, count: int, camera: Camera, threads: int) -> tuple[flo
 
 
 def _step_rows(cloud: Instantaneous, camera: Camera, threads: int) -> list[dict]:
-    whole, parts = Step(cloud, camera).fastest(REPEATS)
+    """Return the least seconds of a whole step, and of each part."""
+    step, taken = Step(cloud, camera), []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        step.whole()
+        whole = time.perf_counter() - started
+        taken.append({"step": whole} | {f"step: {name}": seconds for name, seconds in step.parts().items()})
     shared = {"gaussians": len(cloud.means), "threads": threads}
-    rows = [{"method": f"step: {name}", **shared, "seconds": seconds} for name, seconds in parts.items()]
-    return [{"method": "step", **shared, "seconds": whole}, *rows]
+    return [{"method": name, **shared, "seconds": min(t[name] for t in taken)} for name in taken[0]]
 
 
 def _against_reference(camera: Camera) -> list[dict]:
     count, width, height = REFERENCE
     small = camera.scaled(width, height)
     cloud = random_cloud(count, small)
-    backends: tuple[tuple[Backend, int], ...] = (("native", REPEATS), ("reference", 2))
-    return [
-        {"method": f"{name}, {count} at {width}x{height}", "seconds": sum(seconds_of(cloud, small, name, repeats))}
-        for name, repeats in backends
-    ]
+    times = {
+        "native": seconds_of(cloud, small, "native", REPEATS),
+        "reference": seconds_of(cloud, small, "reference", 2),
+    }
+    return [{"method": f"{name}, {count} at {width}x{height}", "seconds": sum(s)} for name, s in times.items()]
 
 
 def _summary(rows: list[dict]) -> dict[str, float]:
@@ -223,13 +229,3 @@ class Step:
         timed("Adam", self.adam.step)
         assert tuple(seconds) == PARTS
         return seconds
-
-    def fastest(self, repeats: int) -> tuple[float, dict[str, float]]:
-        """Return the least seconds of a whole step, and of each part, over `repeats` steps."""
-        whole, parts = [], []
-        for _ in range(repeats):
-            started = time.perf_counter()
-            self.whole()
-            whole.append(time.perf_counter() - started)
-            parts.append(self.parts())
-        return min(whole), {name: min(p[name] for p in parts) for name in parts[0]}

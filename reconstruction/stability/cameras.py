@@ -82,14 +82,12 @@ def _flat(_: str) -> Observation:
 
 def _whole(problem: Problem, state: State) -> Floats:
     """Return the covariance [G, G] from the normal equations of cameras and points together, nothing eliminated."""
-    observations, count = problem.observations, len(state.cameras)
+    observations = problem.observations
     positions, _ = state.blocks.place(observations.block)
     seen = project(positions, state.cameras, observations.camera)
     free = problem.freedom.mixing.shape[2]
     rows = np.zeros((len(observations), 2, free + 3 * len(state.blocks)))
-    for c in range(count):
-        own = observations.camera == c
-        rows[own, :, :free] = seen.by_camera[own] @ problem.freedom.mixing[c]
+    rows[:, :, :free] = seen.by_camera @ problem.freedom.mixing[observations.camera]
     for o, block in enumerate(observations.block):
         rows[o, :, free + 3 * block : free + 3 * block + 3] = seen.by_point[o]
     rows = rows / observations.sd_px[:, None, None]

@@ -60,14 +60,15 @@ def _few(name: str) -> Observation:
 
 
 def _scales(name: str) -> Observation:
-    plain, error = cloud_of(name), Apart(0.0, 0.0)
+    plain, errors = cloud_of(name), []
     for scale in (1e-3, 2e3, 1e9):
         other = cloud_of(name, scale=scale)
-        error = Apart(*map(max, error, _worst([other])))
+        errors.append(_worst([other]))
         for instant_s in WITHIN_S:
             one, two = plain.at(instant_s), other.at(instant_s)
             gaps = (two.means / scale, one.means), (two.opacities, one.opacities), (two.quats_wxyz, one.quats_wxyz)
-            error = error._replace(images=max(error.images, *(apart(a, b) for a, b in gaps)))
+            errors.append(Apart(max(apart(a, b) for a, b in gaps), 0.0))
+    error = worst(errors)
     return Observation(f"1e-3, 2e3 and 1e9 m: {error.images:.1e} apart", *error)
 
 
@@ -151,11 +152,8 @@ def _durations(name: str) -> Observation:
 
 def _beyond_the_clip(name: str) -> Observation:
     cloud = cloud_of(name)
-    found, farthest = _worst([cloud], BEYOND_S), 0.0
-    for instant_s in BEYOND_S:
-        now = cloud.at(instant_s)
-        seen = now.means[now.opacities > GONE]
-        farthest = max(farthest, float(seen.abs().max()) if len(seen) else 0.0)
+    found, instants = _worst([cloud], BEYOND_S), [cloud.at(instant_s) for instant_s in BEYOND_S]
+    farthest = float(torch.cat([torch.zeros(1, 3), *(now.means[now.opacities > GONE] for now in instants)]).abs().max())
     said = f"at -1e30 to 1e15 s what is seen lies within {farthest:.1f}, {found.images:.1e} from float64"
     return Observation(said, found.images if farthest <= BOUND else math.inf, found.gradients)
 

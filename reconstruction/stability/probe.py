@@ -33,9 +33,9 @@ class Probe:
     @property
     def sound(self) -> bool:
         """Return True where everything is finite and the coverage within [0, 1]."""
-        r = self.rendering
-        finite = all(bool(t.isfinite().all()) for t in (r.intensity, r.depth, r.alpha, *self.gradients))
-        return finite and float(r.alpha.min()) >= 0 and float(r.alpha.max()) <= 1
+        alpha = self.rendering.alpha
+        finite = all(bool(t.isfinite().all()) for t in (*self.rendering[:3], *self.gradients))
+        return finite and float(alpha.min()) >= 0 and float(alpha.max()) <= 1
 
 
 class Apart(NamedTuple):
@@ -70,9 +70,8 @@ def renderers() -> tuple[str, ...]:
 
 def omissions() -> list[str]:
     """Name the renderers that this machine lacks, and why."""
-    missing = () if "plain" in code_paths() else BUILDS
-    left_out = [f"native {name}: this processor lacks its instructions" for name in missing if name not in code_paths()]
-    reason = why_unavailable()
+    lacking = [] if "plain" in code_paths() else [name for name in BUILDS if name not in code_paths()]
+    left_out, reason = [f"native {name}: this processor lacks its instructions" for name in lacking], why_unavailable()
     return [*left_out, f"gsplat: {reason}"] if reason else left_out
 
 
@@ -112,8 +111,7 @@ def probe(
     with running(renderer) as backend:
         rendering = render(leaves, CAMERA, backend=backend, near_m=near_m, background=background)
         (weights * (rendering.intensity[..., 0] + 0.1 * rendering.depth + 0.3 * rendering.alpha)).sum().backward()
-    images = (rendering.intensity, rendering.depth, rendering.alpha)
-    intensity, depth, alpha = (t.detach().cpu().double() for t in images)
+    intensity, depth, alpha = (t.detach().cpu().double() for t in rendering[:3])
     return Probe(Rendering(intensity, depth, alpha, rendering.radii.cpu()), slopes_of(leaves))
 
 

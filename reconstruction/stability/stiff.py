@@ -25,10 +25,8 @@ from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.pipeline.train_stage import Beginning, settle_motion, trainer_of
-from reconstruction.rendering.render import Backend
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
-from reconstruction.scene_model import SceneModel
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
 from reconstruction.stability.probe import natives
@@ -99,25 +97,20 @@ class StiffScene:
 
     def _train(self, seed: int, model: str, *, exact: bool) -> Trained:
         run = self.run(seed, model)
-        kind = ("reference", torch.float64) if exact else ("native", torch.float32)
-        trainer = _trainer(run, self.recording, *kind)
+        trainer = _trainer(run, self.recording, exact=exact)
         losses = _stepped(trainer, 0, self.extent.steps, self.extent.steps)
-        camera, truth = held_out_with_truth(self.recording, run.plan.views)
-        return Trained(losses, score_against_truth(_single(trainer.cloud), camera, truth)["psnr_db"])
+        cloud = trainer.cloud.to(torch.float32) if isinstance(trainer.cloud, DynamicCloud) else trainer.cloud
+        scored = score_against_truth(cloud, *held_out_with_truth(self.recording, run.plan.views))
+        return Trained(losses, scored["psnr_db"])
 
 
-def _trainer(
-    run: RunFolder, recording: Recording, backend: Backend = "native", dtype: torch.dtype = torch.float32
-) -> Trainer:
+def _trainer(run: RunFolder, recording: Recording, *, exact: bool = False) -> Trainer:
     """Return the trainer that the train stage would begin with."""
     beginning = Beginning.of(run, recording)
     settle_motion(run, recording, beginning)
-    return trainer_of(run, recording, beginning, backend, dtype)
-
-
-def _single(cloud: SceneModel) -> SceneModel:
-    """Return the cloud in the type that the native renderer takes."""
-    return cloud.to(torch.float32) if isinstance(cloud, DynamicCloud) else cloud
+    return trainer_of(
+        run, recording, beginning, *(("reference", torch.float64) if exact else ("native", torch.float32))
+    )
 
 
 def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float, ...]:
@@ -136,10 +129,8 @@ def _precision(scene: StiffScene, path: str) -> Observation:
     found, expected = scene.trained(seed, path=path), scene.trained(seed, exact=True)
     losses = np.array([found.losses, expected.losses])
     gaps = np.abs(losses[0] / losses[1] - 1)
-    said = (
-        f"losses {gaps[0]:.0e} apart at first, {gaps.max():.1e} at most; "
-        f"{found.psnr_db:.3f} dB, {expected.psnr_db:.3f} in float64"
-    )
+    said = f"losses {gaps[0]:.0e} apart at first, {gaps.max():.1e} at most; "
+    said += f"{found.psnr_db:.3f} dB, {expected.psnr_db:.3f} in float64"
     return Observation(said, abs(found.psnr_db - expected.psnr_db) if np.isfinite(losses).all() else math.inf)
 
 
@@ -168,17 +159,16 @@ def stiff_cases(scene: StiffScene) -> tuple[Case, ...]:
     """Return the cases of one scene."""
     name, count = scene.name, len(scene.extent.seeds)
 
-    def case(kind: str, expected: str, tolerance: float, observe: Callable[[str], Observation], on: tuple = ("none",)):
+    def case(kind: str, expected: str, tolerance: float, observe: Callable[[str], Observation], on: tuple) -> Case:
         return Case(None, f"{name}: {kind}", expected, tolerance, observe, lambda: on)
 
     within, cost = f"within {SPREAD_DB:g} dB", f"{APART_DB:g} dB apart at most"
+    falls = f"losses below {FALLS_TO:g} of the first"
     return (
         case(f"{count} seeds", within, SPREAD_DB, lambda _: _seeds(scene), natives()[-1:]),
         case("float32", cost, APART_DB, lambda on: _precision(scene, on.split()[1]), natives()),
         case("killed and resumed", "the same losses", 0.0, lambda _: _resumed(scene), natives()[-1:]),
-        case(
-            "trains", f"losses below {FALLS_TO:g} of the first", FALLS_TO, lambda m: _baseline(scene, m), model_names()
-        ),
+        case("trains", falls, FALLS_TO, lambda model: _baseline(scene, model), model_names()),
     )
 
 
