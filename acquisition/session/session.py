@@ -39,10 +39,19 @@ class TriggerLine(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """A person's word to a running session: `stop` ends it cleanly, `save` begins it after a pre-trigger."""
+    """Orders to a running session: `stop` ends it cleanly, `save` begins it after a pre-trigger.
+
+    `cut_off` ends it cleanly, too, but as an interruption: nobody who knows what is recorded asked for its end.
+    """
 
     stop: threading.Event = field(default_factory=threading.Event)
     save: threading.Event = field(default_factory=threading.Event)
+    cut_off: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def ends(self) -> bool:
+        """Return whether the session is to end, by an order or by an interruption."""
+        return self.stop.is_set() or self.cut_off.is_set()
 
 
 @dataclass(frozen=True)
@@ -126,7 +135,7 @@ class _Run:
         if not self._began and (self._extent.pre_planes is None or self._control.save.is_set()):
             self._begin()
         refused = any(capture.writer.failure for capture in self._captures)
-        if not self._ended and (self._control.stop.is_set() or self._recording.full or refused):
+        if not self._ended and (self._control.ends or self._recording.full or refused):
             self._end()
 
     def conclude(self) -> None:
@@ -140,8 +149,10 @@ class _Run:
         problems += [str(c.writer.disk_error()) for c in self._captures if c.writer.failure]
         problems += [self._recording.full] if self._recording.full else []
         planes = max(capture.writer.planes for capture in self._captures)
-        if self._control.stop.is_set() and self._extent.planes and planes < self._extent.planes:
+        if self._control.ends and self._extent.planes and planes < self._extent.planes:
             problems.append(f"it was stopped after {planes} of {self._extent.planes} planes")
+        if self._control.cut_off.is_set():
+            problems.append(f"it was cut off after {planes} planes: the program that started it ended")
         self._recording.problems += problems
 
     def _begin(self) -> None:

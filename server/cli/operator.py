@@ -17,14 +17,16 @@ _POLL_S = 0.1  # between looks at standard input
 def operator_control(*, saves: bool) -> Iterator[Control]:
     """Yield a control whose `stop` the first SIGINT or SIGTERM sets; the second one interrupts as usual.
 
+    SIGUSR1 sets `cut_off`: the worker that started this process is gone, or is told to end.
     If it `saves`, the first line on standard input sets `save`; the end of standard input does not.
     """
     control = Control()
     left = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    orders = {signal.SIGINT: control.stop, signal.SIGTERM: control.stop, signal.SIGUSR1: control.cut_off}
+    before = {number: signal.getsignal(number) for number in orders}
 
     def stop(number: int, frame: object) -> None:
-        control.stop.set()
+        orders[signal.Signals(number)].set()
         signal.signal(number, before[signal.Signals(number)])
 
     for number in before:

@@ -1,5 +1,6 @@
 """Progress on standard error: a bar on a terminal, a line every two seconds elsewhere, JSON lines for a supervisor."""
 
+import contextlib
 import json
 import os
 import sys
@@ -40,7 +41,9 @@ def _lines(name: str) -> Progress:
 
 
 def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)  # noqa: T201
+    """Write a line, also where nobody is left to read it: the work goes on without its reader."""
+    with contextlib.suppress(BrokenPipeError):
+        print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 
 def _bar(name: str) -> Progress:

@@ -43,6 +43,7 @@ class Processes:
         stdout: Path | None = None,
         repeats: bool = False,
         is_due: Callable[[], bool] = lambda: True,
+        ends_in_order: bool = False,
     ) -> None:
         """Run a stage's process, holding `locks`; its progress and its error go into the tables.
 
@@ -58,6 +59,7 @@ class Processes:
                 log=folder.log(entry.id),
                 finished=None if repeats else self.finished(entry, stage),
                 is_due=is_due,
+                ends_in_order=ends_in_order,
                 on_progress=reporter,
                 grace_s=self._settings.grace_s,
                 control=control,

@@ -18,6 +18,7 @@ from server.store import database
 from server.store.artefacts import is_plain, plain_files
 from server.store.store import Store
 from server.store.tables import Entry
+from server.work.beginning import MISSED, Beginning
 from server.work.calibrations import keep_calibration, write_current
 from server.work.commands import (
     import_arguments,
@@ -29,7 +30,7 @@ from server.work.commands import (
 )
 from server.work.processes import Processes, is_full, no_room
 from server.work.reporter import Reporter
-from server.work.supervisor import Control, StageError
+from server.work.supervisor import StageError
 
 RUN_ARTEFACTS = (
     "run.json",
@@ -81,7 +82,7 @@ class Stages:
             try:
                 (entry,) = self._store.entries.find([entry_id])
                 if entry.kind == "capture" and self._folder.recording(entry_id).exists():
-                    return None  # made by a worker that was killed: it has this name only when it is whole
+                    return self._tell_losses(entry, stage)  # made by a worker that was killed
                 return await self._by_type.get(entry.type, self._task)(entry, stage)
             except SQLAlchemyError as error:
                 if database.is_full(error):
@@ -95,17 +96,44 @@ class Stages:
             await asyncio.sleep(_OUTAGE_POLL_S)
 
     async def _record(self, entry: Entry, stage: str) -> None:
-        recording = self._folder.recording(entry.id)
+        """Record a moment: what a worker that died has begun is finished as it is, and never begun anew."""
+        recording, beginning = self._folder.recording(entry.id), Beginning(self._store, entry)
         rig, devices, lock = self._rig(entry)
-        arguments = record_arguments(entry.request, rig, devices, recording)
-        control = Control(self._folder.entry(entry.id) / "stop", self._folder.entry(entry.id) / "save")
         try:
-            await self._processes.run(entry, stage, arguments, locks=[lock], control=control)
+            await self._processes.run(
+                entry,
+                stage,
+                record_arguments(entry.request, rig, devices, recording),
+                locks=[lock],
+                control=beginning.control,
+                is_due=beginning.is_now,
+                ends_in_order=True,
+            )
+            if not beginning.earlier:
+                return
         except StageError:
             if not recording.exists():  # else it was kept, and says itself what it lacks
                 raise
+        if not recording.exists():
+            await self._finalise(entry, stage, lock)
+        self._tell_losses(entry, stage)
+
+    async def _finalise(self, entry: Entry, stage: str, lock: Path) -> None:
+        """Make a recording of the planes that a killed recorder kept; raises StageError where it kept none."""
+        try:
+            recording = self._folder.recording(entry.id)
+            await self._processes.run(entry, stage, ["finalise", str(recording)], locks=[lock])
+        except StageError as error:
+            missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
+            Reporter(self._store, entry.id, stage).close(str(missed))
+            raise missed from error
+
+    def _tell_losses(self, entry: Entry, stage: str) -> None:
+        """Say of a recording that is kept what it lacks."""
+        reason = read_manifest(self._folder.recording(entry.id)).reason
+        if reason is not None:
             reporter = Reporter(self._store, entry.id, stage)
-            reporter(1.0, f"kept, incomplete: {read_manifest(recording).reason}")
+            reporter(1.0, f"kept, incomplete: {reason}")
             reporter.close()
 
     async def _import(self, entry: Entry, stage: str) -> None:

@@ -50,6 +50,7 @@ async def supervise(
     environment: Mapping[str, str] | None = None,
     finished: Path | None = None,
     is_due: Callable[[], bool] = lambda: True,
+    ends_in_order: bool = False,
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
 
@@ -58,6 +59,8 @@ async def supervise(
 
     The process inherits the locks, so they last until it is gone even where this process dies first. Cancelling sends
     SIGTERM to its session and SIGKILL after `grace_s`, and returns when it is gone. It prints to `log`, or to `stdout`.
+    One that `ends_in_order` gets SIGUSR1 instead, when it is cancelled and when this process dies; any other is killed
+    when this process dies.
     Where it `answers`, an exit code of 1 with an answer is no failure.
     """
     async with _locked(folders) as locks:
@@ -68,7 +71,7 @@ async def supervise(
             relay = _Relay(text, on_progress)
             transport, _ = await asyncio.get_running_loop().subprocess_exec(
                 lambda: relay,
-                *leashed(list(command), "SIGKILL"),
+                *leashed(list(command), "SIGUSR1" if ends_in_order else "SIGKILL"),
                 stdin=PIPE if control else DEVNULL,
                 stdout=printed,
                 stderr=PIPE,
@@ -82,7 +85,7 @@ async def supervise(
             finally:
                 if teller:
                     teller.cancel()
-                await _insist(_stop(transport, relay, grace_s))
+                await _insist(_stop(transport, relay, grace_s, signal.SIGUSR1 if ends_in_order else signal.SIGTERM))
                 transport.close()
         if relay.fault is not None:
             raise relay.fault
@@ -192,8 +195,8 @@ class _Relay(asyncio.SubprocessProtocol):
         return False
 
 
-async def _stop(transport: asyncio.SubprocessTransport, relay: _Relay, grace_s: float) -> None:
-    for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, None)):
+async def _stop(transport: asyncio.SubprocessTransport, relay: _Relay, grace_s: float, word: signal.Signals) -> None:
+    for number, patience_s in ((word, grace_s), (signal.SIGKILL, None)):
         if relay.gone.is_set():
             break
         with contextlib.suppress(ProcessLookupError):

@@ -17,6 +17,8 @@ import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy.exc import OperationalError
 
+from acquisition.session.record import record
+from rigs.toml import catalog_rig
 from server.app import create_app
 from server.client import ServiceClient
 from server.schemas.captures import CaptureRequest
@@ -98,7 +100,7 @@ def test_training_goes_on_from_its_checkpoint(
     assert stages == ["plan", "poses", "images", "points", "train", "train", "report"]
 
 
-def test_a_capture_is_made_again_and_a_finished_one_kept(
+def test_a_finished_capture_is_kept(
     client: ServiceClient, start_worker: Callable[[], subprocess.Popen[bytes]], tmp_path: Path
 ) -> None:
     killed = start_worker()
@@ -109,10 +111,11 @@ def test_a_capture_is_made_again_and_a_finished_one_kept(
     assert client.capture(capture.id).status == "running"
     assert client.rig("lab3x3").busy == capture.id
     recording = tmp_path / "captures" / capture.id
-    recording.mkdir()  # as if the stage had finished and the worker had died before saying so
+    record(catalog_rig("ci3x3"), "mock:static?truth_every=1000", 40, recording)  # as if its worker had died after it
+    inode = recording.stat().st_ino
     start_worker()
     wait_for(lambda: client.capture(capture.id).status == "done")
-    assert list(recording.iterdir()) == []
+    assert recording.stat().st_ino == inode
     assert client.rig("lab3x3").busy is None
 
 

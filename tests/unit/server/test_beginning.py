@@ -1,0 +1,42 @@
+"""Tests when a capture may begin."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from server.settings import ServiceSettings
+from server.store.store import Store
+from server.store.tables import Entry
+from server.work.beginning import Beginning
+from server.work.supervisor import StageError
+
+
+@pytest.fixture
+def beginning_of(tmp_path):
+    """Return the beginning of a capture that was asked for so many seconds ago."""
+    store = Store(ServiceSettings(data=tmp_path))
+
+    def make(late_s: float) -> Beginning:
+        asked = (datetime.now(UTC) - timedelta(seconds=late_s)).isoformat()
+        return Beginning(store, Entry("c1", "capture", "record", asked, {"ticks": 40}))
+
+    yield make
+    store.close()
+
+
+@pytest.mark.parametrize("late_s", [-60, 0, 40])
+def test_it_begins_once(beginning_of, late_s):
+    assert beginning_of(late_s).is_now()
+    assert not beginning_of(late_s).is_now()
+    assert not beginning_of(100).is_now()
+
+
+def test_one_stopped_before_it_began_does_not_begin(beginning_of):
+    beginning_of(0).control.stop.touch()
+    with pytest.raises(StageError, match="stopped before it began"):
+        beginning_of(0).is_now()
+
+
+def test_one_that_nobody_took_up_is_missed(beginning_of):
+    with pytest.raises(StageError, match=r"took it up for 100 s, expected one within 60 s; record again"):
+        beginning_of(100).is_now()
