@@ -13,7 +13,7 @@ from acquisition.scenes.boards import charuco
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
-from reconstruction.calibration.features import MOST_PLANES, long_image
+from reconstruction.calibration.features import MOST_PLANES, long_images
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.images.estimate import Estimate
 from reconstruction.images.methods.msdi import msdi
@@ -29,10 +29,6 @@ Images = dict[str, NDArray[np.float32]]
 Run = Callable[[Recording, Sequence[str], int | None], Geometry]
 
 
-def _long(recording: Recording, views: Sequence[str], planes: int | None) -> Images:
-    return {view: long_image(recording.stream(view), planes or MOST_PLANES) for view in views}
-
-
 def _colmap(method: Callable[[SpikeStream, int], Estimate]) -> Run:
     """Return COLMAP from scratch on a method's images of the middle of the clip."""
     return lambda recording, views, _: sfm(
@@ -41,7 +37,7 @@ def _colmap(method: Callable[[SpikeStream, int], Estimate]) -> Run:
 
 
 def _natural(recording: Recording, views: Sequence[str], planes: int | None) -> Geometry:
-    found = calibrate_natural(recording.rig, _long(recording, views, planes), DATE)
+    found = calibrate_natural(recording.rig, long_images(recording, views, planes or MOST_PLANES), DATE)
     return Geometry(found.rig, report=found.report)
 
 
@@ -54,7 +50,9 @@ METHODS: dict[str, Run] = {
     "nominal": lambda recording, *_: Geometry(recording.rig),
     "tfi+colmap": _colmap(tfi),
     "msdi-image+colmap": _colmap(msdi),
-    "long+colmap": lambda recording, views, planes: sfm(recording.rig, _long(recording, views, planes)),
+    "long+colmap": lambda recording, views, planes: sfm(
+        recording.rig, long_images(recording, views, planes or MOST_PLANES)
+    ),
     "natural": _natural,
     "msdi": lambda recording, views, _: msdi_alone(recording, views),
     "msdi+ba": lambda recording, views, _: initialise("msdi", recording, views, InitOptions()),

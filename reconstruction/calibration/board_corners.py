@@ -49,12 +49,9 @@ def find_board(image: Image, board: BoardSpec) -> Sighting:
     """Find the points of `board` in a linear picture [H, W], spikes per tick; none where fewer than four fit."""
     image = without_defects(image)
     ids, quads = find_tags(image, board.dictionary)
-    known = (ids >= 0) & (ids < len(board.tags))
     nothing = Sighting(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), tuple(ids.tolist()))
-    ids, quads = ids[known], quads[known]
-    if not len(ids):
-        return nothing
-    fit = _as_laid_out(board.tags[ids], quads)
+    fit = ids < len(board.tags)
+    fit[fit] = _as_laid_out(board.tags[ids[fit]], quads[fit])
     ids, quads = ids[fit], quads[fit]
     if not len(ids):
         return nothing
@@ -95,8 +92,8 @@ def without_defects(image: Image) -> Image:
 def _as_laid_out(tags: Floats, quads: Floats) -> NDArray[np.bool_]:
     """Return which tags [T] lie on one homography, from their corners on the board [T, 4, 3] and seen [T, 4, 2]."""
     flat, seen = tags[..., :2].reshape(-1, 2), quads.reshape(-1, 2)
-    if len(tags) == 1:
-        return np.ones(1, dtype=bool)
+    if len(tags) < 2:
+        return np.ones(len(tags), dtype=bool)
     cv2.setRNGSeed(0)
     matrix, _ = cv2.findHomography(flat, seen, cv2.RANSAC, LAYOUT_PX)
     if matrix is None:

@@ -35,10 +35,9 @@ Pictures = Mapping[tuple[int, str], Sighting]  # by number of the instant and ca
 class Sightings:
     """O observations: camera [O] and pose [O] by number, point [O] of the board, pixels [O, 2].
 
-    `cameras` are the ids of the cameras, `poses` how many different poses of the board there are, out of `instants`.
+    `poses` is how many different poses of the board there are, out of `instants`.
     """
 
-    cameras: tuple[str, ...]
     poses: int
     instants: int
     camera: NDArray[np.int64]
@@ -53,7 +52,7 @@ class Sightings:
         """Return the observations of the poses where `kept` [poses] is true, numbered anew."""
         these, number = kept[self.pose], np.cumsum(kept) - 1
         columns = (self.camera[these], number[self.pose[these]], self.point[these], self.pixels[these])
-        return Sightings(self.cameras, int(kept.sum()), self.instants, *columns)
+        return Sightings(int(kept.sum()), self.instants, *columns)
 
     def distinct(self) -> int:
         """Count the poses that differ by ALIKE_PX or more from the last one counted.
@@ -75,9 +74,7 @@ class Sightings:
         return {(int(self.camera[i]), int(self.point[i])): self.pixels[i] for i in these}
 
 
-def sight_board(
-    recording: Recording, board: BoardSpec, progress: Progress = silent, most_instants: int = MOST_INSTANTS
-) -> Sightings:
+def sight_board(recording: Recording, board: BoardSpec, progress: Progress = silent) -> Sightings:
     """Seek `board` in every camera of the recording.
 
     Raises BadRunError where another board is there or a camera's planes have another size than its rig says,
@@ -86,25 +83,23 @@ def sight_board(
     _refuse_other_sizes(recording)
     streams = {c: recording.stream(c) for c in recording.camera_ids}
     pixels = {c.id: read_pixels(c.pixels) if c.pixels else None for c in recording.rig.cameras}
-    planes = chosen_planes(recording.planes, most_instants)
+    planes = chosen_planes(recording.planes, MOST_INSTANTS)
     found: dict[tuple[int, str], Sighting] = {}
     for number, plane in enumerate(planes):
         for camera_id, stream in streams.items():
             found[number, camera_id] = find_board(_picture(stream, plane, pixels[camera_id]), board)
         seen = sum(len(found[number, c].points) > 0 for c in streams)
         progress((number + 1) / len(planes), f"plane {plane}: board in {seen} of {len(streams)} cameras")
+    _refuse_contradictions(board, found)
     if not any(len(sighting.points) for sighting in found.values()):
         middle = planes[len(planes) // 2]
         some = recording.camera_ids[:: max(1, len(streams) // 3)]
         _refuse_unseen(board, found, (_picture(streams[c], middle, pixels[c]) for c in some))
-    _refuse_contradictions(board, found)
     blind = [c for c in streams if not any(len(found[n, c].points) for n in range(len(planes)))]
     if blind:
-        raise GeometryError(
-            f"found no board {board.text} in {', '.join(blind)}",
-            "it in every camera at some instant",
-            "hold the whole board where all cameras see it, nearer or in more light",
-        )
+        advice = "hold the whole board where all cameras see it, nearer or in more light"
+        found_none = f"found no board {board.text} in {', '.join(blind)}"
+        raise GeometryError(found_none, "it in every camera at some instant", advice)
     return gathered(recording.camera_ids, found, len(planes))
 
 
@@ -118,9 +113,7 @@ def chosen_planes(planes: int, most: int) -> list[int]:
 def gathered(cameras: tuple[str, ...], found: Pictures, instants: int) -> Sightings:
     """Turn all pictures into observations; instants at which the board stood still are averaged to one pose."""
     groups: list[list[int]] = []
-    for number in range(instants):
-        if not any(len(found[number, c].points) for c in cameras):
-            continue
+    for number in (n for n in range(instants) if any(len(found[n, c].points) for c in cameras)):
         if groups and _still(found, cameras, groups[-1][0], number):
             groups[-1].append(number)
         else:
@@ -131,7 +124,7 @@ def gathered(cameras: tuple[str, ...], found: Pictures, instants: int) -> Sighti
             points, pixels = _averaged([found[number, camera_id] for number in group])
             rows.append((np.full(len(points), index), np.full(len(points), pose), points, pixels))
     columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    return Sightings(cameras, len(groups), sum(map(len, groups)), *columns)
+    return Sightings(len(groups), sum(map(len, groups)), *columns)
 
 
 def _still(found: Pictures, cameras: Iterable[str], one: int, other: int) -> bool:
@@ -188,15 +181,12 @@ def _refuse_contradictions(board: BoardSpec, found: Pictures) -> None:
 
 def _refuse_unseen(board: BoardSpec, found: Pictures, pictures: Iterable[Image]) -> None:
     """Raise BadRunError or GeometryError, saying what is there in its stead."""
-    _refuse_contradictions(board, found)
     if not any(sighting.tags for sighting in found.values()):
         other = _other_dictionary(list(pictures))
         if other:
             raise BadRunError(f"found tags of {other}", board.dictionary, "mend the SPEC", where=f"board {board.text}")
-    raise GeometryError(
-        f"found no board {board.text} in any camera",
-        do="hold it where the cameras see it whole, in focus and in the light",
-    )
+    advice = "hold it where the cameras see it whole, in focus and in the light"
+    raise GeometryError(f"found no board {board.text} in any camera", do=advice)
 
 
 def _other_dictionary(pictures: list[Image]) -> str:

@@ -5,12 +5,14 @@ Source: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 
 Zisserman, CVPR 2012.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from rigs.transform import Floats
 
@@ -38,6 +40,11 @@ def long_image(stream: SpikeStream, most_planes: int = MOST_PLANES) -> Image:
     first = max(0, (len(stream) - most_planes) // 2)
     last = min(len(stream), first + most_planes)
     return repaired(stream.counts(first, last).astype(np.float32) / np.float32(last - first))
+
+
+def long_images(recording: Recording, views: Iterable[str], most_planes: int = MOST_PLANES) -> dict[str, Image]:
+    """Return the long image of each of `views`, by camera id."""
+    return {view: long_image(recording.stream(view), most_planes) for view in views}
 
 
 def repaired(image: Image) -> Image:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from reconstruction.calibration.features import Image, toned
 from reconstruction.calibration.matches import Tracks
@@ -29,8 +29,8 @@ def refined(tracks: Tracks, images: Sequence[Image]) -> Tracks:
 
     The reference of a track is the view that is in the middle of those that see it.
     """
-    tones = [_float32(cv2.GaussianBlur(toned(image), (0, 0), SMOOTH_PX)) for image in images]
-    slopes = [[_float32(cv2.Sobel(t, cv2.CV_32F, dx, 1 - dx, scale=1 / 8)) for dx in (1, 0)] for t in tones]
+    tones = [np.asarray(cv2.GaussianBlur(toned(image), (0, 0), SMOOTH_PX), np.float32) for image in images]
+    slopes = [[np.asarray(cv2.Sobel(t, cv2.CV_32F, d, 1 - d, scale=1 / 8), np.float32) for d in (1, 0)] for t in tones]
     reference = _middle_views(tracks.seen)
     places = tracks.places.copy()
     for view in range(places.shape[1]):
@@ -38,9 +38,8 @@ def refined(tracks: Tracks, images: Sequence[Image]) -> Tracks:
             rows = np.flatnonzero((reference == other) & tracks.seen[:, view])
             if view == other or not len(rows):
                 continue
-            model = _patches(tones[other], places[rows, other])
-            start = places[rows, view]
-            found, good = _laid(model, tones[view], slopes[view], start)
+            model = _sampled(tones[other], places[rows, other][:, None] + OFFSETS)
+            found, good = _laid(model, tones[view], slopes[view], places[rows, view])
             places[rows, view] = np.where(good[:, None], found, np.nan)
     return Tracks(places)
 
@@ -76,11 +75,9 @@ def _laid(model: Floats, tone: Image, slopes: Sequence[Image], start: Floats) ->
         warp = warp + 0.5 * step[:, 2:6].reshape(-1, 2, 2)
     alike = (seen * wanted).mean(axis=1)
     near = np.linalg.norm(place - start, axis=1) < MOST_SHIFT_PX
-    return place, good & near & (alike > LEAST_ALIKE) & _inside(place, tone)
-
-
-def _patches(tone: Image, places: Floats) -> Floats:
-    return _sampled(tone, places[:, None] + OFFSETS)
+    height, width = tone.shape
+    inside = np.all((place > RADIUS / 2) & (place < (width - RADIUS / 2, height - RADIUS / 2)), axis=1)
+    return place, good & near & (alike > LEAST_ALIKE) & inside
 
 
 def _sampled(image: Image, at: Floats) -> Floats:
@@ -91,12 +88,3 @@ def _sampled(image: Image, at: Floats) -> Floats:
         for i in range(0, len(x), 30000)  # OpenCV takes no more than 32767 rows
     ]
     return np.concatenate(found).astype(np.float64)
-
-
-def _float32(image: ArrayLike) -> Image:
-    return np.asarray(image, dtype=np.float32)
-
-
-def _inside(places: Floats, tone: Image) -> NDArray[np.bool_]:
-    height, width = tone.shape
-    return np.all((places > RADIUS / 2) & (places < (width - RADIUS / 2, height - RADIUS / 2)), axis=1)

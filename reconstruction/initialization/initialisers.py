@@ -12,7 +12,7 @@ from types import MappingProxyType
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError, GeometryError
-from reconstruction.initialization.geometry import Geometry, Images
+from reconstruction.initialization.geometry import Geometry
 
 MSDI_SHARE = 0.7  # share of MSDI itself in the time that MSDI with bundle adjustment takes
 
@@ -58,40 +58,38 @@ def _sweep(recording: Recording, views: Sequence[str], options: InitOptions, pro
 
 
 def _natural(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.calibration.features import long_images
     from reconstruction.calibration.natural import calibrate_natural
 
-    images = _long_images(recording, views)
+    images = long_images(recording, views)
     found = calibrate_natural(recording.rig, images, _today(), progress, seed=options.seed)
     return Geometry(found.rig, report=found.report)
 
 
 def _sfm(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.calibration.features import long_images
     from reconstruction.initialization.sfm import sfm
 
-    return sfm(recording.rig, _long_images(recording, views), progress=progress)
+    return sfm(recording.rig, long_images(recording, views), progress=progress)
 
 
 def _dust3r(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.calibration.features import long_images
     from reconstruction.initialization.dust3r.initialiser import dust3r
 
     checkpoint = Path(options.checkpoint) if options.checkpoint else None
-    return dust3r(recording.rig, _long_images(recording, views), checkpoint, progress=progress)
+    return dust3r(recording.rig, long_images(recording, views), checkpoint, progress=progress)
 
 
 def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
     """Find the cameras by MSDI, then adjust them by the bundle from where it leaves them."""
+    from reconstruction.calibration.features import long_images
     from reconstruction.calibration.natural import AFTER_MSDI, calibrate_natural
 
     found = msdi_alone(recording, views, part(progress, 0, MSDI_SHARE))
-    images, rest = _long_images(recording, views), part(progress, MSDI_SHARE, 1)
+    images, rest = long_images(recording, views), part(progress, MSDI_SHARE, 1)
     fine = calibrate_natural(found.rig, images, _today(), rest, gate=AFTER_MSDI, seed=options.seed)
     return Geometry(fine.rig, found.points, found.confidence, found.images, {**fine.report, "msdi": found.report})
-
-
-def _long_images(recording: Recording, views: Sequence[str]) -> Images:
-    from reconstruction.calibration.features import long_image
-
-    return {view: long_image(recording.stream(view)) for view in views}
 
 
 def _today() -> str:

@@ -17,8 +17,8 @@ from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.calibrated import displacement
 from reconstruction.errors import BadRunError
-from reconstruction.initialization.geometry import Geometry
-from reconstruction.initialization.sweep import AGREEING, DepthMap, back_project, confirmations
+from reconstruction.initialization.geometry import FEWEST_VIEWS, Geometry
+from reconstruction.initialization.sweep import DepthMap, agreed, back_project
 from reconstruction.networks.image_inference import MOST_GROUP
 from reconstruction.networks.msdi.inference import Inferred, infer_views
 from reconstruction.networks.msdi.network import trained_msdi
@@ -26,7 +26,7 @@ from reconstruction.networks.rates import REACH
 from rigs.rig import Rig
 from rigs.similarity import align
 
-FEWEST_VIEWS, MOST_VIEWS = 3, 9
+MOST_VIEWS = 9
 FEWEST_SPIKES = 2.0  # a pixel of a view on average, over the planes that are looked at
 MOST_TURN_DEG, MOST_FOCAL = 9.0, 0.05  # largest way from the nominal rig; further is a wrong minimum
 FEWEST_FITS, FEWEST_SHARE = 40, 0.4  # correspondences of a view that agree with the cameras found
@@ -131,8 +131,7 @@ def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.fl
     tolerance = AGREEMENT / (scale * inferred.views.distance)
     points, sure = [], []
     for number, (reference, confidence) in enumerate(zip(maps, inferred.confidence, strict=True)):
-        others = maps[:number] + maps[number + 1 :]
-        kept = confirmations(reference, others, tolerance) >= min(AGREEING, len(others))
+        kept = agreed(maps, number, tolerance)
         kept &= confidence >= LEAST_CONFIDENCE
         kept[:BORDER], kept[-BORDER:], kept[:, :BORDER], kept[:, -BORDER:] = False, False, False, False
         points.append(back_project(reference.camera, reference.depth)[kept])
@@ -142,12 +141,6 @@ def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.fl
 
 def _completed(rig: Rig, moved: Rig) -> Rig:
     """Return `rig` with the cameras of `moved`, and the others with the focal factor that those have."""
-    first = moved.cameras[0]
-    factor = first.fx / rig.camera(first.id).fx
-    cameras = []
-    for camera in rig.cameras:
-        if camera.id in moved.ids:
-            cameras.append(moved.camera(camera.id))
-        else:
-            cameras.append(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor))
-    return replace(rig, cameras=tuple(cameras))
+    factor = moved.cameras[0].fx / rig.camera(moved.ids[0]).fx
+    wider = (replace(camera, fx=camera.fx * factor, fy=camera.fy * factor) for camera in rig.cameras)
+    return replace(rig, cameras=tuple(moved.camera(c.id) if c.id in moved.ids else c for c in wider))

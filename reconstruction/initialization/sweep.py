@@ -7,7 +7,7 @@ Source: Collins, CVPR 1996 (plane sweep); Hirschmueller, PAMI 2008 (semi-global 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,16 +107,17 @@ def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64
     return homography.ravel(), source.K @ source_from_reference.translation
 
 
-def consistent(maps: Sequence[DepthMap], options: SweepOptions, agreeing: int = AGREEING) -> list[DepthMap]:
-    """Return the same depths with NaN wherever fewer than `agreeing` other views see the same surface."""
+def consistent(maps: Sequence[DepthMap], options: SweepOptions) -> list[DepthMap]:
+    """Return the same depths with NaN wherever too few other views see the same surface."""
     tolerance = AGREEMENT_PX * float(np.diff(options.inverse_depths[:2])[0])
-    checked = []
-    for i, reference in enumerate(maps):
-        others = [other for j, other in enumerate(maps) if j != i]
-        votes = confirmations(reference, others, tolerance)
-        kept = np.where(votes >= min(agreeing, len(others)), reference.depth, np.float32(np.nan))
-        checked.append(DepthMap(reference.camera, kept.astype(np.float32), reference.cost))
-    return checked
+    kept = [np.where(agreed(maps, i, tolerance), one.depth, np.float32(np.nan)) for i, one in enumerate(maps)]
+    return [replace(one, depth=depth) for one, depth in zip(maps, kept, strict=True)]
+
+
+def agreed(maps: Sequence[DepthMap], number: int, tolerance: float) -> NDArray[np.bool_]:
+    """Return where AGREEING other views, or all there are, confirm the depths [H, W] of one; see `confirmations`."""
+    others = [other for j, other in enumerate(maps) if j != number]
+    return confirmations(maps[number], others, tolerance) >= min(AGREEING, len(others))
 
 
 def confirmations(reference: DepthMap, others: Sequence[DepthMap], tolerance: float) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.calibrated import Calibrated
 from reconstruction.calibration.check import check_rig
-from reconstruction.calibration.features import long_image
+from reconstruction.calibration.features import long_images
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.calibration.residual_picture import draw_residuals
 from reconstruction.images.pixels import PixelCalibration, estimate_pixels, write_pixels
@@ -54,7 +54,7 @@ def calibrate_command(
     if spec:
         found = calibrate_board(opened, spec, _today(), progress)
     else:
-        found = calibrate_natural(opened.rig, _long_images(opened), _today(), progress=progress)
+        found = calibrate_natural(opened.rig, long_images(opened, opened.camera_ids), _today(), progress=progress)
     write_calibrated(found, out)
     _print_calibrated(found, out, as_json)
 
@@ -68,7 +68,7 @@ def check_rig_command(context: click.Context, recording: Path, rig: Path | None,
     """Find the cameras of REC anew from its scene, and compare them with its rig file; exit 1 if one has moved."""
     opened = Recording.open(recording)
     stored = load_rig(rig) if rig else opened.rig
-    today, checks = check_rig(stored, _long_images(opened), _today(), progress_of("check-rig"))
+    today, checks = check_rig(stored, long_images(opened, opened.camera_ids), _today(), progress_of("check-rig"))
     moved = [check.camera for check in checks if not check.fits]
     lines = [
         f"{check.camera}: {'fits' if check.fits else 'HAS MOVED'}: {check.turn_deg:.3f} degrees, "
@@ -119,10 +119,6 @@ def calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, *, a
 
 def _today() -> str:
     return datetime.date.today().isoformat()
-
-
-def _long_images(recording: Recording) -> dict[str, np.ndarray]:
-    return {camera: long_image(recording.stream(camera)) for camera in recording.camera_ids}
 
 
 def _with_pixels(rig: Rig, maps: Mapping[str, Path]) -> Rig:

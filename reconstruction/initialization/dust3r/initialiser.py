@@ -6,26 +6,24 @@ ones are under CC BY-NC-SA, so none is shipped) and, on a CPU, minutes. Precisio
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition.progress import Progress, part, silent
+from reconstruction.calibration.matches import rays_of
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.dust3r.alignment import aligned
 from reconstruction.initialization.dust3r.start import PairMaps
 from reconstruction.initialization.geometry import Geometry, Images, first_of_one_size, laid_on, toned, usable_views
 from reconstruction.networks.dust3r.checkpoint import load_network
 from reconstruction.networks.dust3r.network import Dust3r
-from rigs.camera import Camera
 from rigs.rig import Rig
-from rigs.transform import Floats
 
 MOST_PIXELS = 2000  # most pixels of a view that the alignment works on
 AT_ONCE = 4  # images or pairs in the network
@@ -50,10 +48,11 @@ def dust3r_with(network: Dust3r, rig: Rig, images: Images, progress: Progress = 
     seen = rig.only(views)
     first = first_of_one_size(seen.cameras, "dust3r takes images of one size")
     rows, columns = sampled_pixels(first.height, first.width, MOST_PIXELS)
+    rays = np.stack([rays_of(np.stack([columns + 0.5, rows + 0.5], axis=-1), camera) for camera in seen.cameras])
     tones = toned({c: images[c] for c in views})
     edges = list(itertools.permutations(range(len(views)), 2))
     pairs = predicted(network, [tones[c] for c in views], edges, (rows, columns), part(progress, 0, 0.8))
-    found = aligned(views, rays_of(seen.cameras, rows, columns), pairs, part(progress, 0.8, 1))
+    found = aligned(views, rays, pairs, part(progress, 0.8, 1))
     turned = (replace(c, cam_from_rig=pose) for c, pose in zip(seen.cameras, found.cam_from_world, strict=True))
     estimated, similarity, placed = laid_on(rig, replace(seen, cameras=tuple(turned)))
     kept = found.confidence > LEAST_CONFIDENCE * found.confidence.mean()
@@ -68,13 +67,6 @@ def sampled_pixels(height: int, width: int, most: int) -> tuple[NDArray[np.intp]
     stride = max(1, int(np.ceil(np.sqrt(height * width / most))))
     rows, columns = np.meshgrid(*(np.arange(stride // 2, side, stride) for side in (height, width)), indexing="ij")
     return rows.ravel(), columns.ravel()
-
-
-def rays_of(cameras: Sequence[Camera], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-    """Return where the pixels' centres look, as x / z and y / z [v, n, 2] in camera axes, without lens distortion."""
-    pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)[:, None]
-    rays = [cv2.undistortPoints(pixels, c.K, np.array(c.distortion))[:, 0] for c in cameras]
-    return np.stack(rays).astype(np.float64)
 
 
 @torch.no_grad()
@@ -108,9 +100,8 @@ def predicted(
     return pairs
 
 
-def _batches(count: int) -> Iterator[slice]:
-    for start in range(0, count, AT_ONCE):
-        yield slice(start, min(start + AT_ONCE, count))
+def _batches(count: int) -> list[slice]:
+    return [slice(start, start + AT_ONCE) for start in range(0, count, AT_ONCE)]
 
 
 def padded_images(tones: Sequence[NDArray[np.float32]], patch_px: int) -> tuple[Tensor, tuple[int, int]]:

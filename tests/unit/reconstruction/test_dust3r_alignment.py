@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from acquisition.scenes.catalog import build_scene
+from reconstruction.calibration.matches import rays_of
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.dust3r.alignment import aligned
-from reconstruction.initialization.dust3r.initialiser import rays_of, sampled_pixels
+from reconstruction.initialization.dust3r.initialiser import sampled_pixels
 from reconstruction.initialization.dust3r.start import PairMaps, link, registered
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import Rig
@@ -34,7 +35,7 @@ def views():
     rig = catalog_rig("lab3x3").only(["cam00", "cam02", "cam11", "cam20", "cam22"])
     scene = build_scene("fan_and_ball", 1)
     rows, columns = sampled_pixels(250, 400, MOST)
-    rays = rays_of(rig.cameras, rows, columns)
+    rays = np.stack([rays_of(np.stack([columns + 0.5, rows + 0.5], axis=-1), camera) for camera in rig.cameras])
     points = []
     for camera, looks in zip(rig.cameras, rays, strict=True):
         depth = scene.raycaster(camera, 1).frames(*scene.placements(np.zeros(1))).depth[0, rows, columns]
