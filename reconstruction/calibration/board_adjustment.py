@@ -59,7 +59,7 @@ def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[BoardSolution
 
     Raises GeometryError where no picture tells how the board stood.
     """
-    poses = starting_poses(points, sightings, rig.cameras)
+    poses = [_best(points, sightings, rig.cameras, pose) for pose in range(sightings.poses)]
     sightings = sightings.only(np.array([pose is not None for pose in poses]))
     if not len(sightings):
         raise GeometryError("found no picture with four points of the board that are not in a line", do="show it whole")
@@ -136,17 +136,14 @@ def plain_covariance(problem: Problem, state: State) -> Floats:
     return np.asarray(np.linalg.inv(at.hessian - np.einsum("lgd,lhd->gh", folded, at.coupling, optimize=True)))
 
 
-def starting_poses(points: Floats, sightings: Sightings, cameras: Sequence[Camera]) -> list[Transform | None]:
-    """Return `rig_from_board` for every pose, by the cameras as drawn; None where no picture tells."""
-    return [_best(points, sightings, cameras, sightings.pose == pose) for pose in range(sightings.poses)]
-
-
-def _best(points: Floats, sightings: Sightings, cameras: Sequence[Camera], these: np.ndarray) -> Transform | None:
+def _best(points: Floats, sightings: Sightings, cameras: Sequence[Camera], number: int) -> Transform | None:
+    """Return `rig_from_board` for pose `number` of the board, by the cameras as drawn; None where no picture tells."""
+    these = sightings.pose == number
     corners, pixels, which = points[sightings.point[these]], sightings.pixels[these], sightings.camera[these]
     best, least = None, np.inf
-    for number in np.unique(which):
-        own = which == number
-        for pose in _from_one(corners[own], pixels[own], cameras[number]):
+    for camera in np.unique(which):
+        own = which == camera
+        for pose in _from_one(corners[own], pixels[own], cameras[camera]):
             seen = project(pose.apply(corners), Cameras.of(cameras), which)
             off = np.linalg.norm(np.where(seen.seen[:, None], seen.pixels - pixels, MOST_PX), axis=1)
             cost = float(np.minimum(off, MOST_PX).sum())

@@ -77,7 +77,7 @@ def rays_of(places: NDArray[np.floating], camera: Camera) -> Floats:
     """Return where places [M, 2] in px look, lens distortion removed, as x / z and y / z [M, 2] in camera axes."""
     if not len(places):
         return np.zeros((0, 2))
-    return np.asarray(cv2.undistortPoints(places[:, None], camera.K, np.array(camera.distortion))[:, 0])
+    return np.asarray(cv2.undistortPoints(places[:, None], camera.K, np.array(camera.distortion))[:, 0], np.float64)
 
 
 def _depths(rays: Sequence[Floats], rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:

@@ -101,11 +101,17 @@ class Bodies:
 
 
 def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
-    """Return the rigid bodies among the points of movers that were swept at I instants (s), largest first."""
+    """Return the rigid bodies among the points of movers that were swept at I instants (s), largest first.
+
+    A body that did not move as one piece may be several that touch, and is looked at once more by a shorter link.
+    """
     instants = len(instants_s)
     owners, reasons = np.full(len(points), -1, dtype=np.int64), np.full(len(points), LONE, dtype=f"<U{LONGEST}")
     bodies: list[Body] = []
-    for body in track_bodies(points, instants_s):
+    positions, intensities = points.positions.astype(np.float32), points.intensities.astype(np.float32)
+    single = replace(points, positions=positions, intensities=intensities)
+    whole = _tracked(single, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
+    for body in _by_size([part for one in whole for part in _torn(one, single, instants)]):
         reason = _fault(body, instants)
         for members in body.members.values():
             reasons[members], owners[members] = reason, -1 if reason else len(bodies)
@@ -120,17 +126,6 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
             centers[k, i] = pose.translation
     seen = np.array([[min(b.members), max(b.members)] for b in bodies], dtype=np.int64).reshape(-1, 2)
     return Bodies(owners, quats, centers, np.array(instants_s, dtype=np.float64), seen, reasons)
-
-
-def track_bodies(points: Points, instants_s: Sequence[float]) -> list[Body]:
-    """Return every body that could be followed, largest first, good or not.
-
-    A body that did not move as one piece may be several that touch, and is looked at once more by a shorter link.
-    """
-    positions, intensities = points.positions.astype(np.float32), points.intensities.astype(np.float32)
-    placed = replace(points, positions=positions, intensities=intensities)
-    bodies = _tracked(placed, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
-    return _by_size([part for body in bodies for part in _torn(body, placed, len(instants_s))])
 
 
 def _torn(body: Body, points: Points, instants: int) -> list[Body]:

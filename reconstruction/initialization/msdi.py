@@ -60,11 +60,13 @@ def initialise(
     nominal = rig.only(seeing)
     inferred = infer_views(trained_msdi(weights), [streams[name] for name in seeing], nominal, plane, progress)
     images = dict(zip(seeing, inferred.light, strict=True))
-    report |= _numbers(inferred, seeing)
+    matches, fits = _counted(inferred)
+    by_view = {name: int(n) for name, n in zip(seeing, fits.sum(axis=1), strict=True)}
+    report |= {"matches": matches, "fitting": round(float(fits.sum() / max(1, matches)), 3), "by_view": by_view}
     found = inferred.views.to_rig(nominal, inferred.factor)
     similarity = align(found, nominal)
     moved = similarity.carry_rig(found)
-    refused = _refused(inferred, moved, nominal)
+    refused = _refused(matches, fits, moved, nominal)
     if refused:
         return Geometry(rig, images=images, report=report | {"refused": refused})
     points, confidence = _points(inferred, moved, similarity.scale)
@@ -88,24 +90,18 @@ def _spikes(stream: SpikeStream, plane: int) -> float:
     return float(stream.counts(*stream.around(plane, REACH * MOST_GROUP)).mean())
 
 
-def _numbers(inferred: Inferred, seeing: list[str]) -> dict[str, object]:
-    """Return what `run.json` is told of the correspondences."""
-    used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
-    counts = {name: int(n) for name, n in zip(seeing, fits.sum(axis=(1, 2)), strict=True)}
-    return {"matches": int(used.sum()), "fitting": round(float(fits.sum() / max(1, used.sum())), 3), "by_view": counts}
+def _counted(inferred: Inferred) -> tuple[int, NDArray[np.int64]]:
+    """Return the number of correspondences, and of those between each two views [v, v] that agree with the cameras."""
+    used = inferred.solved.matches.information.diagonal(dim1=-2, dim2=-1).sum(-1) > 0
+    return int(used.sum()), inferred.solved.adjusted.fits.numpy().sum(axis=1)
 
 
-def _used(inferred: Inferred) -> NDArray[np.bool_]:
-    return (inferred.solved.matches.information.diagonal(dim1=-2, dim2=-1).sum(-1) > 0).numpy()
-
-
-def _refused(inferred: Inferred, moved: Rig, nominal: Rig) -> str | None:
+def _refused(matches: int, fits: NDArray[np.int64], moved: Rig, nominal: Rig) -> str | None:
     """Return why the poses found are not to be trusted, if they are not."""
-    used, fits = _used(inferred), inferred.solved.adjusted.fits.numpy()
-    share = fits.sum() / max(1, used.sum())
+    share = fits.sum() / max(1, matches)
     if share < FEWEST_SHARE:
         return f"found {share:.0%} of the correspondences to agree, expected {FEWEST_SHARE:.0%}"
-    counts = fits.sum(axis=(1, 2)) + fits.sum(axis=(0, 1))
+    counts = fits.sum(axis=1) + fits.sum(axis=0)
     for camera, before, count in zip(moved.cameras, nominal.cameras, counts, strict=True):
         if count < FEWEST_FITS:
             return f"{camera.id}: found {count} correspondences that agree, expected {FEWEST_FITS}"

@@ -11,9 +11,9 @@ import numpy as np
 
 from reconstruction.calibration.adjustment import covariance
 from reconstruction.calibration.calibrated import OPTIMISM, CameraSd, camera_sds
+from reconstruction.calibration.natural import CENTER_SD_M, FOCAL_SD
 from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, ScenePoints, State
 from reconstruction.calibration.projection import Cameras, project
-from reconstruction.calibration.tracks_to_poses import CENTER_SD_M, FOCAL_SD
 from reconstruction.calibration.verdict import MOST_SD_DEG, refuse_unsure
 from reconstruction.errors import GeometryError
 from reconstruction.stability.case import Case, Observation, refusal

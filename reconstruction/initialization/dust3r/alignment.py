@@ -153,11 +153,6 @@ class _Problem:
         support.index_add_(0, self._sides.ravel(), (weights / (1 + (shares / AGREEMENT) ** 2)).flatten(0, 1))
         seen = [(self._sides == view)[..., None] & (self._weights > 0) for view in range(v)]
         residuals = [float(shares[mine].median()) for mine in seen]
-        poses = [Transform(r.T, -r.T @ c) for r, c in zip(_proper(turns.numpy()), centers.numpy(), strict=True)]
+        u, _, vt = np.linalg.svd(turns.numpy())  # rounding has left them nearly rotations
+        poses = [Transform(r.T, -r.T @ c) for r, c in zip(u @ vt, centers.numpy(), strict=True)]
         return Aligned(tuple(poses), points.numpy(), support.numpy(), np.array(residuals))
-
-
-def _proper(rotations: Floats) -> Floats:
-    """Return the rotations nearest to matrices [v, 3, 3] that rounding has changed."""
-    u, _, vt = np.linalg.svd(rotations)
-    return u @ vt

@@ -13,10 +13,9 @@ from acquisition.scenes.scene import Scene
 from reconstruction.calibration.check import check_rig
 from reconstruction.calibration.features import find_features, repaired
 from reconstruction.calibration.matches import Gate, Tracks, gated, joined, matched
-from reconstruction.calibration.natural import calibrate_natural, spread
+from reconstruction.calibration.natural import calibrate_natural, spread, triangulated
 from reconstruction.calibration.patches import refined
 from reconstruction.calibration.projection import Cameras, project
-from reconstruction.calibration.tracks_to_poses import triangulated
 from reconstruction.errors import GeometryError
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import object_distance_m
