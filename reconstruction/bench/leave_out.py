@@ -101,14 +101,7 @@ CASES = (
     PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}),)),
     PlanCase("few-movers", "stiff", 101, (IMAGES, Arm("instants", {"tick_stride": 1}))),
     PlanCase("dim", "dim", 101, (MOTION,), ticks=800, everything=AS_GIVEN),
-    PlanCase(
-        "one-dead-view",
-        "fan_and_ball",
-        3,
-        (Arm("views", {"views": VIEWS}),),
-        dead=DEAD,
-        everything=AS_GIVEN | {"views": VIEWS},
-    ),
+    PlanCase("one-dead-view", "fan_and_ball", 3, (ALL_VIEWS,), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}),
     PlanCase("outdoors", "outdoor", 101, (IMAGES, Arm("Gaussians", {"gaussians": 2 * GAUSSIANS}))),
 )
 MISSED = PlanCase("missed-mover", "faint", 101)

@@ -6,7 +6,16 @@ import math
 import torch
 
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import Gaussians, against_reference, apart, gaussians_of, probe, renderers, worst
+from reconstruction.stability.probe import (
+    Apart,
+    Gaussians,
+    against_reference,
+    apart,
+    gaussians_of,
+    probe,
+    renderers,
+    worst,
+)
 
 
 def _worst(cases: list[Gaussians], renderer: str, **options: float) -> Observation:
@@ -94,16 +103,13 @@ def _off_the_axis(renderer: str) -> Observation:
 
 
 def _endless_logits(renderer: str) -> Observation:
-    error, most, steepest = 0.0, 0.0, 0.0
-    for logit in (100.0, -100.0, 30.0, -30.0):
-        logits = torch.full((1,), logit, requires_grad=True)
-        found, here = against_reference(gaussians_of(opacities=logits.sigmoid()), renderer)
-        (slope,) = torch.autograd.grad(logits.sigmoid().sum(), logits)
-        error = max(error, here.images if bool(slope.isfinite().all()) else math.inf)
-        steepest = max(steepest, here.gradients)
-        most = max(most, float(found.rendering.alpha.max()))
-    cap = 0.999 if renderer == "gsplat" else 0.99
-    return Observation(f"alpha at most {most:.4f}", error if most <= cap + 1e-6 else math.inf, steepest)
+    logits = torch.tensor([100.0, -100.0, 30.0, -30.0], requires_grad=True)
+    opacities = logits.sigmoid()
+    (slopes,) = torch.autograd.grad(opacities.sum(), logits)
+    found = [against_reference(gaussians_of(opacities=opacity), renderer) for opacity in opacities.split(1)]
+    error, most = worst(errors for _, errors in found), max(float(p.rendering.alpha.max()) for p, _ in found)
+    held = most <= (0.999 if renderer == "gsplat" else 0.99) + 1e-6 and bool(slopes.isfinite().all())
+    return Observation(f"alpha at most {most:.4f}", error.images if held else math.inf, error.gradients)
 
 
 def _stacked(renderer: str) -> Observation:
@@ -153,13 +159,13 @@ def _all_dead(renderer: str) -> Observation:
 def _units(renderer: str) -> Observation:
     means, quats, log_scales, opacities, intensities = gaussians_of()
     plain = probe(gaussians_of(), renderer).rendering.intensity
-    error, slope = 0.0, 0.0
+    errors = []
     for size in (1e-3, 1.0, 2e3):
         scaled = (means * size, quats, log_scales + math.log(size), opacities, intensities)
         found, here = against_reference(scaled, renderer, near_m=0.01 * size)
-        error = max(error, here.images, apart(found.rendering.intensity, plain))
-        slope = max(slope, here.gradients)
-    return Observation(f"1e-3, 1 and 2e3 m: {error:.1e} apart", error, slope)
+        errors += [here, Apart(apart(found.rendering.intensity, plain), 0.0)]
+    error = worst(errors)
+    return Observation(f"1e-3, 1 and 2e3 m: {error.images:.1e} apart", *error)
 
 
 CASES = (

@@ -64,11 +64,6 @@ def gaps(rows: Sequence[dict], one: str, other: str, effort: str) -> list[float]
     return [level - levels[other, *key] for key, level in ones.items() if (other, *key) in levels]
 
 
-def curve(rows: Iterable[dict], metric: str = "psnr_db") -> list[tuple[float, float]]:
-    """Return the seconds and levels of all snapshots of some runs, in order of time."""
-    return sorted((p["seconds"], p[metric]) for r in rows for p in r["curve"] if metric in p)
-
-
 def widest(rows: Sequence[dict]) -> list[dict]:
     """Return the runs of the length that most scenes were run at, the longest one of several."""
     return max(lengths(rows), key=lambda own: (len({r["scene"] for r in own}), max(r["seconds"] for r in own)))
@@ -81,7 +76,8 @@ def lengths(rows: Sequence[dict]) -> list[list[dict]]:
 
 def times_to(rows: Sequence[dict], method: str, target_db: float) -> list[float | None]:
     """Return, for each recording of a method, the first second any run of it reached a level; None where none did."""
-    curves: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    reached: dict[tuple[str, int], list[float]] = {}
     for row in (r for r in rows if r["method"] == method):
-        curves.setdefault((row["scene"], row["seed"]), []).extend(curve([row]))
-    return [min((t for t, level in points if level >= target_db), default=None) for points in curves.values()]
+        seconds = [p["seconds"] for p in row["curve"] if p.get("psnr_db", -np.inf) >= target_db]
+        reached.setdefault((row["scene"], row["seed"]), []).extend(seconds)
+    return [min(seconds, default=None) for seconds in reached.values()]

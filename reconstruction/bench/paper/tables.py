@@ -186,8 +186,7 @@ def _time_table(rows: Sequence[dict]) -> str:
     """Return the seconds to levels, and the steps a second, of the methods with true poses."""
     lines = []
     for method in (m.AUTO, *m.TFI.values(), *m.SPIKES.values()):
-        own = [r for r in rows if r["method"] == method.name]
-        if own:
+        if own := [r for r in rows if r["method"] == method.name]:
             cells = [_reached(times_to(rows, method.name, target)) for target in TARGETS_DB]
             lines.append([method.name, *cells, _mean(widest(own), "steps_per_s", ".1f")])
     columns = ("method", *(f"s to {target} dB" for target in TARGETS_DB), "steps / s")
