@@ -171,10 +171,7 @@ def plot_training(path: Path, document: dict) -> None:
     against_time(path, document | {"rows": rows}, names, "psnr_db", ("Whole reconstructions", ERROR))
 
 
-PLOTS: Mapping[str, Callable[[Path, dict], None]] = {
-    "images": plot_images,
-    "leave-out": plot_leave_out,
-    "poses": plot_poses,
-    "training": plot_training,
-    "viewpoints": plot_viewpoints,
+_DRAWN = (plot_images, plot_leave_out, plot_poses, plot_training, plot_viewpoints)
+PLOTS: Mapping[str, Callable[[Path, dict], None]] = {  # by the bench that each is named for
+    plot.__name__.removeprefix("plot_").replace("_", "-"): plot for plot in _DRAWN
 }
