@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from acquisition.durable import write_durably
-from acquisition.recording.reader import Recording, read_manifest
+from acquisition.recording.reader import Recording
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import contact_sheet
 from server.settings import ServiceSettings
@@ -18,16 +18,15 @@ from server.store import database
 from server.store.artefacts import is_plain, plain_files
 from server.store.store import Store
 from server.store.tables import Entry
-from server.work.beginning import MISSED, Beginning
 from server.work.calibrations import keep_calibration, write_current
 from server.work.commands import (
     import_arguments,
     look_arguments,
     preflight_arguments,
     reconstruct_arguments,
-    record_arguments,
     task_arguments,
 )
+from server.work.moments import Moments
 from server.work.processes import Processes, is_full, no_room
 from server.work.reporter import Reporter
 from server.work.supervisor import StageError
@@ -55,6 +54,7 @@ class Stages:
         self._store = store
         self._folder = store.folder
         self._processes = Processes(settings, store)
+        self._moments = Moments(store, self._processes)
         self._by_type = {
             "record": self._record,
             "import": self._import,
@@ -82,7 +82,7 @@ class Stages:
             try:
                 (entry,) = self._store.entries.find([entry_id])
                 if entry.kind == "capture" and self._folder.recording(entry_id).exists():
-                    return self._tell_losses(entry, stage)  # made by a worker that was killed
+                    return self._moments.tell_losses(entry, stage)  # made by a worker that was killed
                 return await self._by_type.get(entry.type, self._task)(entry, stage)
             except SQLAlchemyError as error:
                 if database.is_full(error):
@@ -96,45 +96,7 @@ class Stages:
             await asyncio.sleep(_OUTAGE_POLL_S)
 
     async def _record(self, entry: Entry, stage: str) -> None:
-        """Record a moment: what a worker that died has begun is finished as it is, and never begun anew."""
-        recording, beginning = self._folder.recording(entry.id), Beginning(self._store, entry)
-        rig, devices, lock = self._rig(entry)
-        try:
-            await self._processes.run(
-                entry,
-                stage,
-                record_arguments(entry.request, rig, devices, recording),
-                locks=[lock],
-                control=beginning.control,
-                is_due=beginning.is_now,
-                ends_in_order=True,
-            )
-            if not beginning.earlier:
-                return
-        except StageError:
-            if not recording.exists():  # else it was kept, and says itself what it lacks
-                raise
-        if not recording.exists():
-            await self._finalise(entry, stage, lock)
-        self._tell_losses(entry, stage)
-
-    async def _finalise(self, entry: Entry, stage: str, lock: Path) -> None:
-        """Make a recording of the planes that a killed recorder kept; raises StageError where it kept none."""
-        try:
-            recording = self._folder.recording(entry.id)
-            await self._processes.run(entry, stage, ["finalise", str(recording)], locks=[lock])
-        except StageError as error:
-            missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
-            Reporter(self._store, entry.id, stage).close(str(missed))
-            raise missed from error
-
-    def _tell_losses(self, entry: Entry, stage: str) -> None:
-        """Say of a recording that is kept what it lacks."""
-        reason = read_manifest(self._folder.recording(entry.id)).reason
-        if reason is not None:
-            reporter = Reporter(self._store, entry.id, stage)
-            reporter(1.0, f"kept, incomplete: {reason}")
-            reporter.close()
+        await self._moments.record(entry, stage, *self._rig(entry))
 
     async def _import(self, entry: Entry, stage: str) -> None:
         recording = self._folder.recording(entry.id)

@@ -7,7 +7,7 @@ import pytest
 from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.tables import Entry
-from server.work.beginning import Beginning
+from server.work.moments import Beginning
 from server.work.supervisor import StageError
 
 

@@ -1,0 +1,96 @@
+"""Records captures: each is a moment, begun once, and no recording of a later one replaces it."""
+
+from datetime import datetime
+from pathlib import Path
+
+from acquisition.durable import write_durably
+from acquisition.recording.reader import read_manifest
+from server.store.store import Store
+from server.store.tables import Entry
+from server.work.commands import record_arguments
+from server.work.processes import Processes
+from server.work.reporter import Reporter
+from server.work.supervisor import Control, StageError
+
+PATIENCE_S = 60.0  # longest time from the order to record until a worker takes it up
+MISSED = "record again: the moment has passed"
+
+
+class Beginning:
+    """The begin of one capture, which its entry's folder notes.
+
+    `control` has the orders that lie there; `earlier` says that `is_now` found it begun before.
+    """
+
+    def __init__(self, store: Store, entry: Entry) -> None:
+        folder = store.folder.entry(entry.id)
+        self.control = Control(folder / "stop", folder / "save")
+        self._store = store
+        self._asked = entry.created
+        self._begun = folder / "begun"
+        self.earlier = False
+
+    def is_now(self) -> bool:
+        """Return whether the capture begins now, and note it; False where an earlier worker has begun it.
+
+        Raises StageError where it was stopped before, or was asked for too long ago.
+        """
+        self.earlier = self._begun.exists()
+        if self.earlier:
+            return False
+        if self.control.stop.exists():
+            raise StageError("found it stopped before it began", "none", "record again")
+        now = self._store.entries.now()
+        late_s = (datetime.fromisoformat(now) - datetime.fromisoformat(self._asked)).total_seconds()
+        if late_s > PATIENCE_S:
+            found = f"found that no worker took it up for {late_s:.0f} s"
+            raise StageError(found, f"one within {PATIENCE_S:.0f} s", MISSED)
+        write_durably(self._begun, "")
+        return True
+
+
+class Moments:
+    """Records the captures of one service."""
+
+    def __init__(self, store: Store, processes: Processes) -> None:
+        self._store = store
+        self._processes = processes
+
+    async def record(self, entry: Entry, stage: str, rig: str, devices: str, lock: Path) -> None:
+        """Record a moment: what a worker that died has begun is finished as it is, and never begun anew."""
+        recording, beginning = self._store.folder.recording(entry.id), Beginning(self._store, entry)
+        try:
+            await self._processes.run(
+                entry,
+                stage,
+                record_arguments(entry.request, rig, devices, recording),
+                locks=[lock],
+                control=beginning.control,
+                is_due=beginning.is_now,
+                ends_in_order=True,
+            )
+            if not beginning.earlier:
+                return
+        except StageError:
+            if not recording.exists():  # else it was kept, and says itself what it lacks
+                raise
+        if not recording.exists():
+            await self._finalise(entry, stage, recording, lock)
+        self.tell_losses(entry, stage)
+
+    def tell_losses(self, entry: Entry, stage: str) -> None:
+        """Say of a recording that is kept what it lacks."""
+        reason = read_manifest(self._store.folder.recording(entry.id)).reason
+        if reason is not None:
+            reporter = Reporter(self._store, entry.id, stage)
+            reporter(1.0, f"kept, incomplete: {reason}")
+            reporter.close()
+
+    async def _finalise(self, entry: Entry, stage: str, recording: Path, lock: Path) -> None:
+        """Make a recording of the planes that a killed recorder kept; raises StageError where it kept none."""
+        try:
+            await self._processes.run(entry, stage, ["finalise", str(recording)], locks=[lock])
+        except StageError as error:
+            missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
+            Reporter(self._store, entry.id, stage).close(str(missed))
+            raise missed from error
