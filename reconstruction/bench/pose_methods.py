@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 
 from acquisition.recording.reader import Recording
 from acquisition.scenes.boards import charuco
-from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.features import MOST_PLANES, long_images
 from reconstruction.calibration.natural import calibrate_natural
-from reconstruction.images.estimate import Estimate
-from reconstruction.images.methods.msdi import msdi
-from reconstruction.images.methods.tfi import tfi
+from reconstruction.images.catalogue import method
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.initialisers import InitOptions, initialise, msdi_alone
 from reconstruction.initialization.sfm import sfm
@@ -29,10 +26,10 @@ Images = dict[str, NDArray[np.float32]]
 Run = Callable[[Recording, Sequence[str], int | None], Geometry]
 
 
-def _colmap(method: Callable[[SpikeStream, int], Estimate]) -> Run:
-    """Return COLMAP from scratch on a method's images of the middle of the clip."""
+def _colmap(name: str) -> Run:
+    """Return COLMAP from scratch on the images of the middle of the clip by the method `name`."""
     return lambda recording, views, _: sfm(
-        recording.rig, {view: method(recording.stream(view), recording.planes // 2).intensity for view in views}
+        recording.rig, {view: method(name)(recording.stream(view), recording.planes // 2).intensity for view in views}
     )
 
 
@@ -48,8 +45,8 @@ def _board(recording: Recording, views: Sequence[str], planes: int | None) -> Ge
 
 METHODS: dict[str, Run] = {
     "nominal": lambda recording, *_: Geometry(recording.rig),
-    "tfi+colmap": _colmap(tfi),
-    "msdi-image+colmap": _colmap(msdi),
+    "tfi+colmap": _colmap("tfi"),
+    "msdi-image+colmap": _colmap("msdi"),
     "long+colmap": lambda recording, views, planes: sfm(
         recording.rig, long_images(recording, views, planes or MOST_PLANES)
     ),

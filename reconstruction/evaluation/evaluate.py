@@ -1,6 +1,6 @@
 """Scores a run on the camera nobody trained on: against truth, beside the floors, or against its own spike counts."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,12 +46,9 @@ def score_against_truth(
     cloud: SceneModel, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
 ) -> dict[str, float]:
     """Return means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
-    clock = held_out.recording.rig.clock
-    return _mean_scores(
-        _frames(held_out, truth, instants),
-        truth.white,
-        lambda frame: cloud.look(held_out.camera, clock.instant_s(frame.plane)),
-    )
+    clock, frames = held_out.recording.rig.clock, _frames(held_out, truth, instants)
+    views = (cloud.look(held_out.camera, clock.instant_s(frame.plane)) for frame in frames)
+    return _mean([score_view(view, frame, truth.white) for view, frame in zip(views, frames, strict=True)])
 
 
 def score_floors(
@@ -137,10 +134,6 @@ def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
     if frames[0].intensity.shape != expected:
         raise BadRunError(f"found truth of shape {frames[0].intensity.shape}", f"{expected} as {camera_id} records")
     return frames
-
-
-def _mean_scores(frames: Sequence[TruthFrame], white: float, view_of: Callable[[TruthFrame], View]) -> dict[str, float]:
-    return _mean([score_view(view_of(frame), frame, white) for frame in frames])
 
 
 def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:

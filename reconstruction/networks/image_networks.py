@@ -22,14 +22,7 @@ LEAST_LIGHT = 1e-3  # spikes per tick; a darker image is treated as this bright 
 BEND = 0.05  # error from which errors count linearly, as a share of the mean light
 NOISE_BEND = 2.0  # the same for a noisy target, whose mean is wanted and not its median; a hot pixel is beyond it
 SIGMA_WEIGHT = 0.02
-
-
-def _reversed(seen: NDArray) -> NDArray:
-    return np.flip(seen, axis=-3)
-
-
-def _interval(seen: Tensor) -> Tensor:
-    return seen[:, BINS // 2, None]
+_reversed = partial(np.flip, axis=-3)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
-"""Weights as .npz in half precision, and states of a training: tensors and numbers only, read without running code."""
+"""Weights as .npz in half precision, read without running code."""
 
 import io
-import pickle
-import struct
 import zlib
 from pathlib import Path
 from zipfile import BadZipFile
@@ -14,7 +12,6 @@ from torch import Tensor, nn
 from acquisition.durable import write_durably
 from reconstruction.errors import BadRunError
 
-_UNREADABLE = (OSError, RuntimeError, EOFError, pickle.UnpicklingError, ValueError, LookupError, struct.error)
 SHIPPED = Path(__file__).parent / "weights"
 
 
@@ -42,18 +39,3 @@ def read_weights(path: Path, module: nn.Module) -> None:
         raise BadRunError(
             f"found other or damaged weights ({reason})", do="train this network again", where=path
         ) from error
-
-
-def write_state(path: Path, state: dict) -> None:
-    """Write `state` (tensors, numbers, strings, nested) durably under `path`."""
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    write_durably(path, buffer.getvalue())
-
-
-def read_state(path: Path) -> dict:
-    """Read what `write_state` wrote; raises BadRunError for a damaged file."""
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except _UNREADABLE as error:
-        raise BadRunError("found a damaged checkpoint", "one of this version", "start afresh", where=path) from error

@@ -26,7 +26,8 @@ from reconstruction.run.document import EarlyEnd, Elements
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import Work
 from reconstruction.scene_model import TimeSpan
-from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.tensors import write_tensors
+from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.exposure import FROM
@@ -168,7 +169,7 @@ class _Saver:
                 "seconds": self.budget.elapsed_s(),
                 "steps": self.trainer.steps,
             }
-            save_checkpoint(self.run.path / "snapshots" / f"{self.trainer.steps:07d}.pt", state)
+            write_tensors(self.run.path / "snapshots" / f"{self.trainer.steps:07d}.pt", state)
         if self.budget.clock() - self.last >= CHECKPOINT_EVERY_S:
             self.checkpoint()
 
@@ -181,7 +182,7 @@ class _Saver:
             "elapsed_s": self.budget.elapsed_s(),
             "before_training_s": self.budget.before_training_s,
         }
-        save_checkpoint(self.run.checkpoint, state)
+        write_tensors(self.run.checkpoint, state)
         self.last = self.budget.clock()
 
 

@@ -1,14 +1,12 @@
 """Error against run time, as JSON rows and a picture."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from acquisition.durable import write_durably
+from acquisition.durable import made_aside
 
 LABELS = {"psnr_db": "PSNR / dB", "counts.rmse": "count error / spikes"}
 
@@ -16,7 +14,6 @@ LABELS = {"psnr_db": "PSNR / dB", "counts.rmse": "count error / spikes"}
 def draw_curve(path: Path, rows: Sequence[dict], metric: str, floors: dict[str, float], caption: str) -> None:
     """Plot `metric` of the rows against their seconds (log), with a dashed line for each floor."""
     figure = Figure(figsize=(7, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.plot([r["seconds"] for r in rows], [r[metric] for r in rows], "o-", label="reconstruction", color="#1f5fa8")
     for (name, value), colour in zip(floors.items(), ("#888888", "#c26a1b"), strict=False):
@@ -29,6 +26,5 @@ def draw_curve(path: Path, rows: Sequence[dict], metric: str, floors: dict[str, 
     axes.set_title(caption, fontsize=9)
     axes.grid(True, which="both", alpha=0.3)
     axes.legend()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    write_durably(path, buffer.getvalue())
+    with made_aside(path) as aside:
+        figure.savefig(aside, format="png", dpi=110)

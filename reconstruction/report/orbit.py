@@ -34,14 +34,7 @@ def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRA
 
 
 def write_orbit(
-    path: Path,
-    cloud: SceneModel,
-    rig: Rig,
-    centre: Camera,
-    white: float,
-    progress: Progress,
-    *,
-    frames: int = FRAMES,
+    path: Path, cloud: SceneModel, rig: Rig, centre: Camera, white: float, progress: Progress, *, frames: int = FRAMES
 ) -> None:
     """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle."""
     clip = cloud.clip

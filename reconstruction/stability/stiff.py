@@ -30,7 +30,8 @@ from reconstruction.run.folder import RunFolder
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.models import model_names
 from reconstruction.stability.probe import natives
-from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.tensors import write_tensors
+from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.trainer import Trainer
 from rigs.toml import catalog_rig
 
@@ -140,7 +141,7 @@ def _resumed(scene: StiffScene) -> Observation:
     run, kept = scene.run(seed, "auto"), scene.folder / f"{scene.name}.pt"
     first, second = (_trainer(run, scene.recording) for _ in range(2))
     losses = _stepped(first, 0, steps // 2, steps)
-    save_checkpoint(kept, first.state())
+    write_tensors(kept, first.state())
     second.restore(load_checkpoint(kept))
     losses += _stepped(second, steps // 2, steps, steps)
     gap = float(np.abs(np.array(losses) - scene.trained(seed).losses).max())

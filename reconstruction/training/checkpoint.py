@@ -1,34 +1,16 @@
-"""State of a training on disk: tensors and numbers only, loaded without running code."""
+"""The state of a training on disk, and the model in it."""
 
-import io
-import pickle
 from pathlib import Path
 
-import torch
-
-from acquisition.durable import write_durably
-from reconstruction.errors import BadRunError
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.radiance_fields.radiance_field import RadianceField
 from reconstruction.scene_model import SceneModel
-
-
-def save_checkpoint(path: Path, state: dict) -> None:
-    """Write `state` (tensors, numbers, strings, nested) durably under `path`."""
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_durably(path, buffer.getvalue())
+from reconstruction.tensors import read_tensors
 
 
 def load_checkpoint(path: Path) -> dict:
-    """Read what `save_checkpoint` wrote; raises BadRunError for a missing or damaged file."""
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise BadRunError("not found", "a trained run", "run the train stage first", where=path) from error
-    except (RuntimeError, EOFError, pickle.UnpicklingError, ValueError) as error:
-        raise BadRunError("found a damaged checkpoint", "one of this version", "train again", where=path) from error
+    """Read a checkpoint or snapshot; raises BadRunError for a missing or damaged file."""
+    return read_tensors(path, "one of a trained run", "run the train stage again")
 
 
 def model_from_state(state: dict) -> SceneModel:

@@ -6,21 +6,9 @@ come from the spikes of random scenes; `python -m reconstruction.networks.train 
 Cost: about a second a core at 400x250. Sources: `reconstruction.networks.blind_spot`.
 """
 
-from pathlib import Path
+from functools import partial
 
-from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.learned import learned
 
-
-def blindspot(stream: SpikeStream, plane: int, weights: Path | None = None) -> Estimate:
-    """Return the image at `plane`; valid where a pixel or its neighbour ever fired near the instant.
-
-    `weights` are one's own.
-    """
-    from reconstruction.images.learned import estimated  # torch, which listing the methods does without
-
-    return estimated("blindspot", stream, plane, weights)
-
-
-METHOD = ImageMethod("blindspot", blindspot, price_s=0.72, learned=True)
+METHOD = ImageMethod("blindspot", partial(learned, "blindspot"), price_s=0.72, learned=True)

@@ -8,26 +8,9 @@ has none, and can be trained by `python -m reconstruction.networks.train network
 Source: Zhao et al., "Spk2ImgNet: learning to reconstruct dynamic scene from continuous spike stream", CVPR 2021.
 """
 
-from pathlib import Path
+from functools import partial
 
-from acquisition.spikes.stream import SpikeStream
-from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.learned import learned
 
-TIERS = {"small": True, "published": False}  # whether weights ship
-
-
-def spk2imgnet(stream: SpikeStream, plane: int, tier: str = "small", weights: Path | None = None) -> Estimate:
-    """Return the image at `plane` by the network of `tier`; valid where a pixel or neighbour fired near the instant.
-
-    `weights` are one's own for that tier. Raises BadRunError for a tier that has neither.
-    """
-    if tier not in TIERS or not (TIERS[tier] or weights):
-        raise BadRunError(f"found the tier {tier!r} without weights", "small, or a tier and weights trained for it")
-    from reconstruction.images.learned import estimated  # torch, which listing the methods does without
-
-    return estimated(tier, stream, plane, weights)
-
-
-METHOD = ImageMethod("spk2imgnet", spk2imgnet, price_s=0.48, learned=True)
+METHOD = ImageMethod("spk2imgnet", partial(learned, "small"), price_s=0.48, learned=True)

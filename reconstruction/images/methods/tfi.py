@@ -20,22 +20,22 @@ from reconstruction.images.noise import interval_sigma
 REACH = 128
 
 
-def tfi(stream: SpikeStream, plane: int, reach: int = REACH) -> Estimate:
-    """Return the image at `plane`: 1 / (first spike after it - last spike by then), up to `reach` planes away."""
-    return tfi_images(stream, [plane], reach)[0]
+def tfi(stream: SpikeStream, plane: int) -> Estimate:
+    """Return the image at `plane`: 1 / (first spike after it - last spike by then), up to REACH planes away."""
+    return tfi_images(stream, [plane])[0]
 
 
-def tfi_images(stream: SpikeStream, planes: Sequence[int], reach: int = REACH, *, threads: int = 1) -> list[Estimate]:
+def tfi_images(stream: SpikeStream, planes: Sequence[int], *, threads: int = 1) -> list[Estimate]:
     """Return the images at many planes of one stream, in one call to the kernel on `threads` cores."""
-    ticks, _, before, after = intervals(stream.packed, stream.layout, planes, reach, threads=threads)
+    ticks, _, before, after = intervals(stream.packed, stream.layout, planes, REACH, threads=threads)
     valid = before & after
     intensity = np.reciprocal(ticks, dtype=np.float32)
     return [Estimate(intensity[i], valid[i], interval_sigma(ticks[i])) for i in range(len(ticks))]
 
 
-def tfi_intensities(stream: SpikeStream, planes: Sequence[int], reach: int = REACH) -> NDArray[np.float32]:
+def tfi_intensities(stream: SpikeStream, planes: Sequence[int]) -> NDArray[np.float32]:
     """Return the intensities alone [N, H, W] in spikes per tick."""
-    return np.reciprocal(intervals(stream.packed, stream.layout, planes, reach).ticks, dtype=np.float32)
+    return np.reciprocal(intervals(stream.packed, stream.layout, planes, REACH).ticks, dtype=np.float32)
 
 
 METHOD = ImageMethod("tfi", tfi, price_s=0.0012)

@@ -21,18 +21,16 @@ from reconstruction.images.noise import window_sigma
 HALF_WINDOW = 16
 
 
-def tfp(stream: SpikeStream, plane: int, half_window: int = HALF_WINDOW) -> Estimate:
-    """Return the image at `plane` from up to 2 * half_window + 1 planes."""
-    first, last = stream.around(plane, half_window)
-    mean = tfp_intensities(stream, [plane], half_window)[0]
+def tfp(stream: SpikeStream, plane: int) -> Estimate:
+    """Return the image at `plane` from up to 2 * HALF_WINDOW + 1 planes."""
+    first, last = stream.around(plane, HALF_WINDOW)
+    mean = tfp_intensities(stream, [plane])[0]
     return Estimate(mean, (mean > 0) & (mean < 1), window_sigma(mean, last - first))
 
 
-def tfp_intensities(
-    stream: SpikeStream, planes: Sequence[int], half_window: int = HALF_WINDOW, *, threads: int = 1
-) -> NDArray[np.float32]:
+def tfp_intensities(stream: SpikeStream, planes: Sequence[int], *, threads: int = 1) -> NDArray[np.float32]:
     """Return the intensities alone [N, H, W] in spikes per tick."""
-    bounds = np.array([stream.around(plane, half_window) for plane in planes]).reshape(-1, 2)
+    bounds = np.array([stream.around(plane, HALF_WINDOW) for plane in planes]).reshape(-1, 2)
     return window_means(stream.packed, stream.layout, bounds, threads=threads)
 
 

@@ -8,14 +8,11 @@ names, literal values. Sizes come from both and have to agree.
 import argparse
 import ast
 import math
-import pickle
 import re
-import struct
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeGuard
-from zipfile import BadZipFile
 
 import torch
 from torch import Tensor
@@ -23,13 +20,10 @@ from torch import Tensor
 from reconstruction.errors import BadRunError
 from reconstruction.networks.dust3r.heads import DptSizes
 from reconstruction.networks.dust3r.network import Architecture, Dust3r
+from reconstruction.tensors import read_tensors
 
 MODEL = "AsymmetricCroCo3DStereo"
 LONGEST_CALL = 4000  # characters; the public ones have about 330
-_UNREADABLE = (
-    *(OSError, RuntimeError, EOFError, pickle.UnpicklingError, ValueError, TypeError, LookupError, AttributeError),
-    *(struct.error, BadZipFile, ImportError, AssertionError, ArithmeticError, MemoryError),
-)
 _SIZES = {  # name in the call: field of the architecture, and what the public code takes where the call is silent
     "enc_embed_dim": ("encoder_dim", 768),
     "enc_depth": ("encoder_depth", 12),
@@ -70,14 +64,8 @@ def load_network(path: Path) -> Dust3r:
 
 
 def _read(path: Path) -> dict:
-    try:
-        with warnings.catch_warnings(action="ignore"), torch.serialization.safe_globals([argparse.Namespace]):
-            stored = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise BadRunError("found no such file", "a DUSt3R checkpoint", where=path) from None
-    except _UNREADABLE as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise BadRunError(f"found no readable checkpoint ({reason})", do="download it again", where=path) from error
+    with warnings.catch_warnings(action="ignore"), torch.serialization.safe_globals([argparse.Namespace]):
+        stored = read_tensors(path, "a DUSt3R checkpoint", "download it again")
     if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping) or "args" not in stored:
         raise BadRunError("found another kind of file", "a DUSt3R checkpoint with 'args' and 'model'", where=path)
     return stored
@@ -107,7 +95,7 @@ def _call(source: object) -> dict[str, object]:
     if not isinstance(source, str) or len(source) > LONGEST_CALL:
         raise BadRunError(f"found args.model of type {type(source).__name__}", "a short constructor call")
     try:
-        call = ast.parse(source.strip(), mode="eval").body
+        call = ast.parse(re.sub(r"\binf\b", "1e999", source.strip()), mode="eval").body  # a literal that is infinite
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise BadRunError(f"found args.model {source[:60]!r}", "a constructor call") from None
     name = call.func.id if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) else source[:60]
@@ -117,19 +105,12 @@ def _call(source: object) -> dict[str, object]:
 
 
 def _literal(node: ast.expr, name: str) -> object:
-    """Return a number, string, truth value, inf, or a tuple of those."""
-    match node:
-        case ast.Constant(value=str() | int() | float() | None as value):
-            return value
-        case ast.Name(id="inf"):
-            return math.inf
-        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as value)):
-            return -value
-        case ast.UnaryOp(op=ast.USub(), operand=ast.Name(id="inf")):
-            return -math.inf
-        case ast.Tuple(elts=[*parts]) | ast.List(elts=[*parts]):
-            return tuple(_literal(part, name) for part in parts)
-    raise BadRunError(f"found code as the value of {name} in args.model", "a literal")
+    """Return the value of a literal, a tuple for a list."""
+    try:
+        value = ast.literal_eval(node)
+    except (ValueError, TypeError, RecursionError, MemoryError):
+        raise BadRunError(f"found code as the value of {name} in args.model", "a literal") from None
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _architecture(call: Mapping[str, object], state: Mapping[str, Tensor]) -> Architecture:
@@ -144,16 +125,11 @@ def _architecture(call: Mapping[str, object], state: Mapping[str, Tensor]) -> Ar
     if not rotary:
         raise BadRunError(f"found pos_embed={str(call.get('pos_embed', 'cosine'))[:60]}", "RoPE and its base")
     sizes = {field: call.get(name, default) for name, (field, default) in _SIZES.items()}
-    for field, blocks in (
-        ("encoder_depth", "enc_blocks"),
-        ("decoder_depth", "dec_blocks"),
-        ("decoder_depth", "dec_blocks2"),
-    ):
-        stored = {name.split(".")[1] for name in state if name.startswith(f"{blocks}.")}
-        if len(stored) != sizes[field]:
-            raise BadRunError(
-                f"found {len(stored)} {blocks} in the model", f"{str(sizes[field])[:20]} as args.model says"
-            )
+    depths = {"enc_blocks": "encoder_depth", "dec_blocks": "decoder_depth", "dec_blocks2": "decoder_depth"}
+    for blocks, field in depths.items():
+        stored, said = {n.split(".")[1] for n in state if n.startswith(f"{blocks}.")}, sizes[field]
+        if len(stored) != said:
+            raise BadRunError(f"found {len(stored)} {blocks} in the model", f"{str(said)[:20]} as args.model says")
     head = "dpt" if call.get("head_type") == "dpt" else "linear"
     dpt = _dpt_sizes(state) if head == "dpt" else DptSizes()
     return Architecture(**sizes, rope_base=float(rotary[1]), head=head, dpt=dpt)  # pyright: ignore[reportArgumentType]
@@ -169,11 +145,10 @@ def _dpt_sizes(state: Mapping[str, Tensor]) -> DptSizes:
 
 
 def _check(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
-    missing = [name for name in expected if name not in found]
-    foreign = [name for name in found if name not in expected]
-    if missing or foreign:
-        odd = f"without {missing[0]}" if missing else f"with {foreign[0][:80]}"
-        raise BadRunError(f"found a model {odd}", "the layout of DUSt3R")
+    odd = [f"without {name}" for name in expected if name not in found]
+    odd += [f"with {name[:80]}" for name in found if name not in expected]
+    if odd:
+        raise BadRunError(f"found a model {odd[0]}", "the layout of DUSt3R")
     for name, tensor in expected.items():
         if found[name].shape != tensor.shape:
             said = f"{tuple(tensor.shape)} as args.model says"

@@ -5,7 +5,6 @@ Letters: b images, r x k patches of p x p pixels (r rows), c channels. Parameter
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 from torch import Tensor, nn
 from torch.nn.functional import pixel_shuffle, relu
@@ -130,11 +129,3 @@ class DptHead(nn.Module):
     def forward(self, layers: Sequence[Tensor], grid: tuple[int, int]) -> Tensor:
         """Map layers of tokens [b, n, c] to [b, 4, H, W]."""
         return self.dpt([spread(layers[hook], grid) for hook in self.hooks])
-
-
-def hooks_of(depth: int) -> tuple[int, int, int, int]:
-    """Return which of the layers 0 (the encoder's) to `depth` feed a DPT head."""
-    hooks = (0, depth * 2 // 4, depth * 3 // 4, depth)
-    if any(a >= b for a, b in pairwise(hooks)):
-        raise ValueError(f"found {depth} decoder blocks, expected at least 4 for a DPT head")
-    return hooks

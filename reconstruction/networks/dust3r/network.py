@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from reconstruction.errors import BadRunError
 from reconstruction.networks.dust3r.blocks import NORM_EPS, DecoderBlock, EncoderBlock, PatchEmbedding, Turns
-from reconstruction.networks.dust3r.heads import DptHead, DptSizes, LinearHead, hooks_of
+from reconstruction.networks.dust3r.heads import DptHead, DptSizes, LinearHead
 
 MOST_LOG_DISTANCE = 20.0  # exp(20) = 5e8: far beyond any scene, far below what float32 overflows at
 MOST_LOG_CONFIDENCE = 20.0
@@ -126,7 +126,8 @@ def _decoder_blocks(a: Architecture) -> nn.ModuleList:
 def _head(a: Architecture) -> LinearHead | DptHead:
     if a.head == "linear":
         return LinearHead(a.decoder_dim, a.patch_px)
-    return DptHead((a.encoder_dim, *[a.decoder_dim] * 3), hooks_of(a.decoder_depth), a.dpt)
+    hooks = (0, a.decoder_depth // 2, a.decoder_depth * 3 // 4, a.decoder_depth)  # layer 0 is the encoder's
+    return DptHead((a.encoder_dim, *[a.decoder_dim] * 3), hooks, a.dpt)
 
 
 def unfolded(outputs: Tensor) -> PointMap:

@@ -1,15 +1,13 @@
 """Draws the curves of trainings: their scores against the wall time they took."""
 
-import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from acquisition.durable import write_durably
+from acquisition.durable import made_aside
 from reconstruction.errors import BadRunError
 
 COLOURS = ("#1f5fa8", "#c26a1b", "#3b8f4d")
@@ -49,7 +47,6 @@ def plot_curves(trainings: Sequence[Path], out: Path) -> None:
     documents = [_read(path) for path in trainings]
     panels = _panels(documents[0])
     figure = Figure(figsize=(7.5, 4.6) if len(panels) == 1 else (11, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for document, colour in zip(documents, COLOURS * len(documents), strict=False):
         seconds = [point["seconds"] for point in document["curve"]]
@@ -63,9 +60,8 @@ def plot_curves(trainings: Sequence[Path], out: Path) -> None:
         drawn.set(xlabel="wall seconds of training", ylabel=panel.label, xscale=panel.scales[0], yscale=panel.scales[1])
         drawn.grid(True, which="both", alpha=0.3)
     axes[0].legend(fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    write_durably(out, buffer.getvalue())
+    with made_aside(out) as aside:
+        figure.savefig(aside, format="png", dpi=110)
 
 
 def _panels(document: dict) -> tuple[Panel, ...]:

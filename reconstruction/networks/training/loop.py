@@ -22,7 +22,8 @@ from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training import processes
-from reconstruction.networks.weights import read_state, write_state, write_weights
+from reconstruction.networks.weights import write_weights
+from reconstruction.tensors import read_tensors, write_tensors
 
 WARM_UP = 200  # steps
 LAST_RATE = 0.02  # share of the learning rate at the last step
@@ -75,7 +76,7 @@ class Loop(Generic[Network]):
         self.curve: list[dict[str, float]] = []
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / "state.pt").exists():
-            self._resume(read_state(folder / "state.pt"))
+            self._resume(read_tensors(folder / "state.pt", "one of this version", "start afresh"))
 
     def run(self, score: Score[Network], progress: Progress = silent) -> None:
         """Train up to the last step; take the averaged network's `score` and store all every `score_every` steps."""
@@ -118,7 +119,7 @@ class Loop(Generic[Network]):
             "progress": {"step": self.step, "seconds": self.seconds, "recent": self.recent},
             "curve": self.curve,
         }
-        write_state(self.folder / "state.pt", state)
+        write_tensors(self.folder / "state.pt", state)
         write_weights(self.folder / f"{self.config.name}.npz", self.average.state_dict())
         write_json(self.folder / "training.json", self._document())
 

@@ -17,13 +17,7 @@ from reconstruction.networks.msdi.features import channels, keypoints
 from reconstruction.networks.msdi.large import large_msdi
 from reconstruction.networks.msdi.network import Msdi, patch_gate, small_msdi
 from reconstruction.networks.training.loop import Loop, LoopConfig
-from reconstruction.networks.training.msdi_losses import (
-    correspondences,
-    depth_loss,
-    fine_loss,
-    pose_loss,
-    token_loss,
-)
+from reconstruction.networks.training.msdi_losses import correspondences, depth_loss, fine_loss, pose_loss, token_loss
 from reconstruction.networks.training.msdi_samples import Sample, Samples
 from reconstruction.networks.weights import SHIPPED, read_weights
 

@@ -11,13 +11,13 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import method
-from reconstruction.images.methods.spk2imgnet import TIERS, spk2imgnet
+from reconstruction.images.learned import learned
 from reconstruction.networks import image_inference as inference
 from reconstruction.networks.image_inference import gathered, infer
 from reconstruction.networks.image_networks import image_network
 from reconstruction.networks.weights import SHIPPED, write_weights
 
-SHIPPED_NAMES = [*(tier for tier, ships in TIERS.items() if ships), "blindspot"]
+SHIPPED_NAMES = ["small", "blindspot"]
 LEARNED = ["spk2imgnet", "blindspot"]
 
 
@@ -119,14 +119,12 @@ def test_a_moving_edge_is_sharper_than_any_window_and_quieter_than_an_interval(n
     assert gain_db["tfp"] > 4  # 5.3
 
 
-def test_a_tier_without_weights_is_refused_and_ones_own_weights_serve_it(tmp_path):
+def test_a_network_without_weights_is_refused_and_ones_own_weights_serve_it(tmp_path):
     stream = stream_of(np.random.default_rng(4).integers(0, 2, (50, 8, 8)).astype(np.uint8))
-    with pytest.raises(BadRunError, match="'published' without weights"):
-        spk2imgnet(stream, 25, tier="published")
-    with pytest.raises(BadRunError, match="'blindspot' without weights"):
-        spk2imgnet(stream, 25, tier="blindspot")
+    with pytest.raises(BadRunError, match="found no weights"):
+        learned("published", stream, 25)
     write_weights(tmp_path / "own.npz", awake("published").state_dict())
-    assert np.isfinite(spk2imgnet(stream, 25, tier="published", weights=tmp_path / "own.npz").intensity).all()
+    assert np.isfinite(learned("published", stream, 25, tmp_path / "own.npz").intensity).all()
 
 
 @pytest.mark.parametrize("name", SHIPPED_NAMES)

@@ -147,7 +147,7 @@ def test_a_folder_of_another_training_is_refused(folder, tmp_path):
     with pytest.raises(BadRunError, match="give a new folder"):
         training(tmp_path, folder, seed=1)
     (tmp_path / "state.pt").write_bytes(b"junk")
-    with pytest.raises(BadRunError, match="damaged checkpoint"):
+    with pytest.raises(BadRunError, match="no readable checkpoint"):
         training(tmp_path, folder, steps=2)
 
 

@@ -27,7 +27,8 @@ from reconstruction.images.methods.tfp import tfp
 from reconstruction.methods.definition import Training
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import Rate, TimeSpan
-from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.tensors import write_tensors
+from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.trainer import FULL_WHITE, LIVING_EVERY, Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -100,7 +101,7 @@ def test_a_training_stopped_and_resumed_ends_in_the_same_state(kind, view, tmp_p
         whole.step(step / 8)
         if step < 5:
             first.step(step / 8)
-    save_checkpoint(tmp_path / "state.pt", {"trainer": first.state()})
+    write_tensors(tmp_path / "state.pt", {"trainer": first.state()})
     second = trainer_of(kind, view)
     second.restore(load_checkpoint(tmp_path / "state.pt")["trainer"])
     for step in range(5, 8):

@@ -5,8 +5,8 @@ from acquisition.errors import BadRecordingError
 from acquisition.scenes.misplaced import misplaced
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
+from reconstruction.images.catalogue import method
 from reconstruction.images.methods.adaptive import adaptive
-from reconstruction.images.methods.msdi import msdi
 from reconstruction.initialization.msdi import LEAST_CONFIDENCE, initialise
 from reconstruction.metrics.image import psnr_db
 from reconstruction.metrics.poses import pose_errors
@@ -76,7 +76,7 @@ def test_images_are_better_than_the_best_without_learning(clip, streams, found):
 
 def test_a_single_stream_gives_the_same_image(clip, streams, found):
     name = clip.rig.ids[1]
-    estimate = msdi(streams[name], clip.plane)
+    estimate = method("msdi")(streams[name], clip.plane)
     assert np.allclose(estimate.intensity, found.images[name], atol=1e-6)
     assert estimate.valid.mean() > 0.9
     assert (estimate.sigma > 0).all()

@@ -17,7 +17,7 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.scene_model import TimeSpan
-from reconstruction.training.checkpoint import save_checkpoint
+from reconstruction.tensors import write_tensors
 from rigs.toml import catalog_rig
 
 VIEWS = ("cam00", "cam01", "cam02", "cam10", "cam12", "cam20", "cam21", "cam22")
@@ -66,7 +66,7 @@ def bench(tmp_path_factory):
     )
     none = GaussianCloud(*(tensor[:0] for tensor in vars(wall).values()))
     cloud = DynamicCloud(wall, none, PolynomialMotion.at_rest(torch.zeros(0), 1.0), TimeSpan(0.0, 0.002))
-    save_checkpoint(folder / "last.pt", {"cloud": cloud.state()})
+    write_tensors(folder / "last.pt", {"cloud": cloud.state()})
     run = SimpleNamespace(
         snapshots=lambda: [folder / "last.pt"],
         plan=SimpleNamespace(views=VIEWS),

@@ -24,8 +24,9 @@ from reconstruction.images.methods.tfp import tfp
 from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import TimeSpan
+from reconstruction.tensors import write_tensors
 from reconstruction.training.changed_pixels import changed_pixels, look_again, unsettled
-from reconstruction.training.checkpoint import load_checkpoint, save_checkpoint
+from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.freeing import freed
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
@@ -199,7 +200,7 @@ def test_moments_are_carried_over_and_a_resumed_training_is_the_same(missed, tmp
     assert torch.equal(whole.optimizer.state[whole.cloud.moving.means]["exp_avg"], old[which])
     for _ in range(3):
         whole.step(0.3)
-    save_checkpoint(tmp_path / "state.pt", whole.state())
+    write_tensors(tmp_path / "state.pt", whole.state())
     resumed = trainer_of(whole.views[0])
     resumed.restore(load_checkpoint(tmp_path / "state.pt"))
     for trainer in (whole, resumed):
