@@ -24,7 +24,7 @@ from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.pipeline.artefacts import posed, read_sources, read_white
+from reconstruction.pipeline.artefacts import MOVING, posed, read_sources, read_white
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.folder import RunFolder
@@ -77,7 +77,8 @@ def _run(job: Job) -> RunFolder:
     run = made(last="plan")
     if job.arm.everywhere:
         for view in run.plan.views:
-            run.write_array(f"plan/moving_{view}", np.ones_like(run.read_array(f"plan/moving_{view}")))
+            name = MOVING.format(view=view)
+            run.write_array(name, np.ones_like(run.read_array(name)))
     return made(last="train")
 
 

@@ -1,16 +1,15 @@
 """The artefacts that several stages read, each by the one file name it has in a run folder.
 
-plan -> plan/light.npy, plan/moving_camRC.npy; poses -> poses/rig.toml; images ->
-images/{image,trusted,stuck}_camRC.npy; points -> points/{still,moving}_*.npy, points/depth_camRC.npy, and
-points/bodies_*.npy for the model `bases`; train -> checkpoint.pt, snapshots/, poses/refined.toml; report ->
-poses/held_out.toml, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
+The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND; points STILL, MOVERS, DEPTH, and BODIES for
+the model `bases`; train checkpoint.pt, snapshots/ and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*,
+report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,93 +21,48 @@ from reconstruction.images.background import Background
 from reconstruction.images.catalogue import GIVEN, ImageMethod, method_for
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
-from reconstruction.initialization.points import Points
 from reconstruction.run.decisions import Plan
 from reconstruction.run.folder import RunFolder
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.toml import dump_rig, load_rig
 
-if TYPE_CHECKING:
-    from reconstruction.initialization.bodies import Bodies
-
+LIGHT = "plan/light"  # gain [T] of each plane
+MOVING = "plan/moving_{view}"  # pixels [H, W] of a view that ever see a mover
+DEPTH = "points/depth_{view}"  # confirmed depth [H, W] of a view in m, NaN where none is
+BACKGROUND = "images/{field}_{view}"  # a `Background`
+STILL, MOVERS = "points/still_{field}", "points/moving_{field}"  # `Points`
+BODIES = "points/bodies_{field}"  # `Bodies`
 FOUND_RIG, REFINED_RIG, HELD_OUT_RIG = "poses/rig.toml", "poses/refined.toml", "poses/held_out.toml"
 SWEPT = "interpolated"  # image method by which points are found where the target images are given
 WHITE_PERCENTILE = 99.9
-Kind = Literal["still", "moving"]
 Mask = NDArray[np.bool_]
 Arrays = TypeVar("Arrays")
 
 
-def write_light(run: RunFolder, light: Light) -> None:
-    """Write the gain of each plane."""
-    run.write_array("plan/light", light.gains)
-
-
 def read_light(run: RunFolder) -> Light:
     """Read the gain of each plane."""
-    return Light(run.read_array("plan/light"))
+    return Light(run.read_array(LIGHT))
 
 
-def write_moving(run: RunFolder, view: str, moving: Mask) -> None:
-    """Write the pixels [H, W] of a view that ever see a mover."""
-    run.write_array(f"plan/moving_{view}", moving)
+def write(run: RunFolder, name: str, arrays: object, view: str = "") -> None:
+    """Write every field of a dataclass of arrays as the artefact `name`."""
+    for f in fields(arrays):  # pyright: ignore[reportArgumentType]
+        run.write_array(name.format(field=f.name, view=view), getattr(arrays, f.name))
 
 
-def read_moving(run: RunFolder, view: str) -> Mask:
-    """Read the pixels [H, W] of a view that ever see a mover."""
-    return run.read_array(f"plan/moving_{view}")
-
-
-def write_background(run: RunFolder, view: str, background: Background) -> None:
-    """Write the background of a view."""
-    _write(run, "images/{}_" + view, background)
-
-
-def read_background(run: RunFolder, view: str) -> Background:
-    """Read the background of a view."""
-    return _read(run, "images/{}_" + view, Background)
-
-
-def write_points(run: RunFolder, kind: Kind, points: Points) -> None:
-    """Write the points of the still scene, or of the movers."""
-    _write(run, f"points/{kind}_{{}}", points)
-
-
-def read_points(run: RunFolder, kind: Kind) -> Points:
-    """Read the points of the still scene, or of the movers."""
-    return _read(run, f"points/{kind}_{{}}", Points)
-
-
-def write_depth(run: RunFolder, view: str, depth: NDArray[np.float32]) -> None:
-    """Write the confirmed depth [H, W] of a view in m, NaN where none is."""
-    run.write_array(f"points/depth_{view}", depth)
-
-
-def read_depth(run: RunFolder, view: str) -> NDArray[np.float32]:
-    """Read the confirmed depth [H, W] of a view in m, NaN where none is."""
-    return run.read_array(f"points/depth_{view}")
-
-
-def write_bodies(run: RunFolder, bodies: Bodies) -> None:
-    """Write the rigid bodies of a run whose model is `bases`."""
-    _write(run, "points/bodies_{}", bodies)
-
-
-def read_bodies(run: RunFolder) -> Bodies:
-    """Read the rigid bodies of a run whose model is `bases`."""
-    from reconstruction.initialization.bodies import Bodies  # torch, which no other model needs here
-
-    return _read(run, "points/bodies_{}", Bodies)
+def read(run: RunFolder, name: str, kind: type[Arrays], view: str = "") -> Arrays:
+    """Read a dataclass of arrays that `write` wrote."""
+    return kind(*(run.read_array(name.format(field=f.name, view=view)) for f in fields(kind)))  # pyright: ignore[reportArgumentType]
 
 
 def read_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
     """Return the images of every training view, by its id, from the artefacts of the plan and images stages."""
     plan, light, sources = run.plan, read_light(run), {}
     for view in plan.views:
-        stream, moving = recording.stream(view), read_moving(run, view)
+        stream, moving = recording.stream(view), run.read_array(MOVING.format(view=view))
         method = short_images(plan, stream, moving)
-        sources[view] = CompositeSource(stream, read_background(run, view), moving, method, light)
+        sources[view] = CompositeSource(stream, read(run, BACKGROUND, Background, view), moving, method, light)
     return sources
 
 
@@ -119,7 +73,7 @@ def short_images(plan: Plan, stream: SpikeStream, moving: Mask) -> ImageMethod:
 
 def read_white(run: RunFolder) -> float:
     """Return the intensity shown as white, spikes per tick, from the still images; raises BadRunError without them."""
-    return white_of([read_background(run, view) for view in run.plan.views])
+    return white_of([read(run, BACKGROUND, Background, view) for view in run.plan.views])
 
 
 def white_of(backgrounds: list[Background]) -> float:
@@ -160,14 +114,3 @@ def read_held_out(run: RunFolder) -> Camera | None:
     file = run.path / HELD_OUT_RIG
     holdout = run.config.holdout
     return load_rig(file).camera(holdout) if holdout is not None and file.exists() else None
-
-
-def _write(run: RunFolder, name: str, arrays: object) -> None:
-    """Write every field of a dataclass of arrays under `name` with the field's name filled in."""
-    for f in fields(arrays):  # pyright: ignore[reportArgumentType]
-        run.write_array(name.format(f.name), getattr(arrays, f.name))
-
-
-def _read(run: RunFolder, name: str, kind: type[Arrays]) -> Arrays:
-    """Read a dataclass of arrays that `_write` wrote."""
-    return kind(*(run.read_array(name.format(f.name)) for f in fields(kind)))  # pyright: ignore[reportArgumentType]

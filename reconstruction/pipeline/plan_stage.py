@@ -2,7 +2,7 @@
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
-from reconstruction.pipeline.artefacts import write_light, write_moving
+from reconstruction.pipeline.artefacts import LIGHT, MOVING
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import make_plan
 
@@ -11,8 +11,8 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
     """Make the plan, and keep the light and each training view's moving pixels."""
     streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
     plan, masks, light = make_plan(run.config, recording.rig, streams)
-    write_light(run, light)
+    run.write_array(LIGHT, light.gains)
     for view, mask in masks.items():
-        write_moving(run, view, mask)
+        run.write_array(MOVING.format(view=view), mask)
     run.document.planned, run.document.amendments = plan, []
     progress(1.0, "\n".join(map(str, plan.decisions)))

@@ -42,19 +42,19 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     swept = planes if plan.moving_gaussians else []
     rounds = 1 + len(swept)
     still = _still_points(run, sources, cameras, rng, lambda message: progress(1 / rounds, message))
-    artefacts.write_points(run, "still", still)
+    artefacts.write(run, artefacts.STILL, still)
     parts = []
     count = plan.moving_gaussians // (CANONICAL if len(swept) == 1 else INSTANTS)
     for i, plane in enumerate(swept):
         parts.append(_moving_points(sources, cameras, (plane, recording.rig.clock.instant_s(plane)), count, rng))
         progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
     moving = Points.joined(parts)
-    artefacts.write_points(run, "moving", moving)
+    artefacts.write(run, artefacts.MOVERS, moving)
     if plan.model == "bases":
         from reconstruction.initialization.bodies import find_bodies  # torch, which no other model needs here
 
         bodies = find_bodies(moving, [recording.rig.clock.instant_s(plane) for plane in planes])
-        artefacts.write_bodies(run, bodies)
+        artefacts.write(run, artefacts.BODIES, bodies)
         run.document.bodies = BodyCounts(len(bodies), bodies.attached, bodies.free)
         progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
 
@@ -91,7 +91,7 @@ def _still_points(
     report(f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
     for (view, source), found in zip(sources.items(), maps, strict=True):
         still = source.background.trusted & ~source.moving
-        artefacts.write_depth(run, view, np.where(still, found.depth, np.float32(np.nan)))
+        run.write_array(artefacts.DEPTH.format(view=view), np.where(still, found.depth, np.float32(np.nan)))
     masks, whole = [source.background.trusted for source in sources.values()], [filled(m) for m in maps]
     points = sample_points(whole, stills, masks, run.plan.still_gaussians, 0.0, rng)
     if len(points) < LEAST_POINTS or share < LEAST_SHARE:

@@ -1,7 +1,7 @@
 """`reconstruct`: the stages in order, each timed, each skipped where its artefacts are already there."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,7 +60,7 @@ def reconstruct(
     with run.locked():
         budget = process_budget(run, began)
         for name in _due(run, stage, last):
-            WORK[name](Task(run, recording, progress_of(name), budget, should_stop))
+            _work(name, Task(run, recording, progress_of(name), budget, should_stop))
             now = time.monotonic()
             trained = name == "train"
             spent = budget.elapsed_s() - sum(run.document.seconds.values()) if trained else now - began
@@ -79,51 +79,30 @@ def _due(run: RunFolder, stage: str | None, last: str) -> list[str]:
     return [] if run.has(stage) else [stage]
 
 
-# Each stage is imported when it runs: torch, plots and video are for the last two, and listing stages needs none.
+def _work(name: str, task: Task) -> None:
+    """Run one stage, imported here: torch, plots and video are for the last two, and listing stages needs none."""
+    run, recording = task.run, task.recording
+    if name == "plan":
+        from reconstruction.pipeline.plan_stage import plan_stage
 
+        plan_stage(run, recording, task.stoppable)
+    elif name == "poses":
+        from reconstruction.pipeline.poses_stage import poses_stage
 
-def _plan(task: Task) -> None:
-    from reconstruction.pipeline.plan_stage import plan_stage
+        poses_stage(run, recording, task.stoppable)
+    elif name == "images":
+        from reconstruction.pipeline.images_stage import images_stage
 
-    plan_stage(task.run, task.recording, task.stoppable)
+        images_stage(run, recording, task.stoppable)
+    elif name == "points":
+        from reconstruction.pipeline.points_stage import points_stage
 
+        points_stage(run, posed(run, recording), task.stoppable)
+    elif name == "train":
+        from reconstruction.pipeline.train_stage import train_stage
 
-def _poses(task: Task) -> None:
-    from reconstruction.pipeline.poses_stage import poses_stage
+        train_stage(run, posed(run, recording), task.progress, task.budget, task.should_stop)
+    else:
+        from reconstruction.pipeline.report_stage import report_stage
 
-    poses_stage(task.run, task.recording, task.stoppable)
-
-
-def _images(task: Task) -> None:
-    from reconstruction.pipeline.images_stage import images_stage
-
-    images_stage(task.run, task.recording, task.stoppable)
-
-
-def _points(task: Task) -> None:
-    from reconstruction.pipeline.points_stage import points_stage
-
-    points_stage(task.run, posed(task.run, task.recording), task.stoppable)
-
-
-def _train(task: Task) -> None:
-    from reconstruction.pipeline.train_stage import train_stage
-
-    recording = posed(task.run, task.recording)
-    train_stage(task.run, recording, task.progress, task.budget, task.should_stop)
-
-
-def _report(task: Task) -> None:
-    from reconstruction.pipeline.report_stage import report_stage
-
-    report_stage(task.run, posed(task.run, task.recording, refined=True), task.stoppable)
-
-
-WORK: Mapping[str, Callable[[Task], None]] = {
-    "plan": _plan,
-    "poses": _poses,
-    "images": _images,
-    "points": _points,
-    "train": _train,
-    "report": _report,
-}
+        report_stage(run, posed(run, recording, refined=True), task.stoppable)

@@ -14,6 +14,8 @@ from reconstruction.evaluation.truth import Truth
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.methods.interpolated import PLANES
+from reconstruction.initialization.bodies import Bodies
+from reconstruction.initialization.points import Points
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Seeds
 from reconstruction.pipeline import artefacts
@@ -51,12 +53,12 @@ class Beginning:
         rig, sources = recording.rig, artefacts.read_sources(run, recording)
         views = []
         for view, source in sources.items():
-            depth = ConfirmedDepth.of(artefacts.read_depth(run, view)).without(source.moving)
+            depth = ConfirmedDepth.of(run.read_array(artefacts.DEPTH.format(view=view))).without(source.moving)
             shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
             views.append(TrainingView(rig.camera(view), shown, depth=depth))
-        still, moving = artefacts.read_points(run, "still"), artefacts.read_points(run, "moving")
+        still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
         clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
-        bodies = lambda: artefacts.read_bodies(run)  # noqa: E731
+        bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731
         return cls(views, Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, bodies))
 
 

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.pipeline.artefacts import short_images, write_moving
+from reconstruction.pipeline.artefacts import MOVING, short_images
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.changed_pixels import look_again, unsettled
@@ -90,7 +90,7 @@ class Watch:
     def _write(self, state: dict) -> None:
         """Bring masks and plan of the run folder up to what the checkpoint says; the same again where they are."""
         for name, packed in state["masks"].items():
-            write_moving(self.run, name, self._unpacked(name, packed.numpy()))
+            self.run.write_array(MOVING.format(view=name), self._unpacked(name, packed.numpy()))
         override = "none"
         if state["masks"]:
             override = "--model static"
