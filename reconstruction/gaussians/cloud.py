@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -46,16 +47,12 @@ class GaussianCloud:
             raise ReconstructionError(f"found intensities of shape {tuple(self.intensities.shape)}", f"({n}, C)")
 
     @classmethod
-    def from_points(cls, points: Tensor, intensities: Tensor, scales: Tensor, opacity: float = 0.5) -> GaussianCloud:
-        """Return round Gaussians at points [N, 3] in m with intensities [N, C] and standard deviations [N] in m."""
-        if not 0 < opacity < 1:
-            raise ReconstructionError(f"found the opacity {opacity}", "a number between 0 and 1")
-        if not bool((scales > 0).all()):
-            raise ReconstructionError("found scales that are not positive", "standard deviations in metres")
-        quats = torch.zeros(len(points), 4, dtype=points.dtype, device=points.device)
+    def from_points(cls, points: Tensor, intensities: Tensor, log_scales: Tensor, opacity: float) -> GaussianCloud:
+        """Return round Gaussians at points [N, 3] in m with intensities [N, C] and log standard deviations [N]."""
+        quats = torch.zeros(len(points), 4)
         quats[:, 0] = 1
-        logits = torch.full_like(scales, opacity).logit()
-        return cls(points.clone(), quats, scales.log()[:, None].repeat(1, 3), logits, intensities.clone())
+        logits = torch.full_like(log_scales, math.log(opacity / (1 - opacity)))
+        return cls(points.clone(), quats, log_scales[:, None].repeat(1, 3), logits, intensities.clone())
 
     def __len__(self) -> int:
         return len(self.means)

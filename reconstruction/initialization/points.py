@@ -5,14 +5,20 @@ Letters: V views, N points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.initialization.sweep import DepthMap, back_project
 from rigs.transform import Transform
+
+if TYPE_CHECKING:
+    from reconstruction.initialization.bodies import Bodies
+    from reconstruction.scene_model import TimeSpan
+    from rigs.camera import Camera
 
 NEIGHBOURS = 3  # points that a point's spacing is measured to
 SINGLE_TREE = 4  # FLANN's name for the k-d tree that searches exactly
@@ -48,6 +54,22 @@ class Points:
     def joined(cls, parts: Sequence[Points]) -> Points:
         """Return all points of `parts`, in order."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts or [cls.none()]]) for f in fields(cls)))
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """The start of every method: points of the still scene, and of movers swept at `instants` moments of `clip`.
+
+    `cameras` are those that train. `bodies` reads the rigid bodies of the moving points. `seed` is that of all draws.
+    """
+
+    still: Points
+    moving: Points
+    clip: TimeSpan
+    instants: int
+    seed: int
+    cameras: Sequence[Camera]
+    bodies: Callable[[], Bodies]
 
 
 def sample_points(

@@ -1,7 +1,6 @@
-"""The Gaussians that training starts from, one for each point of a sweep.
+"""The Gaussians that training starts from, one for each point of a sweep."""
 
-`still` and `moving` are the points of the still scene and of movers, which were swept at `instants` moments of `clip`.
-"""
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -9,14 +8,15 @@ from torch import Tensor
 
 from reconstruction.gaussians.canonical import CanonicalMotion
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.dynamic import MODELS, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.motion_model import MotionModel
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
-from reconstruction.initialization.points import Points, spacing
+from reconstruction.initialization.points import Points, Seeds, spacing
 from reconstruction.scene_model import TimeSpan
 from rigs.transform import Transform
 
@@ -29,26 +29,25 @@ ROOM = 10.0  # least reach of a field, in spacings of the points
 LARGEST_M = 0.25  # largest size in m, so that a lone point does not cover everything
 
 
-def seed_cloud(still: Points, moving: Points, clip: TimeSpan, instants: int, *, cubic: bool = False) -> DynamicCloud:
+def seed_cloud(seeds: Seeds, *, cubic: bool = False) -> DynamicCloud:
     """Return Gaussians at rest that live around their own instants; `cubic` ones can bend their paths."""
-    motion = PolynomialMotion.at_rest(_fractions(moving, clip), duration=LIFE / instants, cubic=cubic)
-    return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
+    instants = _fractions(seeds.moving, seeds.clip)
+    return _cloud(seeds, PolynomialMotion.at_rest(instants, LIFE / seeds.instants, cubic=cubic))
 
 
-def seed_spacetime(still: Points, moving: Points, clip: TimeSpan, instants: int) -> DynamicCloud:
+def seed_spacetime(seeds: Seeds) -> DynamicCloud:
     """Return Gaussians as `seed_cloud` does that can also bend their paths and turn."""
-    motion = SpacetimeMotion.started(_fractions(moving, clip), LIFE / instants)
-    return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(moving, MOVING_OPACITY), motion, clip)
+    return _cloud(seeds, SpacetimeMotion.started(_fractions(seeds.moving, seeds.clip), LIFE / seeds.instants))
 
 
-def seed_rigid(still: Points, moving: Points, clip: TimeSpan, instants: int, bodies: Bodies) -> DynamicCloud:
+def seed_rigid(seeds: Seeds) -> DynamicCloud:
     """Return Gaussians that ride on their body for as long as it was seen; those without a body move straight."""
+    bodies, instants = seeds.bodies(), seeds.instants
     order = np.concatenate([np.flatnonzero(bodies.owners >= 0), np.flatnonzero(bodies.owners < 0)])
-    placed, owners = moving.select(order), bodies.owners[order]
+    placed, owners = seeds.moving.select(order), bodies.owners[order]
     attached = int((owners >= 0).sum())
-    centers = _fractions(placed, clip)
+    centers = _fractions(placed, seeds.clip)
     durations = torch.full_like(centers, LIFE / instants)
-    carried = _in_bodies(placed, owners, bodies)
     for k, (first, last) in enumerate(bodies.seen):
         own = torch.from_numpy(owners == k)
         centers[own] = float(first + last + 1) / (2 * instants)
@@ -61,26 +60,27 @@ def seed_rigid(still: Points, moving: Points, clip: TimeSpan, instants: int, bod
         centers,
         durations.log(),
     )
-    return DynamicCloud(_gaussians(still, STILL_OPACITY), _gaussians(carried, MOVING_OPACITY), motion, clip)
+    return _cloud(replace(seeds, moving=_in_bodies(placed, owners, bodies)), motion)
 
 
-def seed_field(
-    still: Points, moving: Points, clip: TimeSpan, seed: int, model: type[CanonicalMotion] = HexPlaneMotion
-) -> DynamicCloud:
-    """Return canonical Gaussians deformed by a field that starts from `seed`; no field where nothing moves."""
-    if len(moving) == 0:
-        return seed_cloud(still, moving, clip, 1)
-    canonical = _gaussians(moving, MOVING_OPACITY)
-    least_m = ROOM * float(np.median(moving.spacing))
-    motion = model.around(canonical.means, least_m, torch.Generator().manual_seed(seed))
-    return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
+def seed_field(seeds: Seeds, kind: str = HexPlaneMotion.kind) -> DynamicCloud:
+    """Return canonical Gaussians deformed by a field of a `kind` of MODELS; no field where nothing moves."""
+    if len(seeds.moving) == 0:
+        return seed_cloud(replace(seeds, instants=1))
+    model, least_m = MODELS[kind], ROOM * float(np.median(seeds.moving.spacing))
+    assert issubclass(model, CanonicalMotion)
+    generator = torch.Generator().manual_seed(seeds.seed)
+    return _cloud(seeds, model.around(_means(seeds.moving), least_m, generator))
 
 
-def seed_timesteps(still: Points, moving: Points, clip: TimeSpan) -> DynamicCloud:
+def seed_timesteps(seeds: Seeds) -> DynamicCloud:
     """Return Gaussians of which the moving ones are at the first timestep."""
-    canonical = _gaussians(moving, MOVING_OPACITY)
-    motion = TimestepMotion.started(canonical.means)
-    return DynamicCloud(_gaussians(still, STILL_OPACITY), canonical, motion, clip)
+    return _cloud(seeds, TimestepMotion.started(_means(seeds.moving)))
+
+
+def _cloud(seeds: Seeds, motion: MotionModel) -> DynamicCloud:
+    still, moving = _gaussians(seeds.still, STILL_OPACITY), _gaussians(seeds.moving, MOVING_OPACITY)
+    return DynamicCloud(still, moving, motion, seeds.clip)
 
 
 def _in_bodies(points: Points, owners: np.ndarray, bodies: Bodies) -> Points:
@@ -111,15 +111,11 @@ def _fractions(points: Points, clip: TimeSpan) -> Tensor:
     return torch.tensor([clip.fraction(s) for s in points.instants_s], dtype=torch.float32)
 
 
+def _means(points: Points) -> Tensor:
+    return torch.from_numpy(points.positions.astype(np.float32))
+
+
 def _gaussians(points: Points, opacity: float) -> GaussianCloud:
-    count = len(points)
-    scales = np.log(np.clip(WIDTH * points.spacing, 1e-5, LARGEST_M))
-    quats = torch.zeros(count, 4)
-    quats[:, 0] = 1
-    return GaussianCloud(
-        means=torch.from_numpy(points.positions.astype(np.float32)),
-        quats_wxyz=quats,
-        log_scales=torch.from_numpy(np.repeat(scales[:, None], 3, axis=1).astype(np.float32)),
-        opacity_logits=torch.full((count,), float(np.log(opacity / (1 - opacity)))),
-        intensities=torch.from_numpy(points.intensities.astype(np.float32))[:, None],
-    )
+    scales = torch.from_numpy(np.log(np.clip(WIDTH * points.spacing, 1e-5, LARGEST_M)).astype(np.float32))
+    light = torch.from_numpy(points.intensities.astype(np.float32))[:, None]
+    return GaussianCloud.from_points(_means(points), light, scales, opacity)

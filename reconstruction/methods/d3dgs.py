@@ -10,20 +10,6 @@ interpolated (published: one image a timestep); movers from the sweep at the fir
 densification; our rates and kernels.
 """
 
-from __future__ import annotations
+from reconstruction.methods.definition import Method, Training, seeded
 
-from typing import TYPE_CHECKING
-
-from reconstruction.methods.definition import Method, Seeds, Training
-
-if TYPE_CHECKING:
-    from reconstruction.gaussians.dynamic import DynamicCloud
-
-
-def _start(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.initialization.seeding import seed_timesteps
-
-    return seed_timesteps(seeds.still, seeds.moving, seeds.clip)
-
-
-D3DGS = Method("d3dgs", _start, canonical=0.0, training=Training(ends_early=False))
+D3DGS = Method("d3dgs", seeded("seed_timesteps"), canonical=0.0, training=Training(ends_early=False))

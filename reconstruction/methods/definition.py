@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from reconstruction.initialization.bodies import Bodies
-    from reconstruction.initialization.points import Points
-    from reconstruction.scene_model import SceneModel, TimeSpan
-    from rigs.camera import Camera
-
-
-@dataclass(frozen=True)
-class Seeds:
-    """The start of every method: points of the still scene, and of movers swept at `instants` moments of `clip`.
-
-    `cameras` are those that train. `bodies` reads the rigid bodies of the moving points. `seed` is that of all draws.
-    """
-
-    still: Points
-    moving: Points
-    clip: TimeSpan
-    instants: int
-    seed: int
-    cameras: Sequence[Camera]
-    bodies: Callable[[], Bodies]
+    from reconstruction.initialization.points import Seeds
+    from reconstruction.scene_model import SceneModel
 
 
 @dataclass(frozen=True)
@@ -81,3 +63,14 @@ class Method:
     ours: bool = False
     gaussians: int = 48_000
     training: Training = field(default_factory=Training)
+
+
+def seeded(name: str, **options: object) -> Callable[[Seeds], SceneModel]:
+    """Return a start by the function `name` of `initialization.seeding`, which is imported when it is called."""
+
+    def start(seeds: Seeds) -> SceneModel:
+        from reconstruction.initialization import seeding
+
+        return getattr(seeding, name)(seeds, **options)
+
+    return start

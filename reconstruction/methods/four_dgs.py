@@ -8,20 +8,6 @@ at the middle of the clip; still Gaussians beside the field (published: all are 
 densification; our rates and kernels.
 """
 
-from __future__ import annotations
+from reconstruction.methods.definition import Method, seeded
 
-from typing import TYPE_CHECKING
-
-from reconstruction.methods.definition import Method, Seeds
-
-if TYPE_CHECKING:
-    from reconstruction.gaussians.dynamic import DynamicCloud
-
-
-def _start(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.initialization.seeding import seed_field
-
-    return seed_field(seeds.still, seeds.moving, seeds.clip, seeds.seed)
-
-
-FOUR_DGS = Method("4dgs", _start, canonical=0.5, watched=True)
+FOUR_DGS = Method("4dgs", seeded("seed_field"), canonical=0.5, watched=True)

@@ -12,42 +12,21 @@ still, short ones integrated over instants where it moves; sensor noise as the v
 place of densification, half as many Gaussians as the other models for Dy-SpikeGS; our rates and kernels.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from reconstruction.methods.definition import Method, Seeds, SpikeSampling, Training
-
-if TYPE_CHECKING:
-    from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.methods.definition import Method, SpikeSampling, Training, seeded
 
 SPIKES_ALONE = SpikeSampling(every=1, size_px=None)
-
-
-def _still(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.initialization.seeding import seed_cloud
-
-    return seed_cloud(seeds.still, seeds.moving, seeds.clip, seeds.instants)
-
-
-def _deformed(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.gaussians.deformation import DeformationMotion
-    from reconstruction.initialization.seeding import seed_field
-
-    return seed_field(seeds.still, seeds.moving, seeds.clip, seeds.seed, DeformationMotion)
-
-
 SPIKEGS = Method(
     "spikegs",
-    _still,
+    seeded("seed_cloud"),
     moves=False,
     supervision="counts",
     training=Training(spikes=replace(SPIKES_ALONE, planes=(64, 4096))),
 )
 DY_SPIKEGS = Method(
     "dy-spikegs",
-    _deformed,
+    seeded("seed_field", kind="deformation"),
     canonical=0.5,
     supervision="counts",
     watched=True,

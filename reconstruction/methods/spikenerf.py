@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reconstruction.methods.definition import Method, Seeds
+from reconstruction.methods.definition import Method
 
 if TYPE_CHECKING:
+    from reconstruction.initialization.points import Seeds
     from reconstruction.radiance_fields.radiance_field import RadianceField
 
 

@@ -7,20 +7,6 @@ Ours: still Gaussians beside them (published: all have a window); grey light in 
 cap in place of densification and of sampling along rays; our rates and kernels.
 """
 
-from __future__ import annotations
+from reconstruction.methods.definition import Method, seeded
 
-from typing import TYPE_CHECKING
-
-from reconstruction.methods.definition import Method, Seeds
-
-if TYPE_CHECKING:
-    from reconstruction.gaussians.dynamic import DynamicCloud
-
-
-def _start(seeds: Seeds) -> DynamicCloud:
-    from reconstruction.initialization.seeding import seed_spacetime
-
-    return seed_spacetime(seeds.still, seeds.moving, seeds.clip, seeds.instants)
-
-
-STG = Method("stg", _start, watched=True)
+STG = Method("stg", seeded("seed_spacetime"), watched=True)

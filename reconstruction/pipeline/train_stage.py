@@ -15,9 +15,8 @@ from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.initialization.bodies import Bodies
-from reconstruction.initialization.points import Points
+from reconstruction.initialization.points import Points, Seeds
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.methods.definition import Seeds
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.points_stage import INSTANTS, moving_planes

@@ -10,9 +10,8 @@ from acquisition.native import code_path, code_paths
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
-from reconstruction.initialization.points import Points
+from reconstruction.initialization.points import Points, Seeds
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.methods.definition import Seeds
 from reconstruction.scene_model import TimeSpan
 from reconstruction.stability.probe import Apart, slopes_of, worst
 

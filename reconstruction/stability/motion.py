@@ -183,7 +183,7 @@ def _passed(_: str) -> Observation:
     """Compare how far a point gets in the middle tenth of a clip, at up to 1e30 m a clip, with its path on paper."""
     error, speeds = 0.0, (0.0, 1e-30, 1e-6, 1e-3, 0.1, 1.0, 3.0, 1e3, 1e30, math.nan)
     for speed in speeds:
-        point = GaussianCloud.from_points(torch.tensor([[0.0, 0.0, 2.0]]), torch.ones(1, 1), torch.ones(1), 0.9)
+        point = GaussianCloud.from_points(torch.tensor([[0.0, 0.0, 2.0]]), torch.ones(1, 1), torch.zeros(1), 0.9)
         motion = PolynomialMotion.at_rest(torch.tensor([0.5]), 1e3)
         motion.velocities[:] = torch.tensor([[speed, 0.0, 0.0]])
         found = passed_px(DynamicCloud(point, point, motion, CLIP), [CAMERA], (CLIP.last_s - CLIP.first_s) / 10)

@@ -95,7 +95,7 @@ def test_it_pulls_layers_of_an_even_wall_together():
     places = np.column_stack([rng.uniform(-1.0, 1.0, 800), rng.uniform(-0.8, 0.8, 800), np.full(800, 2.0)])
     places[::2] *= 1.05
     wall = GaussianCloud.from_points(
-        torch.tensor(places, dtype=torch.float32), torch.full((800, 1), 0.5), torch.full((800,), 0.08), 0.4
+        torch.tensor(places, dtype=torch.float32), torch.full((800, 1), 0.5), torch.full((800,), 0.08).log(), 0.4
     )
     cloud = DynamicCloud(
         wall,

@@ -6,7 +6,7 @@ import torch
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.initialization.points import Points
+from reconstruction.initialization.points import Points, Seeds
 from reconstruction.initialization.seeding import LIFE, seed_cloud
 from reconstruction.scene_model import TimeSpan
 
@@ -23,8 +23,12 @@ def points(count, instant_s=0.01, seed=0):
     )
 
 
+def seeds(still, moving, instants):
+    return Seeds(still, moving, CLIP, instants, 0, (), lambda: None)
+
+
 def test_a_moving_gaussian_is_where_its_velocity_takes_it_and_fades_with_its_gate():
-    cloud = seed_cloud(points(3), points(2, instant_s=0.01), CLIP, instants=8)
+    cloud = seed_cloud(seeds(points(3), points(2, instant_s=0.01), 8))
     cloud.motion.velocities[:] = torch.tensor([1.0, 2.0, 3.0])
     at_birth, later = cloud.at(0.01), cloud.at(0.0125)  # 0 and 1/8 clip after its instant
     assert torch.allclose(later.means[3:] - at_birth.means[3:], torch.tensor([0.125, 0.25, 0.375]), atol=1e-6)
@@ -34,7 +38,7 @@ def test_a_moving_gaussian_is_where_its_velocity_takes_it_and_fades_with_its_gat
 
 
 def test_still_gaussians_do_not_depend_on_time():
-    cloud = seed_cloud(points(4), points(2), CLIP, instants=8)
+    cloud = seed_cloud(seeds(points(4), points(2), 8))
     first, last = cloud.at(0.0), cloud.at(0.02)
     for a, b in zip(first, last, strict=True):
         assert torch.equal(a[:4], b[:4])
@@ -42,7 +46,7 @@ def test_still_gaussians_do_not_depend_on_time():
 
 @pytest.mark.parametrize("log_duration", [-100.0, 100.0])
 def test_durations_are_floored_and_become_static(log_duration):
-    cloud = seed_cloud(points(0), points(2, instant_s=0.01), CLIP, instants=8)
+    cloud = seed_cloud(seeds(points(0), points(2, instant_s=0.01), 8))
     cloud.motion.log_durations[:] = log_duration
     cloud.motion.log_durations.requires_grad_(True)
     opacities = cloud.at(0.02).opacities
@@ -55,7 +59,7 @@ def test_durations_are_floored_and_become_static(log_duration):
 
 @pytest.mark.parametrize("instant_s", [-1e6, 1e6])
 def test_far_from_its_instant_a_gaussian_is_gone_and_finite(instant_s):
-    cloud = seed_cloud(points(1), points(2), CLIP, instants=8)
+    cloud = seed_cloud(seeds(points(1), points(2), 8))
     cloud.motion.velocities[:] = 5.0
     now = cloud.at(instant_s)
     assert torch.isfinite(now.means).all()
@@ -63,7 +67,7 @@ def test_far_from_its_instant_a_gaussian_is_gone_and_finite(instant_s):
 
 
 def test_state_round_trips():
-    cloud = seed_cloud(points(3), points(5), CLIP, instants=4)
+    cloud = seed_cloud(seeds(points(3), points(5), 4))
     back = DynamicCloud.from_state(cloud.state())
     assert back.clip == cloud.clip
     for (name, a), (other, b) in zip(cloud.tensors(), back.tensors(), strict=True):

@@ -22,9 +22,9 @@ def blobs(speeds: list[float], depth_m: float = 1.5) -> DynamicCloud:
     """One bright blob for each speed (m a clip, sideways), all in the middle of the picture at half the clip."""
     count = len(speeds)
     place = torch.tensor([[0.0, 0.0, depth_m]])
-    still = GaussianCloud.from_points(place, torch.zeros(1, 1), torch.full((1,), 0.01), 0.01)
+    still = GaussianCloud.from_points(place, torch.zeros(1, 1), torch.full((1,), 0.01).log(), 0.01)
     moving = GaussianCloud.from_points(
-        place.expand(count, 3).clone(), torch.full((count, 1), 0.5), torch.full((count,), 0.12), 0.95
+        place.expand(count, 3).clone(), torch.full((count, 1), 0.5), torch.full((count,), 0.12).log(), 0.95
     )
     motion = PolynomialMotion.at_rest(torch.full((count,), 0.5), 100.0)
     motion.velocities[:, 0] = torch.tensor(speeds)

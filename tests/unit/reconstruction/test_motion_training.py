@@ -68,10 +68,10 @@ def cloud(kind: str, speed: float = 0.0) -> DynamicCloud:
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(-1.6, 1.6, 400), rng.uniform(-1.2, 1.2, 400), np.full(400, 2.0)])
     still = GaussianCloud.from_points(
-        torch.tensor(wall, dtype=torch.float32), torch.full((400, 1), 0.5), torch.full((400,), 0.12), 0.9
+        torch.tensor(wall, dtype=torch.float32), torch.full((400, 1), 0.5), torch.full((400,), 0.12).log(), 0.9
     )
     at = torch.tensor([[0.0, -0.1, 1.5], [0.1, 0.2, 1.5]])
-    moving = GaussianCloud.from_points(at, torch.full((2, 1), 0.1), torch.full((2,), 0.12), 0.95)
+    moving = GaussianCloud.from_points(at, torch.full((2, 1), 0.1), torch.full((2,), 0.12).log(), 0.95)
     return DynamicCloud(still, moving, motion_of(kind, at, speed), CLIP)
 
 
