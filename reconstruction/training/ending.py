@@ -6,10 +6,8 @@ before them. While rates are high the loss stands still above what lower rates r
 down to their final values within a share RUN_DOWN of the steps so far, and only then the training ends.
 """
 
-from __future__ import annotations
-
+import copy
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -65,11 +63,6 @@ class Ending:
         down = (steps - self.began) / max(1.0, RUN_DOWN * self.began)
         return min(1.0, max(share, self.share + (1 - self.share) * down))
 
-    def begin_again(self) -> None:
-        """Forget all losses: the targets have changed."""
-        self.windows, self.began, self.share = [], None, 0.0
-        self.totals, self.counts = [0.0] * self.views, [0] * self.views
-
     @property
     def reason(self) -> str:
         """The reason why it ended."""
@@ -80,11 +73,5 @@ class Ending:
         )
 
     def state(self) -> dict:
-        """Return plain numbers, for a checkpoint."""
-        return {key: list(value) if isinstance(value, list) else value for key, value in vars(self).items()}
-
-    @classmethod
-    def from_state(cls, state: dict) -> Ending:
-        """Return the ending whose `state` this is."""
-        values: dict[str, Any] = {k: list(v) if isinstance(v, list) else v for k, v in state.items()}
-        return cls(**values)
+        """Return plain numbers, the arguments of an ending that goes on from here."""
+        return copy.deepcopy(vars(self))

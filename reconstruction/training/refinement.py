@@ -6,7 +6,7 @@ turns, moves or scales all cameras together, brightens all views or delays all c
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -40,7 +40,7 @@ class Refinement:
             [{"params": [getattr(self, name).requires_grad_(True)], "start": rate} for name, rate in RATES.items()]
         )
 
-    def seen(self, cloud: DynamicCloud, view: int, instant_s: float) -> Instantaneous:
+    def seen(self, cloud: DynamicCloud, instant_s: float, view: int) -> Instantaneous:
         """Return the cloud moved so that the uncorrected camera sees what the corrected one does."""
         now = cloud.at(instant_s)
         camera, turn = self.cameras[view], _rotation(self.turns[view])
@@ -109,18 +109,6 @@ class Refinement:
             for name, value in state["values"].items():
                 getattr(self, name).copy_(value)
         self.optimizer.load_state_dict(state["optimizer"])
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """The correction of one view."""
-
-    refinement: Refinement
-    view: int
-
-    def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
-        """Return the cloud as `Refinement.seen` shows it to this view, at an instant in s."""
-        return self.refinement.seen(cloud, self.view, instant_s)
 
 
 def _rotation(turn: Tensor) -> Tensor:

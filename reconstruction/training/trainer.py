@@ -1,8 +1,10 @@
 """Fits a model to what the training cameras recorded, at random instants of random views."""
 
+import copy
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from reconstruction.training.freeing import freed, freed_states
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.optimizer import anneal, optimizer_of
 from reconstruction.training.ray_term import RAYS, RayTerm
-from reconstruction.training.refinement import Correction, Refinement
+from reconstruction.training.refinement import Refinement
 from reconstruction.training.term import Term, supervisions
 from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
@@ -83,7 +85,7 @@ class Trainer:
         """Return the views with their corrections, where there are any."""
         if not self.refinement:
             return views
-        return [replace(view, correction=Correction(self.refinement, i)) for i, view in enumerate(views)]
+        return [replace(v, corrected=partial(self.refinement.seen, view=i)) for i, v in enumerate(views)]
 
     def step(self, done: float) -> float:
         """Do one step and return its loss; `done` in [0, 1] is the share of the training before it."""
@@ -143,7 +145,7 @@ class Trainer:
         self.rng.bit_generator.state = json.loads(state["rng"])
         self.steps = state["steps"]
         if self.ending and state.get("ending"):
-            self.ending = Ending.from_state(state["ending"])
+            self.ending = Ending(**copy.deepcopy(state["ending"]))
         if self.exposure:
             self.exposure.passed_px = state.get("passed_px")
         if self.refinement and state.get("refinement"):
@@ -161,7 +163,7 @@ class Trainer:
                 steps = old.get(name, {}).get("step", begun).clone()
                 self.optimizer.state[tensor] = {"step": steps, **moments[name]}
         if self.ending:
-            self.ending.begin_again()
+            self.ending = Ending(len(views))
 
 
 def _terms(

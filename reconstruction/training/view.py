@@ -1,12 +1,12 @@
 """One camera of a training: what it sees of a model, and what it should see."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.images.composite import CompositeSource
 from reconstruction.training.depth_hold import ConfirmedDepth
-from reconstruction.training.refinement import Correction
 from rigs.camera import Camera
 
 
@@ -14,15 +14,15 @@ from rigs.camera import Camera
 class TrainingView:
     """A camera and the images it should see.
 
-    `correction`: how its pose, gain and lag are being refined (None: they stand as they are). `depth`: the depths of
-    its pixels that are known before the training.
+    `corrected`: the cloud at an instant (s) as its refined pose, gain and lag show it (None: they stand as they are).
+    `depth`: the depths of its pixels that are known before the training.
     """
 
     camera: Camera
     source: CompositeSource
-    correction: Correction | None = None
+    corrected: Callable[[DynamicCloud, float], Instantaneous] | None = None
     depth: ConfirmedDepth | None = None
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """Return the Gaussians to render for this camera at an instant (s, rig clock)."""
-        return self.correction.seen(cloud, instant_s) if self.correction else cloud.at(instant_s)
+        return self.corrected(cloud, instant_s) if self.corrected else cloud.at(instant_s)

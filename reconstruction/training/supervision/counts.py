@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from reconstruction.training.term import Supervision
@@ -12,38 +13,15 @@ if TYPE_CHECKING:
     from reconstruction.training.spike_term import SpikeTerm
 
 
-def absolute_term(image: ImageTerm, sampling: SpikeSampling) -> SpikeTerm:
-    """Return the term of the mean absolute difference of rates."""
-    from reconstruction.losses.counts import absolute_loss
+def count_term(image: ImageTerm, sampling: SpikeSampling, name: str = "counts") -> SpikeTerm:
+    """Return the term of the supervision `name`; that of `counts` knows how noisy a count is."""
+    from reconstruction.losses.counts import absolute_loss, robust_loss, square_loss
     from reconstruction.training.spike_term import SpikeTerm
 
-    return SpikeTerm(image, absolute_loss, sampling)
+    losses = {"l1": absolute_loss, "l2": square_loss, "counts": robust_loss, "cumulative": None}  # None: running totals
+    return SpikeTerm(image, losses[name], sampling)
 
 
-def square_term(image: ImageTerm, sampling: SpikeSampling) -> SpikeTerm:
-    """Return the term of the mean squared difference of rates."""
-    from reconstruction.losses.counts import square_loss
-    from reconstruction.training.spike_term import SpikeTerm
-
-    return SpikeTerm(image, square_loss, sampling)
-
-
-def count_term(image: ImageTerm, sampling: SpikeSampling) -> SpikeTerm:
-    """Return the term that knows how noisy a count is."""
-    from reconstruction.losses.counts import robust_loss
-    from reconstruction.training.spike_term import SpikeTerm
-
-    return SpikeTerm(image, robust_loss, sampling)
-
-
-def cumulative_term(image: ImageTerm, sampling: SpikeSampling) -> SpikeTerm:
-    """Return the term of running totals."""
-    from reconstruction.training.spike_term import SpikeTerm
-
-    return SpikeTerm(image, None, sampling)
-
-
-L1 = Supervision("l1", absolute_term)
-L2 = Supervision("l2", square_term)
-COUNTS = Supervision("counts", count_term)
-CUMULATIVE = Supervision("cumulative", cumulative_term)
+L1, L2, COUNTS, CUMULATIVE = (
+    Supervision(name, partial(count_term, name=name)) for name in ("l1", "l2", "counts", "cumulative")
+)

@@ -43,7 +43,7 @@ def refinement(rig: Rig = RIG) -> Refinement:
 
 
 def test_nothing_learnt_changes_nothing(cloud):
-    for now, plain in zip(refinement().seen(cloud, 3, 0.004), cloud.at(0.004), strict=True):
+    for now, plain in zip(refinement().seen(cloud, 0.004, 3), cloud.at(0.004), strict=True):
         torch.testing.assert_close(now, plain, rtol=1e-6, atol=1e-6)
 
 
@@ -56,7 +56,7 @@ def test_a_correction_shows_what_the_corrected_camera_sees(cloud):
     corrected = found.refined(RIG).cameras[3]
     assert np.linalg.norm(corrected.center - RIG.cameras[3].center) == pytest.approx(1.8 * 0.00539, rel=1e-2)
     with torch.no_grad():
-        shown = render(found.seen(cloud, 3, 0.004), RIG.cameras[3]).intensity
+        shown = render(found.seen(cloud, 0.004, 3), RIG.cameras[3]).intensity
         seen = render(cloud.at(0.004), corrected).intensity * float(np.exp(0.1))
     torch.testing.assert_close(shown, seen, rtol=1e-4, atol=1e-4)
 
@@ -65,7 +65,7 @@ def test_a_lag_is_a_later_instant(cloud):
     found = refinement()
     with torch.no_grad():
         found.lags[2] = 3.0
-    torch.testing.assert_close(found.seen(cloud, 2, 0.004).means, cloud.at(0.004 + 3 * TICK_S).means, atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.seen(cloud, 0.004, 2).means, cloud.at(0.004 + 3 * TICK_S).means, atol=1e-5, rtol=0)
 
 
 def test_gradients_are_those_of_finite_differences(cloud):
@@ -73,7 +73,7 @@ def test_gradients_are_those_of_finite_differences(cloud):
     weights = torch.from_numpy(rng.normal(size=(80, 3)).astype(np.float32))
 
     def value():
-        return (found.seen(cloud, 1, 0.004).means * weights).sum()
+        return (found.seen(cloud, 0.004, 1).means * weights).sum()
 
     value().backward()
     for name in ("turns", "shifts"):
@@ -107,11 +107,11 @@ def test_it_learns_where_a_camera_looks(cloud):
     turned = replace(RIG.cameras[4], cam_from_rig=RIG.cameras[4].cam_from_rig)
     with torch.no_grad():
         found.turns[4] = torch.tensor([0.004, -0.003, 0.0])
-        wanted = render(found.seen(cloud, 4, 0.004), turned).intensity
+        wanted = render(found.seen(cloud, 0.004, 4), turned).intensity
         found.turns[4] = 0.0
     losses = []
     for step in range(60):
-        loss = (render(found.seen(cloud, 4, 0.004), turned).intensity - wanted).abs().mean()
+        loss = (render(found.seen(cloud, 0.004, 4), turned).intensity - wanted).abs().mean()
         loss.backward()
         losses.append(float(loss.detach()))
         found.step(step / 60)

@@ -29,7 +29,7 @@ def model():
     z = 2 + 0.4 * np.sin(3 * x) * np.cos(2 * y)
     light = picture[(60 * y + 128).astype(int), (60 * x + 128).astype(int)]
     points = torch.tensor(np.stack([x, y, z], axis=1), dtype=torch.float32)
-    still = GaussianCloud.from_points(points, torch.tensor(light)[:, None], torch.full((len(x),), 0.016), 0.95)
+    still = GaussianCloud.from_points(points, torch.tensor(light)[:, None], torch.full((len(x),), 0.016).log(), 0.95)
     none = still.select(torch.arange(0))
     return DynamicCloud(still, none, PolynomialMotion.at_rest(torch.zeros(0), 1.0), TimeSpan(0.0, 0.01))
 

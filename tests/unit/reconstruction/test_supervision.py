@@ -45,10 +45,10 @@ def cloud(speed: float = 0.0) -> DynamicCloud:
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(-1.6, 1.6, 900), rng.uniform(-1.2, 1.2, 900), np.full(900, 2.0)])
     still = GaussianCloud.from_points(
-        torch.tensor(wall, dtype=torch.float32), torch.full((900, 1), 0.5), torch.full((900,), 0.08), 0.9
+        torch.tensor(wall, dtype=torch.float32), torch.full((900, 1), 0.5), torch.full((900,), 0.08).log(), 0.9
     )
     moving = GaussianCloud.from_points(
-        torch.tensor([[0.0, 0.0, 1.5]]), torch.full((1, 1), 0.1), torch.full((1,), 0.12), 0.95
+        torch.tensor([[0.0, 0.0, 1.5]]), torch.full((1, 1), 0.1), torch.full((1,), 0.12).log(), 0.95
     )
     motion = PolynomialMotion.at_rest(torch.tensor([0.5]), 100.0)
     motion.velocities[:] = torch.tensor([speed, 0.0, 0.0])

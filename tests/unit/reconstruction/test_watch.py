@@ -27,6 +27,7 @@ from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.changed_pixels import changed_pixels, look_again, unsettled
 from reconstruction.training.checkpoint import load_checkpoint
+from reconstruction.training.ending import Ending
 from reconstruction.training.freeing import freed
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
@@ -94,7 +95,7 @@ def test_gaussians_are_judged_by_most_of_the_views_that_see_them():
 def gaussians(count: int) -> GaussianCloud:
     means = torch.from_numpy(np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32)) * 0.2
     means[:, 2] += 1
-    return GaussianCloud.from_points(means, torch.full((count, 1), 0.4), torch.full((count,), 0.05), 0.9)
+    return GaussianCloud.from_points(means, torch.full((count, 1), 0.4), torch.full((count,), 0.05).log(), 0.9)
 
 
 def motion_of(kind: str, moving: GaussianCloud):
@@ -148,7 +149,7 @@ def trainer_of(view: TrainingView) -> Trainer:
     """A wall of Gaussians, none of which moves."""
     y, x = np.mgrid[-20:20:2, -28:28:2] / 50
     means = torch.tensor(np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]), dtype=torch.float32)
-    lit, wide = torch.full((x.size, 1), 0.3), torch.full((x.size,), 0.02)
+    lit, wide = torch.full((x.size, 1), 0.3), torch.full((x.size,), 0.02).log()
     still, none = GaussianCloud.from_points(means, lit, wide, 0.9), gaussians(3).select(torch.arange(0))
     return Trainer(
         DynamicCloud(still, none, motion_of("linear", none), CLIP), [view], TrainerSettings("pixels"), CLOCK, 1
@@ -179,7 +180,9 @@ def test_a_mover_the_plan_missed_is_learnt_after_the_watch(missed):
     for trainer in (blind, watched):
         for step in range(30):
             trainer.step(0.2 + step / 300)
+    watched.ending = Ending(1, windows=[1.0, 1.0], totals=[3.0], counts=[2])
     pixels = undone(watched)
+    assert watched.ending == Ending(1)  # windows of other targets say nothing
     assert pixels[PATCH].mean() > 0.9
     for trainer in (blind, watched):
         for step in range(150):
