@@ -115,23 +115,6 @@ S4_API void count_windows(const uint8_t* packed, int32_t width, int32_t height, 
                  {width, height, bottom_first != 0, out + w * pixels});
 }
 
-// The same counts as spikes per tick; every window has at least one plane.
-S4_API void mean_windows(const uint8_t* packed, int32_t width, int32_t height, int32_t msb, int32_t bottom_first,
-                         const int64_t* bounds, int64_t windows, int32_t threads, float* out) {
-  const int64_t pixels = int64_t(width) * height, plane_bytes = (pixels + 7) / 8;
-#pragma omp parallel num_threads(threads) if (threads > 1)
-  {
-    std::vector<uint32_t> counts(pixels);
-#pragma omp for schedule(dynamic)
-    for (int64_t w = 0; w < windows; ++w) {
-      const int64_t planes = bounds[2 * w + 1] - bounds[2 * w];
-      count_window(packed + bounds[2 * w] * plane_bytes, planes, plane_bytes, msb != 0,
-                   {width, height, bottom_first != 0, counts.data()});
-      for (int64_t p = 0; p < pixels; ++p) out[w * pixels + p] = float(counts[p]) / float(planes);
-    }
-  }
-}
-
 // Sums [kernels][height][width] of weights [kernels][planes] over the spikes of each pixel.
 S4_API void weigh_planes(const uint8_t* packed, int64_t planes, int32_t width, int32_t height, int32_t msb,
                          int32_t bottom_first, const uint32_t* weights, int64_t kernels, int32_t threads,

@@ -6,7 +6,7 @@ Letters: T planes, H rows (row 0 at the top), W columns, B bytes of a plane, N w
 import ctypes
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.native import Address, Kernel
@@ -15,10 +15,10 @@ from acquisition.spikes.layout import PlaneLayout
 Bytes = NDArray[np.uint8]
 _SIZE = (ctypes.c_int32,) * 4  # stored width, height, whether MSB first, whether bottom row first
 PLANES = (Address, ctypes.c_int64, *_SIZE)  # argument types that go with `plane_arguments`
-_WINDOWS = (Address, *_SIZE, Address, ctypes.c_int64, ctypes.c_int32, Address)
 _unpack_planes = Kernel("acquisition", "unpack_planes", *PLANES, Address)
-_count_windows = Kernel("acquisition", "count_windows", *_WINDOWS)
-_mean_windows = Kernel("acquisition", "mean_windows", *_WINDOWS)
+_count_windows = Kernel(
+    "acquisition", "count_windows", Address, *_SIZE, Address, ctypes.c_int64, ctypes.c_int32, Address
+)
 
 
 def pack(planes: NDArray, layout: PlaneLayout) -> Bytes:
@@ -59,7 +59,15 @@ def window_counts(packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, thread
 
     Raises BadRecordingError for a window that is not inside the planes [T, B].
     """
-    return _windows(_count_windows, np.uint32, packed, layout, _checked_bounds(bounds, len(packed), 0), threads=threads)
+    bounds = np.ascontiguousarray(bounds, dtype=np.int64).reshape(-1, 2)
+    outside = (bounds[:, 0] < 0) | (bounds[:, 1] < bounds[:, 0]) | (bounds[:, 1] > len(packed))
+    if outside.any():
+        first, last = bounds[outside][0]
+        raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(packed)}")
+    out = np.empty((len(bounds), layout.height, layout.stored_width), dtype=np.uint32)
+    data, _, *size = plane_arguments(packed, layout)
+    _count_windows(data, *size, bounds, len(bounds), threads, out)
+    return without_trailing(out, layout)
 
 
 def window_means(packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, threads: int = 1) -> NDArray[np.float32]:
@@ -67,25 +75,10 @@ def window_means(packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, threads
 
     Raises BadRecordingError for a window that is empty or not inside the planes [T, B].
     """
-    return _windows(_mean_windows, np.float32, packed, layout, _checked_bounds(bounds, len(packed), 1), threads=threads)
-
-
-def _checked_bounds(bounds: NDArray, planes: int, least: int) -> NDArray[np.int64]:
-    bounds = np.ascontiguousarray(bounds, dtype=np.int64).reshape(-1, 2)
-    outside = (bounds[:, 0] < 0) | (bounds[:, 1] < bounds[:, 0] + least) | (bounds[:, 1] > planes)
-    if outside.any():
-        first, last = bounds[outside][0]
-        raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{planes}")
-    return bounds
-
-
-def _windows(
-    kernel: Kernel, kind: DTypeLike, packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, threads: int
-) -> NDArray:
-    out = np.empty((len(bounds), layout.height, layout.stored_width), dtype=kind)
-    data, _, *size = plane_arguments(packed, layout)
-    kernel(data, *size, bounds, len(bounds), threads, out)
-    return without_trailing(out, layout)
+    found, lengths = window_counts(packed, layout, bounds, threads=threads), np.diff(bounds)[:, :, None]
+    if not lengths.all():
+        raise BadRecordingError("found a window without planes", "at least one")
+    return found.astype(np.float32) / lengths.astype(np.float32)
 
 
 def without_trailing(stored: NDArray, layout: PlaneLayout) -> NDArray:

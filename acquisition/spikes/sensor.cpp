@@ -10,7 +10,6 @@
 namespace {
 
 constexpr double kThreshold = 1099511627776.0;  // 2^40 units of charge make a spike
-constexpr uint64_t kFull = uint64_t(1) << 40;
 constexpr uint64_t kTickStep = 0x9E3779B97F4A7C15u;
 constexpr uint64_t kResetSalt = 0xD6E8FEB86659FD93u;
 constexpr int64_t kBlock = 1024;
@@ -38,35 +37,20 @@ uint64_t units(double charge) {
 // A number of units that may be negative, to be added.
 uint64_t offset(double amount) { return uint64_t(int64_t(std::floor(amount + 0.5))); }
 
-// `limit` [pixels] or, where null, the nominal threshold.
 inline void fire(uint64_t* charge, const uint64_t* added, const uint64_t* limit, int64_t pixels, uint8_t* spikes) {
   for (int64_t p = 0; p < pixels; ++p) {
-    const uint64_t total = charge[p] + added[p], threshold = limit ? limit[p] : kFull;
-    const bool spike = total >= threshold;
-    charge[p] = spike ? total - threshold : total;
+    const uint64_t total = charge[p] + added[p];
+    const bool spike = total >= limit[p];
+    charge[p] = spike ? total - limit[p] : total;
     spikes[p] = spike;
   }
 }
 
 }  // namespace
 
-// Planes of 0 and 1 [n][pixels] from light [n][pixels], spikes per tick; `charge` [pixels] carries on.
-S4_API void sensor_ideal(const float* light, int64_t n, int64_t pixels, uint64_t* charge, uint8_t* spikes,
-                         int32_t threads) {
-#pragma omp parallel for num_threads(threads)
-  for (int64_t start = 0; start < pixels; start += kBlock) {
-    const int64_t count = pixels - start < kBlock ? pixels - start : kBlock;
-    uint64_t added[kBlock];
-    for (int64_t t = 0; t < n; ++t) {
-      for (int64_t p = 0; p < count; ++p) added[p] = units(light[t * pixels + start + p]);
-      fire(charge + start, added, nullptr, count, spikes + t * pixels + start);
-    }
-  }
-}
-
-// The same with gain and dark current (spikes per tick) of each pixel, shot noise of `electrons` to a spike, and the
-// pixel's own threshold `full`, in units; every reset leaves the next one off by `thermal` units (normal). `limit`
-// [pixels] is the threshold that is waited for now and carries on as `charge` does.
+// Planes of 0 and 1 [n][pixels] from light [n][pixels], spikes per tick, by gain and dark current (spikes per tick) of
+// each pixel, shot noise of `electrons` to a spike, and the pixel's own threshold `full`, in units; every reset leaves the
+// next one off by `thermal` units (normal). `charge` and `limit`, the threshold that is waited for now, [pixels] carry on.
 S4_API void sensor_real(const float* light, int64_t n, int64_t pixels, uint64_t* charge, uint8_t* spikes,
                         int32_t threads, const uint64_t* keys, const double* gain, const double* dark,
                         const uint64_t* full, uint64_t* limit, double electrons, double thermal, int64_t first_tick) {

@@ -6,6 +6,7 @@ what is above it, and fires at most once a tick; light above one spike per tick 
 """
 
 import ctypes
+import math
 import os
 from typing import Literal
 
@@ -19,6 +20,7 @@ SensorKind = Literal["ideal", "real"]
 SENSOR_KINDS: tuple[SensorKind, ...] = ("ideal", "real")
 
 FRACTION_BITS = 40  # bits of a spike in units of charge
+_SPIKE = 2.0**FRACTION_BITS  # units
 # SCSim (Hu et al., "SCSim: a realistic spike cameras simulator", ICME 2021) draws 5e4 electrons at full grey, which
 # is about one spike a tick, and spreads the dark current by 39 %. Its gain spread of 5.8 % is that of an uncorrected
 # sensor, and its threshold spread 4.5 % of the swing of 1.1 V; 1 % for both together is what a flat-field correction
@@ -35,10 +37,8 @@ _TICK_STEP = np.uint64(0x9E3779B97F4A7C15)
 _RESET_SALT = np.uint64(0xD6E8FEB86659FD93)
 _NORMAL_SCALE = 2.6428997921e-5  # 1 / standard deviation of the sum of four uniform 16-bit numbers
 _EXPOSURE = (Address, ctypes.c_int64, ctypes.c_int64, Address, Address, ctypes.c_int32)
-_sensor_ideal = Kernel("acquisition", "sensor_ideal", *_EXPOSURE)
-_sensor_real = Kernel(
-    "acquisition", "sensor_real", *_EXPOSURE, *(Address,) * 5, ctypes.c_double, ctypes.c_double, ctypes.c_int64
-)
+_NOISE = (*(Address,) * 5, ctypes.c_double, ctypes.c_double, ctypes.c_int64)
+_expose = Kernel("acquisition", "sensor_real", *_EXPOSURE, *_NOISE)
 
 
 def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -64,7 +64,6 @@ class Sensor:
         if width < 1 or height < 1 or seed < 0 or camera_index < 0:
             found = f"found a sensor of {width}x{height}, seed {seed}, camera {camera_index}"
             raise BadRecordingError(found, "1x1 or more, from 0")
-        self.kind: SensorKind = kind
         self.shape = (height, width)
         self.tick = 0  # of the next plane
         self._threads = threads or len(os.sched_getaffinity(0))
@@ -72,7 +71,13 @@ class Sensor:
         root = np.random.SeedSequence([seed, camera_index])
         self._keys = _mix(pixels * np.uint64(0xD1342543DE82EF95) + root.generate_state(1, np.uint64))
         self._charge = _mix(self._keys - _TICK_STEP) >> np.uint64(64 - FRACTION_BITS)
-        self._gain, self._dark, self._full = _fixed_pattern(np.random.default_rng(root), width * height)
+        if kind == "real":
+            self._electrons, self._thermal = ELECTRONS_PER_SPIKE, THERMAL_NOISE * _SPIKE
+            self._gain, self._dark, self._full = _fixed_pattern(np.random.default_rng(root), width * height)
+        else:
+            self._electrons, self._thermal = math.inf, 0.0
+            self._gain, self._dark = np.ones(width * height), np.zeros(width * height)
+            self._full = np.full(width * height, _SPIKE, dtype=np.uint64)
         self._limit = self._full.copy()
 
     def expose(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -84,11 +89,8 @@ class Sensor:
         light = self._checked(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
         exposure = (light, len(light), self._charge.size, self._charge, spikes, self._threads)
-        if self.kind == "ideal":
-            _sensor_ideal(*exposure)
-        else:
-            pattern = (self._keys, self._gain, self._dark, self._full, self._limit)
-            _sensor_real(*exposure, *pattern, ELECTRONS_PER_SPIKE, THERMAL_NOISE * 2.0**FRACTION_BITS, self.tick)
+        pattern = (self._keys, self._gain, self._dark, self._full, self._limit)
+        _expose(*exposure, *pattern, self._electrons, self._thermal, self.tick)
         self.tick += len(light)
         return spikes
 
@@ -97,29 +99,19 @@ class Sensor:
         light = self._checked(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
         for plane, seen in zip(spikes, light, strict=True):
-            bits = self._noise_bits()
-            charge = self._charge + self._collected(seen.astype(np.float64).ravel(), bits)
-            limit = self._limit if self.kind == "real" else np.uint64(1 << FRACTION_BITS)
-            fired = charge >= limit
-            self._charge[:] = np.where(fired, charge - limit, charge)
-            thermal = THERMAL_NOISE * 2.0**FRACTION_BITS * _normal(_mix(bits ^ _RESET_SALT))
+            with np.errstate(over="ignore"):
+                bits = _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
+            mean = np.clip(seen.astype(np.float64).ravel(), 0, 1e6) * self._gain + self._dark
+            noisy = mean + np.sqrt(mean / self._electrons) * _normal(bits)
+            charge = self._charge + (np.clip(noisy, 0, 1) * _SPIKE + 0.5).astype(np.uint64)
+            fired = charge >= self._limit
+            self._charge[:] = np.where(fired, charge - self._limit, charge)
+            thermal = self._thermal * _normal(_mix(bits ^ _RESET_SALT))
             renewed = (self._full.astype(np.int64) + np.floor(thermal + 0.5).astype(np.int64)).astype(np.uint64)
             self._limit[:] = np.where(fired, renewed, self._limit)
             plane[:] = fired.reshape(self.shape)
             self.tick += 1
         return spikes
-
-    def _noise_bits(self) -> NDArray[np.uint64]:
-        """Return the random bits of this tick [H * W]."""
-        with np.errstate(over="ignore"):
-            return _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
-
-    def _collected(self, light: NDArray[np.float64], bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-        """Return the units of charge [H * W] that `light` [H * W] adds in a tick with these random `bits` [H * W]."""
-        if self.kind == "real":
-            mean = np.clip(light, 0, 1e6) * self._gain + self._dark
-            light = mean + np.sqrt(mean / ELECTRONS_PER_SPIKE) * _normal(bits)
-        return (np.clip(light, 0, 1) * 2.0**FRACTION_BITS + 0.5).astype(np.uint64)
 
     def _checked(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         if intensity.ndim != 3 or intensity.shape[1:] != self.shape:
@@ -149,5 +141,5 @@ def _fixed_pattern(
     hot, dead = chance < DEFECT_SHARE, chance > 1 - DEFECT_SHARE
     dark[hot] = rng.uniform(*HOT_LEVELS, pixels)[hot]
     gain[dead], dark[dead] = 0.0, 0.0
-    full = np.maximum(0.5, 1 + THRESHOLD_SPREAD * rng.standard_normal(pixels)) * 2.0**FRACTION_BITS
+    full = np.maximum(0.5, 1 + THRESHOLD_SPREAD * rng.standard_normal(pixels)) * _SPIKE
     return gain, dark, np.round(full).astype(np.uint64)

@@ -6,20 +6,18 @@ import torch
 
 from acquisition.native import Address, Kernel
 
-SENSOR = Kernel(
-    "acquisition", "sensor_ideal", Address, ctypes.c_int64, ctypes.c_int64, Address, Address, ctypes.c_int32
-)
+UNPACK = Kernel("acquisition", "unpack_planes", Address, ctypes.c_int64, *(ctypes.c_int32,) * 4, Address)
 
 
 @pytest.mark.parametrize("kind", ["array", "tensor"])
 def test_kernels_take_arrays_and_tensors(kind):
-    light, charge, spikes = np.full((4, 8), 0.5, np.float32), np.zeros(8, np.uint64), np.zeros((4, 8), np.uint8)
-    SENSOR(torch.from_numpy(light) if kind == "tensor" else light, 4, 8, charge, spikes, 1)
-    assert spikes.sum(axis=1).tolist() == [0, 8, 0, 8]
+    packed, planes = np.array([[0], [5]], np.uint8), np.empty((2, 8), np.uint8)
+    UNPACK(torch.from_numpy(packed) if kind == "tensor" else packed, 2, 8, 1, 0, 0, planes)
+    assert planes.tolist() == [[0] * 8, [1, 0, 1, 0, 0, 0, 0, 0]]
 
 
 def test_kernels_refuse_what_does_not_lie_in_one_piece():
     with pytest.raises(ctypes.ArgumentError, match="strided"):
-        SENSOR(np.zeros((4, 8), np.float32)[:, ::2], 4, 4, None, None, 1)
+        UNPACK(np.zeros((4, 8), np.uint8)[:, ::2], 4, 8, 1, 0, 0, None)
     with pytest.raises(ctypes.ArgumentError, match="an array, a tensor or None"):
-        SENSOR([0.5], 1, 1, None, None, 1)
+        UNPACK([5], 1, 8, 1, 0, 0, None)
