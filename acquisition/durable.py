@@ -56,7 +56,7 @@ def made_aside(path: Path) -> Iterator[Path]:
         yield aside
         for file in aside.rglob("*") if aside.is_dir() else [aside]:
             if file.is_file():
-                _flush(file)
+                flush(file)
         if path.is_dir():
             path.rename(old)
         aside.replace(path)
@@ -69,9 +69,13 @@ def made_aside(path: Path) -> Iterator[Path]:
         _remove(old)
 
 
-def _flush(file: Path) -> None:
-    with file.open("rb") as opened:
-        os.fsync(opened.fileno())
+def flush(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _remove(path: Path) -> None:

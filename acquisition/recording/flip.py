@@ -88,18 +88,6 @@ def _correlation(a: Floats, b: Floats) -> Floats:
 
 def _box(a: Floats) -> Floats:
     """Average over a window around each pixel [H, W]; NaN at the border and wherever the window holds one."""
-    half, out = _WINDOW // 2, np.full(a.shape, np.nan)
-    if min(a.shape) < _WINDOW:
-        return out
-    unknown = np.isnan(a)
-    sums = [_window_sums(np.where(unknown, 0, a)), _window_sums(unknown.astype(np.float64))]
-    inside = np.where(sums[1] > 0.5, np.nan, sums[0] / _WINDOW**2)
-    out[half : a.shape[0] - half, half : a.shape[1] - half] = inside
-    return out
-
-
-def _window_sums(a: Floats) -> Floats:
-    """Sum over every whole window [H - 8, W - 8]."""
-    total = np.pad(a.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    high, low = slice(_WINDOW, None), slice(None, -_WINDOW)
-    return total[high, high] - total[low, high] - total[high, low] + total[low, low]
+    padded = np.pad(a, _WINDOW // 2, constant_values=np.nan)
+    sums = np.sum([padded[k : k + a.shape[0]] for k in range(_WINDOW)], axis=0)
+    return np.sum([sums[:, k : k + a.shape[1]] for k in range(_WINDOW)], axis=0) / _WINDOW**2

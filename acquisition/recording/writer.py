@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
 
-from acquisition.durable import write_durably
+from acquisition.durable import flush, write_durably
 from acquisition.errors import BadRecordingError, DiskError
 from acquisition.recording.chunk_writer import RING_BYTES, StreamSpace
 from acquisition.recording.journal import SUFFIX
@@ -179,10 +179,10 @@ def publish(folder: Path, path: Path) -> None:
         for journal in folder.glob(f"*{SUFFIX}"):
             journal.unlink()
         for inside in (*folder.rglob("*"), folder):
-            _sync(inside)
+            flush(inside)
         refuse_taken(path)
         folder.rename(path)
-        _sync(path.parent)
+        flush(path.parent)
 
 
 def refuse_taken(path: Path) -> None:
@@ -206,11 +206,3 @@ def disk_errors(path: Path) -> Iterator[None]:
             raise
         found = f"the disk is full ({error.strerror})"
         raise DiskError(found, do="free some space and record again", where=path) from error
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

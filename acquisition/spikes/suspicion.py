@@ -7,11 +7,11 @@ A picture that is upside down shows no such trace; the pictures of several camer
 """
 
 import dataclasses
-from typing import Protocol
 
 import numpy as np
 
 from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.m1k40 import M1K40Stream
 from acquisition.spikes.packing import Bytes, counts
 from acquisition.spikes.stream import SpikeStream
 
@@ -32,19 +32,7 @@ def boundary_step(packed: Bytes, layout: PlaneLayout) -> float:
     return float(steps[across].mean()) if across.sum() >= LEAST_BOUNDARIES else float("nan")
 
 
-class Window(Protocol):
-    """A stream of planes, of which a part can be taken."""
-
-    def __len__(self) -> int:
-        """Return how many planes there are."""
-        ...
-
-    def window(self, first: int, last: int, /) -> Bytes:
-        """Return packed planes [last - first, B]."""
-        ...
-
-
-def middle_window(stream: Window) -> Bytes:
+def middle_window(stream: SpikeStream | M1K40Stream) -> Bytes:
     """Return a few packed planes [T, B] from the middle of a stream."""
     first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
     return stream.window(first, min(len(stream), first + WINDOW_PLANES))
