@@ -29,7 +29,6 @@ class BoxModel:
         self._period_us = round(DEFAULT_PERIOD_S * 1e6)
         self._fired_s = 0.0
         self._sent = 0
-        self._plugged = True
 
     def status(self) -> BoxStatus:
         """Return report 1."""
@@ -53,14 +52,8 @@ class BoxModel:
         else:
             raise StallError
 
-    def unplug(self) -> None:
-        """Pull the cable."""
-        self._plugged = False
-
     def send_feature_report(self, buff: bytes) -> int:
-        """Return the bytes sent, -1 where the box refuses or is gone."""
-        if not self._plugged:
-            return -1
+        """Return the bytes sent, -1 where the box refuses."""
         try:
             self.command(bytes(buff))
         except StallError:
@@ -68,9 +61,9 @@ class BoxModel:
         return len(buff)
 
     def get_feature_report(self, report_num: int, max_length: int) -> list[int]:
-        """Return the report, its number first; raises OSError where there is none, or the box is gone."""
-        if not self._plugged or report_num != STATUS_REPORT:
-            raise OSError(errno.EPIPE if self._plugged else errno.ENODEV, "read error")
+        """Return the report, its number first; raises OSError where there is none."""
+        if report_num != STATUS_REPORT:
+            raise OSError(errno.EPIPE, "read error")
         return list(self.status().encode())[:max_length]
 
     def close(self) -> None:

@@ -4,9 +4,8 @@ from collections.abc import Callable
 
 from acquisition.devices import descriptors
 from acquisition.devices.control_channel import MessageEnd, StallError
-from acquisition.devices.device_clock import DeviceClock, Pace
 from acquisition.devices.device_run import DeviceRun
-from acquisition.devices.device_stream import DeviceStream, StreamFaults
+from acquisition.devices.device_stream import DeviceStream
 from acquisition.devices.profile import Profile
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.registers import (
@@ -35,7 +34,6 @@ class DeviceRegisters:
 
     def read(self, request: int) -> bytes:
         """Return the bytes of a register; raises StallError for an unknown one."""
-        self._run.join_pulses()
         registers: dict[int, Callable[[], Register]] = {
             Request.IDENTITY: lambda: Identity(PROTOCOL_VERSION, self.firmware_version),
             Request.GEOMETRY: lambda: self._stream.geometry,
@@ -66,24 +64,12 @@ class DeviceRegisters:
 
 
 class DeviceModel:
-    """A camera whose light comes from `source`, which is asked for planes only as fast as the host reads.
+    """A camera whose light comes from `source`; armed, it waits for `trigger` (the shared line) or for START."""
 
-    With a `pace` it does not wait for the host. Armed, it waits for `trigger` (the shared line) or the START request.
-    """
-
-    def __init__(
-        self,
-        serial: str,
-        source: PlaneSource,
-        tick_rate_hz: float,
-        clock: DeviceClock | None = None,
-        pace: Pace | None = None,
-        profile: Profile = DIRECT,
-    ):
+    def __init__(self, serial: str, source: PlaneSource, tick_rate_hz: float, profile: Profile = DIRECT):
         self.serial, self.profile = serial, profile
-        self.faults = StreamFaults()
-        self.run = DeviceRun(tick_rate_hz, clock or DeviceClock(), pace)
-        self.stream = DeviceStream(self.run, source, self.faults)
+        self.run = DeviceRun(tick_rate_hz)
+        self.stream = DeviceStream(self.run, source)
         self.registers = DeviceRegisters(self.run, self.stream, self.command)
         self.messages = MessageEnd(profile, self.registers.read, self.registers.write)
 
@@ -95,7 +81,7 @@ class DeviceModel:
     def power_up(self) -> None:
         """Begin anew, as after a reset or with the cable pulled: idle, all counters at zero; the light goes on."""
         with self.run.changed:
-            self.faults.halted, self.faults.hangs_after = False, None
+            self.stream.halted = False
             self.run.power_up()
             self.stream.forget()
 
@@ -110,10 +96,6 @@ class DeviceModel:
         """Take the first pulse of a line that pulses each `period_s` from then on; 0: only once."""
         self.run.sync_period_s = period_s
         self.run.trigger()
-
-    def clear_halt(self) -> None:
-        """End a stall, as the host asks."""
-        self.faults.halted = False
 
     def control(self, kind: int, request: int, value: int, data: bytes = b"") -> bytes:
         """Answer a request by the fields of its setup packet; raises StallError for one it does not know."""

@@ -3,9 +3,9 @@
 import math
 import threading
 import time
+from collections.abc import Callable
 
 from acquisition.devices.control_channel import StallError
-from acquisition.devices.device_clock import DeviceClock, Pace
 from acquisition.devices.protocol import NO_PULSE
 from acquisition.devices.registers import ClockRegister, LinkCounters, Request, State, Status
 
@@ -13,17 +13,15 @@ from acquisition.devices.registers import ClockRegister, LinkCounters, Request, 
 class DeviceRun:
     """The state of a camera that was armed, started by the shared line or by request, and stopped again.
 
-    `sync_period_s` is the time between the line's pulses, 0 where the trigger is the only one. A camera with a `pace`
-    lives in real time: armed while the line pulses, it starts at the next pulse. Unless it `hears` the line, it starts
-    by request only. `changed` is notified when the state changes.
+    `sync_period_s` is the time between the line's pulses, 0 where the trigger is the only one. Unless it `hears` the
+    line, it starts by request only. Its clock shows `offset_s` at the trigger; `now_s` counts its oscillator's seconds.
+    `changed` is notified when the state changes.
     """
 
-    def __init__(self, tick_rate_hz: float, clock: DeviceClock, pace: Pace | None):
-        self.tick_rate_hz, self.clock, self.pace = tick_rate_hz, clock, pace
-        self.now_s = pace.clock if pace else time.monotonic
-        self.hears, self.sync_period_s = True, 0.0
+    def __init__(self, tick_rate_hz: float, now_s: Callable[[], float] = time.monotonic):
+        self.tick_rate_hz, self.now_s = tick_rate_hz, now_s
+        self.hears, self.offset_s, self.sync_period_s = True, 0.0, 0.0
         self.changed = threading.Condition()
-        self._train_s: float | None = None
         self.power_up()
 
     def power_up(self) -> None:
@@ -39,7 +37,6 @@ class DeviceRun:
             if request == Request.ARM:
                 self.state = State.ARMED
                 self._forget()
-                self._armed_s = self.now_s()
             elif request == Request.START and self.state is State.ARMED:
                 self._start(self.now_s())
             elif request == Request.STOP:
@@ -53,12 +50,10 @@ class DeviceRun:
         with self.changed:
             if not self.hears:
                 return
-            self._train_s = self.now_s()
             self.sync_pulses += 1
             self._pulse_ns = self.device_time_ns()
             if self.state is State.ARMED:
-                self._pulse_ns = round(self.clock.latch_s(1, 0) * 1e9)
-                self._start(self._train_s)
+                self._start(self.now_s())
             self.changed.notify_all()
 
     def wake(self) -> None:
@@ -66,31 +61,15 @@ class DeviceRun:
         with self.changed:
             self.changed.notify_all()
 
-    def join_pulses(self) -> None:
-        """Start at the first pulse after the camera was armed, where that has come: only paced cameras do."""
-        with self.changed:
-            if self.state is not State.ARMED or self._train_s is None or not self.pace or self.sync_period_s <= 0:
-                return
-            gone = math.floor((self._armed_s - self._train_s) / self.sync_period_s)
-            pulse_s = self._train_s + (gone + 1) * self.sync_period_s
-            if self.now_s() >= pulse_s:
-                self.sync_pulses, self._pulse_ns = 1, round(self.clock.latch_s(1, 0) * 1e9)
-                self._start(pulse_s)
-
-    def due_planes(self, pace: Pace) -> int:
-        """Return how many planes more should have been sent by now."""
-        return int((pace.clock() - self.started_s) * self.tick_rate_hz) - self.emitted_planes
-
     def count_pulses(self) -> None:
         """Count the pulses of the train that began with the trigger, up to the next plane."""
         if self._pulse_ns is not None and self.sync_period_s > 0:
-            time_s = self.emitted_planes / self.tick_rate_hz + self.clock.offset_s
-            self.sync_pulses, latch_s = self.clock.seen(time_s, self.sync_period_s)
-            self._pulse_ns = None if latch_s is None else round(latch_s * 1e9)
+            gone = math.floor((self.emitted_planes / self.tick_rate_hz + 1e-12) / self.sync_period_s)
+            self.sync_pulses, self._pulse_ns = 1 + gone, round((self.offset_s + gone * self.sync_period_s) * 1e9)
 
     def device_time_ns(self) -> int:
         """Return what the camera's clock shows at the start of the next plane."""
-        return round((self.emitted_planes / self.tick_rate_hz + self.clock.offset_s) * 1e9)
+        return round((self.emitted_planes / self.tick_rate_hz + self.offset_s) * 1e9)
 
     def pulse_age_ns(self) -> int:
         """Return the time from the last pulse to the start of the next plane."""
@@ -106,12 +85,12 @@ class DeviceRun:
         return ClockRegister(self._oscillator_ns(self.now_s()), trigger_ns)
 
     def _oscillator_ns(self, at_s: float) -> int:
-        return round((at_s - self._powered_s) * (1e9 + self.clock.drift_ppm * 1e3))
+        return round((at_s - self._powered_s) * 1e9)
 
     def _start(self, at_s: float) -> None:
         self.state, self.started_s = State.RUNNING, at_s
 
     def _forget(self) -> None:
         self.sync_pulses = self.emitted_blocks = self.emitted_planes = self.dropped_planes = 0
-        self._armed_s = self.started_s = 0.0
+        self.started_s = 0.0
         self._pulse_ns: int | None = None

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 
-from acquisition.devices.device_clock import DeviceClock
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.registers import LinkCounters
@@ -24,7 +23,7 @@ def _deaf(model: DeviceModel, backend: MockBackend) -> None:
 
 
 def _late(model: DeviceModel, backend: MockBackend) -> None:
-    model.run.clock = DeviceClock(offset_s=LATE_S)
+    model.run.offset_s = LATE_S
 
 
 def _frozen(model: DeviceModel, backend: MockBackend) -> None:
@@ -33,7 +32,7 @@ def _frozen(model: DeviceModel, backend: MockBackend) -> None:
 
 
 def _noisy(model: DeviceModel, backend: MockBackend) -> None:
-    model.faults.link_per_block = LinkCounters(errors=3, recoveries=1)
+    model.stream.link_per_block = LinkCounters(errors=3, recoveries=1)
 
 
 FAULTS: dict[str, Callable[[DeviceModel, MockBackend], None]] = {

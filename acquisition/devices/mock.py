@@ -3,29 +3,20 @@
 # The base class has no annotations.
 # pyright: reportIncompatibleMethodOverride=false
 import array
-import errno
 from collections.abc import Sequence
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import usb.core
 import usb.util
 from usb.backend import IBackend
-from usb.core import USBError
 
 from acquisition.devices import descriptors
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock_pipe import MockPipe, Port, UsbfsMemory
-from acquisition.devices.stream import pipe_stalled, timed_out
+from acquisition.devices.stream import pipe_stalled
 
 _SUPER_SPEED = 4
-_ABSENT = {"bRefresh": 0, "bSynchAddress": 0, "extra_descriptors": []}
-
-
-@dataclass(eq=False)
-class _Handle:
-    port: Port
 
 
 class MockBackend(IBackend):
@@ -41,14 +32,6 @@ class MockBackend(IBackend):
             if port.model.serial == serial:
                 port.plugged = False
                 port.model.run.wake()
-
-    def replug(self, serial: str) -> None:
-        """Put camera `serial` back; it is a new device, at a new address."""
-        for number, port in enumerate(self._ports):
-            if port.model.serial == serial:
-                port.plugged = False
-                port.model.power_up()
-                self._ports[number] = Port(port.model, 1 + max(each.address for each in self._ports))
 
     def open_stream(self, device: usb.core.Device) -> MockPipe:
         """Return the stream of `device`, which must be free."""
@@ -66,64 +49,25 @@ class MockBackend(IBackend):
 
     def get_configuration_descriptor(self, dev: Port, config: int) -> SimpleNamespace:
         """Return the only configuration."""
-        return _at([descriptors.configuration(dev.model.profile)], config)
+        if config:
+            raise IndexError(f"found no configuration {config}")
+        return SimpleNamespace(**descriptors.CONFIGURATION_FIELDS, extra_descriptors=[])
 
-    def get_interface_descriptor(self, dev: Port, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """Return an interface; each has one setting."""
-        return _at([fields for fields, _ in descriptors.interfaces(dev.model.profile)], intf, alt, config)
-
-    def get_endpoint_descriptor(self, dev: Port, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """Return an endpoint of an interface."""
-        found = descriptors.interfaces(dev.model.profile)
-        return _at(found[intf][1] if intf < len(found) else [], ep, alt, config)
-
-    def open_device(self, dev: Port) -> _Handle:
+    def open_device(self, dev: Port) -> Port:
         """Return a handle on a camera that is plugged in."""
         dev.require()
-        return _Handle(dev)
+        return dev
 
-    def close_device(self, dev_handle: _Handle) -> None:
-        """Give back what the handle claimed."""
-        dev_handle.port.release(dev_handle)
+    def close_device(self, dev_handle: Port) -> None:
+        """Do nothing: a pipe holds the camera, not a handle."""
 
-    def set_configuration(self, dev_handle: _Handle, config_value: int) -> None:
-        """Select configuration 0 (none) or 1."""
-        dev_handle.port.require()
-        if config_value not in (0, 1):
-            raise _no_entity()
-        dev_handle.port.configuration = config_value
-
-    def get_configuration(self, dev_handle: _Handle) -> int:
-        """Return the active configuration, 0 for none."""
-        dev_handle.port.require()
-        return dev_handle.port.configuration
-
-    def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Claim the camera for this handle; a second one finds it busy."""
-        dev_handle.port.claim(dev_handle)
-
-    def release_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Let another handle claim the camera."""
-        if not dev_handle.port.release(dev_handle):
-            raise _no_entity()
-
-    def bulk_read(self, dev_handle: _Handle, ep: int, intf: int, buff: array.array, timeout: int) -> int:
-        """Put bytes into `buff` and return their number; what is ready at the timeout is a short read."""
-        model = dev_handle.port.require()
-        if ep != model.profile.stream_endpoint:
-            raise _no_entity()
-        try:
-            data = model.stream.send(len(buff), timeout / 1000)
-        except StallError as error:
-            raise pipe_stalled() from error
-        dev_handle.port.require()
-        if not data:
-            raise timed_out()
-        return _put(data, buff)
+    def set_configuration(self, dev_handle: Port, config_value: int) -> None:
+        """Select the only configuration, which a camera is always in."""
+        dev_handle.require()
 
     def ctrl_transfer(
         self,
-        dev_handle: _Handle,
+        dev_handle: Port,
         bmRequestType: int,
         bRequest: int,
         wValue: int,
@@ -132,21 +76,16 @@ class MockBackend(IBackend):
         timeout: int,
     ) -> int:
         """Answer for string descriptors and the vendor's registers; anything else stalls."""
-        model = dev_handle.port.require()
+        model = dev_handle.require()
         try:
             answer = model.control(bmRequestType, bRequest, wValue, bytes(data))
         except StallError as error:
             raise pipe_stalled() from error
         return _put(answer, data) if bmRequestType & usb.util.CTRL_IN else len(data)
 
-    def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
-        """End a stall."""
-        dev_handle.port.require().clear_halt()
-
-    def reset_device(self, dev_handle: _Handle) -> None:
-        """Have the camera begin anew, without a configuration, at the same address."""
-        dev_handle.port.require().power_up()
-        dev_handle.port.configuration = 0
+    def reset_device(self, dev_handle: Port) -> None:
+        """Have the camera begin anew, at the same address."""
+        dev_handle.require().power_up()
 
 
 def _put(data: bytes | memoryview, buffer: array.array) -> int:
@@ -154,13 +93,3 @@ def _put(data: bytes | memoryview, buffer: array.array) -> int:
     with memoryview(buffer) as view:
         view[: len(taken)] = taken
     return len(taken)
-
-
-def _at(found: Sequence[dict], number: int, *others: int) -> SimpleNamespace:
-    if number >= len(found) or any(others):
-        raise IndexError(f"found no descriptor {(number, *others)}")
-    return SimpleNamespace(**{**_ABSENT, **found[number]})
-
-
-def _no_entity() -> USBError:
-    return USBError("Entity not found", -5, errno.ENOENT)

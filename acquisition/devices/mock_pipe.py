@@ -21,26 +21,13 @@ class Port:
     address: int
     plugged: bool = True
     configuration: int = 0
-    claimed_by: object | None = None
+    claimed: bool = False
 
     def require(self) -> DeviceModel:
         """Return the camera; raises USBError ENODEV for one that was unplugged."""
         if not self.plugged:
             raise device_gone()
         return self.model
-
-    def claim(self, holder: object) -> None:
-        """Hold the camera; raises USBError EBUSY where another does."""
-        self.require()
-        if self.claimed_by not in (None, holder):
-            raise USBError("Resource busy", -6, errno.EBUSY)
-        self.claimed_by = holder
-
-    def release(self, holder: object) -> bool:
-        """Let go of the camera, and return whether `holder` had it."""
-        had = self.claimed_by is holder
-        self.claimed_by = None if had else self.claimed_by
-        return had
 
 
 @dataclass(eq=False)
@@ -54,9 +41,12 @@ class MockPipe:
     """The stream of the camera at `port`, which it holds until `close`."""
 
     def __init__(self, port: Port, memory: UsbfsMemory):
-        port.claim(self)
+        model = port.require()
+        if port.claimed:
+            raise USBError("Resource busy", -6, errno.EBUSY)
+        port.claimed = True
         self._port, self._memory = port, memory
-        self._transfer_bytes = port.model.profile.transfer_bytes
+        self._transfer_bytes = model.profile.transfer_bytes
         self._flying: deque[bytearray] = deque()
         self._cancelled = 0
 
@@ -97,7 +87,7 @@ class MockPipe:
 
     def clear_halt(self) -> None:
         """End a stall."""
-        self._port.require().clear_halt()
+        self._port.require().stream.halted = False
 
     def write(self, endpoint: int, data: bytes, timeout_s: float) -> None:
         """Send all of `data` to another endpoint."""
@@ -122,7 +112,7 @@ class MockPipe:
         """Give the camera back."""
         while self._flying:
             self._ended(Outcome.CANCELLED)
-        self._port.release(self)
+        self._port.claimed = False
 
     def _ended(self, outcome: Outcome) -> Completion:
         self._memory.free_bytes += self._transfer_bytes

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import usb.core
 from maintenance import usbip
+from maintenance.device_clock import DeviceClock, Pace
+from maintenance.strained_camera import StrainedModel, replug
 from maintenance.trigger_line import TriggerWire
 from maintenance.usb_models import CameraOnUsb
 
-from acquisition.devices.device_clock import DeviceClock, Pace
-from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.protocol import Block, BlockStatus
@@ -58,14 +58,14 @@ class MockBench:
         self.profile, self.models, self.backend = profile, [], MockBackend([])
         self.plug(self.camera("A1", Stored()))
 
-    def camera(self, serial: str, source, **how) -> DeviceModel:
-        return DeviceModel(serial, source, RATE, profile=self.profile, **how)
+    def camera(self, serial: str, source, **how) -> StrainedModel:
+        return StrainedModel(serial, source, RATE, profile=self.profile, **how)
 
     @property
-    def model(self) -> DeviceModel:
+    def model(self) -> StrainedModel:
         return self.models[0]
 
-    def plug(self, *models: DeviceModel) -> None:
+    def plug(self, *models: StrainedModel) -> None:
         self.models += models
         self.backend = MockBackend(self.models)
 
@@ -76,7 +76,7 @@ class MockBench:
         self.backend.unplug(serial)
 
     def replug(self, serial: str = "A1") -> None:
-        self.backend.replug(serial)
+        replug(self.backend, serial)
 
     def limit_usbfs(self, megabytes: int) -> None:
         self.backend = MockBackend(self.models, megabytes << 20)
@@ -98,7 +98,7 @@ class UsbIpBench(MockBench):
         self.limit_usbfs(256)
         self.plug(self.camera("A1", Stored()))
 
-    def plug(self, *models: DeviceModel) -> None:
+    def plug(self, *models: StrainedModel) -> None:
         self.models += models
         self.devices |= {model.serial: usbip.UsbIpDevice(CameraOnUsb(model)) for model in models}
         for model in models:
@@ -136,9 +136,9 @@ class UsbIpBench(MockBench):
         wait_until(lambda: not self.connected())
 
 
-def release(model: DeviceModel) -> None:
+def release(model: StrainedModel) -> None:
     """Have the camera go on after it hung."""
-    model.faults.hangs_after = None
+    model.stream.hangs_after = None
     model.run.wake()
 
 
@@ -215,7 +215,7 @@ def test_a_stopped_camera_can_be_armed_again(bench, camera):
 
 
 def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
-    bench.model.faults.hangs_after = 576 + 512  # a block, and half of the next: no short packet ends it
+    bench.model.stream.hangs_after = 576 + 512  # a block, and half of the next: no short packet ends it
     camera.ensure_ready()
     bench.fire()
     assert camera.read_block(0.2).first_plane == 0
@@ -228,10 +228,10 @@ def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
 
 @pytest.mark.parametrize("sent", [0, 512, 576 + 512])
 def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
-    bench.model.faults.hangs_after = sent
+    bench.model.stream.hangs_after = sent
     camera.ensure_ready()
     bench.fire()
-    bench.model.faults.halted = True
+    bench.model.stream.halted = True
     release(bench.model)
     first = camera.read_block(0.2)
     assert first is None or sent > 576
@@ -240,7 +240,7 @@ def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
 
 
 def test_a_damaged_block_is_dropped_and_counted(bench, camera):
-    bench.model.faults.flipped.append(100)
+    bench.model.stream.flipped.append(100)
     camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
@@ -281,7 +281,7 @@ def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
     cameras = [
         UsbCamera.open(dataclasses.replace(CAMERA, id=f"cam{i}", serial=f"N{i}"), RATE, bench.backend) for i in range(9)
     ]
-    bench.models[5].faults.hangs_after = 576 * 20 + 512
+    bench.models[5].stream.hangs_after = 576 * 20 + 512
     with ThreadPoolExecutor(9) as pool:
         for camera in cameras:
             camera.ensure_ready()
@@ -580,7 +580,7 @@ def test_a_camera_that_hangs_is_reset_and_rejoins(run, bench, monkeypatch):
     if not isinstance(bench.backend, MockBackend):
         pytest.skip("USB/IP does not tell a device of a reset of its port, which would end what it hangs in")
     monkeypatch.setattr(capture_module, "READ_TIMEOUT_S", 0.02)
-    recording, began = run("software", lambda: setattr(run.models[1].faults, "hangs_after", 0), 20.0)
+    recording, began = run("software", lambda: setattr(run.models[1].stream, "hangs_after", 0), 20.0)
     lost = recording.manifest.camera("cam01")
     place = (began[1] - began[0]) * RATE
     [back] = lost.device["returns"]

@@ -49,7 +49,10 @@ class MockBench:
         return TriggerBox(self.hid, period_s=0.002)
 
     def unplug(self) -> None:
-        self.hid.unplug()
+        def gone(*_):
+            raise OSError("read error")
+
+        self.hid.send_feature_report, self.hid.get_feature_report = lambda buff: -1, gone
 
     def close(self) -> None:
         pass

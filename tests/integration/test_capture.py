@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from maintenance.device_clock import DeviceClock
+from maintenance.strained_camera import StrainedModel
 from maintenance.trigger_line import TriggerWire
 
-from acquisition.devices.device_clock import DeviceClock
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.open import Replay, Simulation, open_cameras, parse_devices
@@ -126,7 +127,7 @@ def test_nine_cameras_are_on_the_disk_bit_for_bit(tmp_path):
     assert fractions == sorted(fractions)
 
 
-class DriftingModel(DeviceModel):
+class DriftingModel(StrainedModel):
     """Its clock began 40 us late and runs 50 ppm fast; it missed pulse 5."""
 
     def __init__(self, *arguments):
@@ -146,7 +147,7 @@ def test_each_clock_is_told_from_the_sync_pulses(tmp_path):
     assert manifest.camera("cam12").clock["drift_ppm"] == pytest.approx(50, abs=5)
 
 
-class CutModel(DeviceModel):
+class CutModel(StrainedModel):
     """Sees nine pulses, and then no more: its sync cable was pulled."""
 
     def __init__(self, *arguments):
@@ -169,7 +170,7 @@ class NoisyModel(DeviceModel):
 
     def __init__(self, *arguments):
         super().__init__(*arguments)
-        self.faults.link_per_block = LinkCounters(errors=2)
+        self.stream.link_per_block = LinkCounters(errors=2)
 
 
 def test_what_a_camera_says_of_itself_stands_in_the_manifest(tmp_path):

@@ -8,7 +8,7 @@ import time
 from acquisition.devices import descriptors
 from acquisition.devices.box_model import BoxModel
 from acquisition.devices.control_channel import StallError
-from acquisition.devices.descriptors import BULK, CONFIGURATION, DEVICE, INTERRUPT, STRING, Fields
+from acquisition.devices.descriptors import CONFIGURATION, DEVICE, MAX_PACKET_BYTES, STRING, Fields
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.profile import VENDOR_ID, Profile
 from acquisition.devices.profiles.direct import DIRECT
@@ -21,6 +21,8 @@ from acquisition.devices.trigger_box import (
 )
 
 BOS = 15
+BULK, INTERRUPT = 2, 3
+_ENDPOINT_BYTES = 7 + 6  # an endpoint's descriptor and the SuperSpeed companion behind it
 _COMPANIONS = {
     BULK: bytes((6, 0x30, 15, 0, 0, 0)),  # bursts of 16 packets
     INTERRUPT: bytes((6, 0x30, 0, 0, 0, 4)),  # 1,024 B an interval
@@ -68,11 +70,52 @@ def encode_fields(fields: Fields) -> bytes:
 
 def encode_configuration(profile: Profile) -> bytes:
     """Return a camera's configuration with its interfaces and endpoints, as one descriptor."""
-    parts = [encode_fields(descriptors.configuration(profile))]
-    for fields, endpoints in descriptors.interfaces(profile):
+    parts = [encode_fields(configuration(profile))]
+    for fields, endpoints in interfaces(profile):
         parts.append(encode_fields(fields))
         parts += [encode_fields(each) + _COMPANIONS[each["bmAttributes"]] for each in endpoints]
     return b"".join(parts)
+
+
+def interfaces(profile: Profile) -> list[tuple[Fields, list[Fields]]]:
+    """Return each interface with its endpoints; those before the camera's own are a bridge's, which nobody talks to."""
+    pipes = [endpoint for endpoint in (profile.command_endpoint, profile.reply_endpoint) if endpoint]
+    found = [_interface(0, [_endpoint(0x01, BULK), _endpoint(0x81, INTERRUPT)])] if profile.interface else []
+    own = [_endpoint(address, BULK) for address in (*pipes, profile.stream_endpoint)]
+    return [*found, _interface(profile.interface, own)]
+
+
+def configuration(profile: Profile) -> Fields:
+    """Return the only configuration."""
+    found = interfaces(profile)
+    size = 9 + sum(9 + len(endpoints) * _ENDPOINT_BYTES for _, endpoints in found)
+    return {**descriptors.CONFIGURATION_FIELDS, "wTotalLength": size, "bNumInterfaces": len(found)}
+
+
+def _interface(number: int, endpoints: list[Fields]) -> tuple[Fields, list[Fields]]:
+    fields = {
+        "bLength": 9,
+        "bDescriptorType": 4,
+        "bInterfaceNumber": number,
+        "bAlternateSetting": 0,
+        "bNumEndpoints": len(endpoints),
+        "bInterfaceClass": 0xFF,
+        "bInterfaceSubClass": 0,
+        "bInterfaceProtocol": 0,
+        "iInterface": 0,
+    }
+    return fields, endpoints
+
+
+def _endpoint(address: int, transfers: int) -> Fields:
+    return {
+        "bLength": 7,
+        "bDescriptorType": 5,
+        "bEndpointAddress": address,
+        "bmAttributes": transfers,
+        "wMaxPacketSize": MAX_PACKET_BYTES,
+        "bInterval": 9 if transfers == INTERRUPT else 0,
+    }
 
 
 class CameraOnUsb:
@@ -86,7 +129,7 @@ class CameraOnUsb:
     def control(self, kind: int, request: int, value: int, index: int, data: bytes = b"") -> bytes:
         """Answer a control request; raises StallError for one the camera does not know."""
         if (kind, request, value, index) == (_TO_ENDPOINT, _CLEAR_FEATURE, 0, self.stream_endpoint):
-            self.model.clear_halt()
+            self.model.stream.halted = False
             return b""
         profile, known = self.model.profile, (DEVICE, CONFIGURATION, BOS)
         if kind == _IN and request == _GET_DESCRIPTOR and value >> 8 in known:

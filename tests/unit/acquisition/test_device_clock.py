@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from maintenance.device_clock import DeviceClock
 
-from acquisition.devices.device_clock import DeviceClock
 from acquisition.errors import DeviceError
 
 PERIOD_S = 1e-3

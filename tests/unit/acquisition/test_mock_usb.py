@@ -48,42 +48,6 @@ def test_pyusb_finds_the_cameras_and_their_strings(backend):
     assert found[0].speed == usb.util.SPEED_SUPER
 
 
-def test_pyusb_walks_the_descriptors(device):
-    [interface] = device.get_active_configuration()
-    [endpoint] = interface
-    assert (endpoint.bEndpointAddress, endpoint.wMaxPacketSize) == (DIRECT.stream_endpoint, 1024)
-    assert "CONFIGURATION 1" in str(device)
-
-
-def test_an_unconfigured_device_says_so(backend):
-    with pytest.raises(usb.core.USBError, match="Configuration not set"):
-        usb.core.find(backend=backend).get_active_configuration()
-
-
-def test_a_read_without_data_times_out(device):
-    with pytest.raises(usb.core.USBTimeoutError) as caught:
-        device.read(DIRECT.stream_endpoint, 1024, timeout=1)
-    assert (caught.value.errno, caught.value.backend_error_code) == (errno.ETIMEDOUT, -7)
-
-
-def test_a_short_read_is_no_error(device, models):
-    device.ctrl_transfer(COMMAND, Request.ARM)
-    TriggerWire(models).fire()
-    assert len(device.read(DIRECT.stream_endpoint, 1 << 20)) == 64 + 80 * 4 + 32
-
-
-def test_a_halted_pipe_stalls_until_it_is_cleared(device, models):
-    device.ctrl_transfer(COMMAND, Request.ARM)
-    TriggerWire(models).fire()
-    models[0].faults.halted = True
-    for _ in range(2):
-        with pytest.raises(usb.core.USBError) as caught:
-            device.read(DIRECT.stream_endpoint, 1024)
-        assert (caught.value.errno, caught.value.backend_error_code) == (errno.EPIPE, -9)
-    device.clear_halt(DIRECT.stream_endpoint)
-    assert len(device.read(DIRECT.stream_endpoint, 64)) == 64
-
-
 @pytest.mark.parametrize(("kind", "request_code"), [(READ, 0x7F), (COMMAND, 0x7F), (0x80, 0x0C)])
 def test_an_unknown_control_request_stalls_once(device, kind, request_code):
     with pytest.raises(usb.core.USBError) as caught:
@@ -93,27 +57,18 @@ def test_an_unknown_control_request_stalls_once(device, kind, request_code):
 
 
 def test_an_unplugged_device_is_gone_for_ever(device, backend):
+    pipe = backend.open_stream(device)
     backend.unplug("A1")
     for call in (
-        lambda: device.read(DIRECT.stream_endpoint, 1024),
         lambda: device.ctrl_transfer(READ, Request.STATUS, 0, 0, 32),
-        lambda: device.clear_halt(DIRECT.stream_endpoint),
+        pipe.submit,
+        pipe.clear_halt,
         lambda: device.reset(),
     ):
         with pytest.raises(usb.core.USBError) as caught:
             call()
         assert (caught.value.errno, caught.value.backend_error_code) == (errno.ENODEV, -4)
     assert [d.serial_number for d in usb.core.find(find_all=True, backend=backend)] == ["B2"]
-
-
-def test_a_claimed_interface_is_busy_for_others(device, backend):
-    usb.util.claim_interface(device, 0)
-    other = usb.core.find(backend=backend)
-    with pytest.raises(usb.core.USBError) as caught:
-        usb.util.claim_interface(other, 0)
-    assert caught.value.errno == errno.EBUSY
-    usb.util.dispose_resources(device)
-    usb.util.claim_interface(other, 0)
 
 
 def test_one_pulse_starts_every_armed_camera(models):
