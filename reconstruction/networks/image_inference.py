@@ -5,19 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
-from torch.nn import functional
 
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.networks.image_networks import ImageNetwork, image_network
+from reconstruction.networks.image_networks import ImageNetwork, evaluated, image_network
+from reconstruction.networks.rates import Floats
 from reconstruction.networks.weights import SHIPPED, read_weights
 
 TILE, MARGIN = 512, 32  # pixels; MARGIN is more than the networks that ship look sideways
 ENOUGH_LIGHT, MOST_GROUP = 0.05, 15  # spikes per tick that a dim image is brought to; planes. Development seed 1
-Floats = NDArray[np.float32]
 
 
 def infer(
@@ -39,8 +37,9 @@ def infer(
                 tile = seen[:, :, y0 : top + TILE + MARGIN, x0 : left + TILE + MARGIN]
                 inner = (slice(top, top + TILE), slice(left, left + TILE))
                 cut = (slice(top - y0, top - y0 + TILE), slice(left - x0, left - x0 + TILE))
-                for whole, part in zip((light, sigma), _tile(module, tile, level), strict=True):
-                    whole[inner] = part[cut]
+                found = evaluated(module, tile.contiguous(memory_format=torch.channels_last), level)
+                for whole, part in zip((light, sigma), found, strict=True):
+                    whole[inner] = part[0, 0][cut]
     return light.clamp_(min=0).numpy(), sigma.numpy()
 
 
@@ -73,12 +72,3 @@ def trained(name: str, weights: Path | None = None) -> nn.Module:
     module = image_network(name).build().eval()
     read_weights(weights or SHIPPED / f"{name}.npz", module)
     return module
-
-
-def _tile(module: nn.Module, seen: torch.Tensor, level: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    height, width = seen.shape[2:]
-    stride = int(module.stride)  # pyright: ignore[reportArgumentType]
-    missing = (0, -width % stride, 0, -height % stride)
-    padded = functional.pad(seen, missing, mode="replicate").to(memory_format=torch.channels_last)
-    light, sigma = module(padded, level)
-    return light[0, 0, :height, :width], sigma[0, 0, :height, :width]

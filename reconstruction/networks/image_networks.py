@@ -72,6 +72,15 @@ def image_network(name: str) -> ImageNetwork:
     return IMAGE_NETWORKS[name]
 
 
+def evaluated(module: nn.Module, seen: Tensor, level: Tensor) -> tuple[Tensor, Tensor]:
+    """Return light and sigma [N, 1, H, W] by `module`; the border is repeated up to a multiple of its stride."""
+    height, width = seen.shape[2:]
+    stride = int(module.stride)  # pyright: ignore[reportArgumentType]
+    padded = functional.pad(seen, (0, -width % stride, 0, -height % stride), mode="replicate")
+    light, sigma = module(padded, level)
+    return light[..., :height, :width], sigma[..., :height, :width]
+
+
 def _mean_rate(seen: Tensor) -> Tensor:
     longest = window_means()[-1, None].to(seen)
     return _mean(functional.conv2d(seen[:, :BINS], longest))

@@ -91,7 +91,7 @@ def network_command(folder: Path, out: Path, threads: int, device: str, **settin
     torch.set_num_threads(threads or torch.get_num_threads())
     config = ImageTrainingConfig(**settings)
     network = image_network(config.name)
-    training = ImageTraining(out, config, ClipPictures(folder, network), device, {"validation": validation_set()})
+    training = ImageTraining(out, config, ClipPictures(folder, network), device, validation=validation_set())
     clips = validation_clips(_report("validation"))
     training.run(lambda module: scores(lambda *at: infer(network, module, *at)[0], clips), _report(config.name))
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -17,10 +16,8 @@ from reconstruction.networks.image_networks import image_network
 from reconstruction.networks.msdi.features import channels, working_factor
 from reconstruction.networks.msdi.network import Msdi, Solved
 from reconstruction.networks.msdi.views import Views
-from reconstruction.networks.rates import rates
+from reconstruction.networks.rates import Floats, rates
 from rigs.rig import Rig
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

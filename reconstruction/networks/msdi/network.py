@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from reconstruction.networks.image_networks import image_network
+from reconstruction.networks.image_networks import evaluated, image_network
 from reconstruction.networks.msdi.adjustment import SCHEDULE, Adjusted, Stage, adjust
 from reconstruction.networks.msdi.depth import Sweep
 from reconstruction.networks.msdi.encoder import Encoded, Encoder, Trunk
@@ -51,11 +51,7 @@ class Msdi(nn.Module):
     def light(self, rates: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return light and sigma [V, 1, h, w] in spikes per tick, and their mean, of rates [V, BINS, h, w]."""
         level = image_network("small").level(rates)
-        missing = (0, -rates.shape[3] % SmallSpk2ImgNet.stride, 0, -rates.shape[2] % SmallSpk2ImgNet.stride)
-        padded = nn.functional.pad(rates, missing, mode="replicate")
-        light, sigma = self.image(padded, level)
-        rows, columns = rates.shape[2:]
-        return light[..., :rows, :columns], sigma[..., :rows, :columns], level
+        return *evaluated(self.image, rates, level), level
 
     def parameter_groups(self) -> list[dict]:
         """Return the optimiser's groups: the image network, which knows its task, learns at a share of the rate."""

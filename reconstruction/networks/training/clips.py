@@ -139,7 +139,7 @@ class MultiviewClips(ClipSet):
 
     def make(self, seed: int) -> MultiviewClip:
         """Render and expose the clip with `seed`."""
-        rig = self._rig(seed)
+        rig = random_rig(seed, self.views, self.width, self.height)
         middle_s = rig.clock.instant_s(REACH)
         scene = multiview_scene(seed, rig.cameras[0].fx, middle_s)
         streams, light, depth = [], [], []
@@ -159,14 +159,11 @@ class MultiviewClips(ClipSet):
 
     def read(self, folder: Path, seed: int) -> MultiviewClip:
         """Read the clip with `seed` out of `folder`."""
-        rig, layout = self._rig(seed), PlaneLayout(self.width, self.height)
+        rig, layout = random_rig(seed, self.views, self.width, self.height), PlaneLayout(self.width, self.height)
         with np.load(self.path(folder, seed), allow_pickle=False) as archive:
             streams = tuple(SpikeStream(packed, layout, rig.tick_rate_hz) for packed in archive["packed"])
             light, white = archive["light"].astype(np.float32), float(archive["white"])
             return MultiviewClip(streams, REACH, light, archive["depth"], white, rig)
-
-    def _rig(self, seed: int) -> Rig:
-        return random_rig(seed, self.views, self.width, self.height)
 
 
 def exposed(scene: Scene, camera: Camera, clock: RigClock, planes: int, sensor: Sensor) -> SpikeStream:

@@ -1,10 +1,8 @@
 """Random crops to train on, turned, mirrored and run backwards; batch number n is the same whenever it is asked for."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -17,27 +15,11 @@ from reconstruction.networks.image_networks import ImageNetwork, image_network, 
 from reconstruction.networks.training.clips import CameraClips, read_clip_set
 from reconstruction.networks.training.loop import Loop, LoopConfig
 
-Notes = Mapping[str, object]
-NONE: Notes = MappingProxyType({})
 POOL = 64  # (stream, instant) pairs of a recording that are kept in memory
 
 
-class Pictures(Protocol):
-    """Pictures to train on; `smallest` is the shorter side of the smallest, in pixels."""
-
-    smallest: int
-
-    def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray | None]:
-        """Draw one input [C, H, W] and the true light [1, H, W], where it is known."""
-        ...
-
-    def description(self) -> dict:
-        """Return what the pictures are, for the document of the training."""
-        ...
-
-
 class ClipPictures:
-    """The instants of the clips in `folder`, kept in memory once seen."""
+    """The instants of the clips in `folder`, kept in memory once seen; `smallest` is their shorter side in pixels."""
 
     def __init__(self, folder: Path, network: ImageNetwork) -> None:
         self._clips = read_clip_set(folder, CameraClips)
@@ -45,8 +27,8 @@ class ClipPictures:
         self.smallest = self._clips.size
         self._kept: dict[int, tuple[list[NDArray], NDArray]] = {}
 
-    def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray | None]:
-        """Draw one instant of one clip."""
+    def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+        """Draw one instant of one clip: the input [C, H, W] and the true light [1, H, W]."""
         seed = int(rng.integers(self._clips.first_seed, self._clips.seeds.stop))
         if seed not in self._kept:
             clip = self._clips.read(self._folder, seed)
@@ -61,7 +43,7 @@ class ClipPictures:
 
 
 class StreamPictures:
-    """`POOL` instants of some streams, drawn once from `seed`; nobody knows their true light."""
+    """`POOL` instants of some streams, drawn once from `seed`; nobody knows their true light. See `ClipPictures`."""
 
     def __init__(self, streams: Sequence[SpikeStream], network: ImageNetwork, seed: int) -> None:
         if not streams or not min(len(stream) for stream in streams):
@@ -72,13 +54,16 @@ class StreamPictures:
         self._at = [(camera, int(share * len(streams[camera]))) for camera, share in drawn]
         self._inputs = [_halved(network, streams[camera], plane) for camera, plane in self._at]
 
-    def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray | None]:
-        """Draw one of the pool."""
+    def draw(self, rng: np.random.Generator) -> tuple[NDArray, None]:
+        """Draw one of the pool: the input [C, H, W]."""
         return self._inputs[int(rng.integers(POOL))], None
 
     def description(self) -> dict:
         """Return the streams, by number, and the planes of the pool."""
         return {"instants": [list(at) for at in self._at]}
+
+
+Pictures = ClipPictures | StreamPictures
 
 
 class Batches:
@@ -128,7 +113,7 @@ class ImageTraining(Loop[nn.Module]):
     """One image network on batches of `pictures`; see `Loop`. `notes` go into the document."""
 
     def __init__(
-        self, folder: Path, config: ImageTrainingConfig, pictures: Pictures, device: str = "cpu", notes: Notes = NONE
+        self, folder: Path, config: ImageTrainingConfig, pictures: Pictures, device: str = "cpu", **notes: object
     ) -> None:
         self.network = image_network(config.name)
         self.batches = Batches(pictures, self.network, config.batch, config.crop, config.seed)

@@ -109,7 +109,7 @@ def depth_loss(swept: Swept, depth: Tensor, views: Views) -> Tensor:
     entropy = -(labels * swept.logits.log_softmax(dim=0)).sum(dim=0)
     error = ((swept.inverse_depth - inverse).abs() / inverse).clamp_max(WORST)
     weighted = swept.confidence * error - CONFIDENCE_COST * swept.confidence.log()
-    return (entropy * coarse_known).sum() / coarse_known.sum().clamp_min(1) + _mean(weighted + error, known)
+    return _mean(entropy, coarse_known) + _mean(weighted + error, known)
 
 
 def _mean(values: Tensor, where: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ Sample number n is the same whenever it is asked for. Letters: V views, H rows, 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +30,13 @@ FIRST_ERROR = 0.5  # degrees, cm and percent of the nominal rigs at the start of
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Of V views: `rates` [V, BINS, H, W] where the image network learns, else the channels `seen` [V, C, H, W].
+    """Of V views: `maps` are channels [V, C, H, W], or where the image network learns (`raw`) rates [V, BINS, H, W].
 
     The true `light` [V, 1, H, W] and `depth` [V, H, W] in m, NaN where nothing is, and the true and nominal cameras.
     """
 
-    seen: Tensor | None
-    rates: Tensor | None
+    raw: bool
+    maps: Tensor
     light: Tensor
     depth: Tensor
     true: Views
@@ -44,10 +44,8 @@ class Sample:
 
     def to(self, device: torch.device) -> Sample:
         """Return the same on another device."""
-        seen = None if self.seen is None else self.seen.to(device)
-        rates = None if self.rates is None else self.rates.to(device)
-        light, depth = self.light.to(device), self.depth.to(device)
-        return Sample(seen, rates, light, depth, self.true.to(device), self.nominal.to(device))
+        names = ("maps", "light", "depth", "true", "nominal")
+        return replace(self, **{name: getattr(self, name).to(device) for name in names})
 
 
 class Samples:
@@ -79,10 +77,8 @@ class Samples:
         drawn = misplaced(rig, rng.uniform(0, reach), int(rng.integers(2**31)))
         nominal = Views.of_rig(drawn, distance=_distance(drawn, *(true.distance * m for m in MISJUDGED)))
         cut = _Cut.drawn(rng, maps.shape[2], maps.shape[3])
-        picture = torch.from_numpy(cut.of(maps))
-        light, depth = (torch.from_numpy(cut.of(a[which])) for a in (clip.light, clip.depth))
-        parts = (None, picture) if raw else (picture, None)
-        return Sample(*parts, light[:, None], depth, cut.views(true), cut.views(nominal))
+        maps, light, depth = (torch.from_numpy(cut.of(a)) for a in (maps, clip.light[which], clip.depth[which]))
+        return Sample(raw, maps, light[:, None], depth, cut.views(true), cut.views(nominal))
 
     def _seen(self, seed: int) -> tuple[NDArray, MultiviewClip]:
         if seed not in self._kept:

@@ -96,11 +96,10 @@ def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose
 
 def _seen(network: Msdi, sample: Sample, joint: bool) -> tuple[Tensor, Tensor]:
     """Return the loss of the images, where they learn, and the channels that the geometry sees."""
-    if sample.rates is None:
-        assert sample.seen is not None
-        return sample.seen.new_zeros(()), sample.seen
-    light, sigma, level = network.light(sample.rates)
+    if not sample.raw:
+        return sample.maps.new_zeros(()), sample.maps
+    light, sigma, level = network.light(sample.maps)
     found = light_loss(light, sigma, sample.light, level)
     if not joint:
         light, sigma = light.detach(), sigma.detach()
-    return IMAGE_WEIGHT * found, channels(light, sigma, sample.rates, level, 1)
+    return IMAGE_WEIGHT * found, channels(light, sigma, sample.maps, level, 1)

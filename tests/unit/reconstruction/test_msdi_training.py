@@ -82,14 +82,11 @@ def test_a_sample_is_the_same_whenever_it_is_asked_for(folder):
     one, two = (Samples(folder, network, 3, 2.0, 10) for _ in range(2))
     one.sample(0, raw=False)
     a, b = one.sample(7, raw=False), two.sample(7, raw=False)
-    assert a.seen is not None
-    assert b.seen is not None
-    assert torch.equal(a.seen, b.seen)
+    assert torch.equal(a.maps, b.maps)
     assert torch.equal(a.nominal.rotation, b.nominal.rotation)
     raw = one.sample(7, raw=True)
-    assert raw.seen is None
-    assert raw.rates is not None
-    assert raw.rates.shape[2:] == a.seen.shape[2:]
+    assert (a.raw, raw.raw) == (False, True)
+    assert raw.maps.shape[2:] == a.maps.shape[2:]
     assert torch.equal(raw.light, a.light)
 
 
@@ -99,8 +96,7 @@ def test_true_correspondences_look_alike_however_the_sample_was_turned(folder):
     alike = []
     for number in range(6):
         sample = samples.sample(number, raw=False)
-        assert sample.seen is not None
-        pixels = keypoints(sample.seen)
+        pixels = keypoints(sample.maps)
         seen, tokens = correspondences(sample.depth, sample.true, pixels)
         light = sample.light / sample.light.mean()
         here = sampled(light, pixels, 1)[..., 0]
@@ -175,8 +171,7 @@ def test_apart_the_geometry_does_not_teach_the_images_and_joint_it_does(folder):
     network.zero_grad()
     from reconstruction.networks.image_networks import light_loss
 
-    assert sample.rates is not None
-    light, sigma, level = network.light(sample.rates)
+    light, sigma, level = network.light(sample.maps)
     light_loss(light, sigma, sample.light, level).backward()
     image_only = [p.grad for p in network.image.parameters() if p.grad is not None]
     assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(grads[False], image_only, strict=True))
