@@ -11,12 +11,12 @@ from torch import Tensor
 from acquisition.bench_document import BenchDocument, fastest_s
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.losses.ssim import ssim_map
 from reconstruction.rendering.native import Work, work_of
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.render import Backend, Rendering, render
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.adam import Adam
 from rigs.camera import Camera
@@ -98,7 +98,7 @@ def seconds_of(cloud: Instantaneous, camera: Camera, backend: Backend, repeats: 
 
 def _kernel_row(cloud: Instantaneous, camera: Camera, threads: int) -> dict:
     forward, backward = seconds_of(cloud, camera, "native", REPEATS)
-    work = work_of((*cloud[:4], cloud.intensities[:, 0].contiguous()), pinhole_of(camera, 0.01))
+    work = work_of(cloud, pinhole_of(camera, 0.01))
     limits = _limits_s(work, len(cloud.means), camera, threads)
     return {
         "method": "native",

@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.nn.functional import linear
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import MotionModel
+from reconstruction.rendering.result import Instantaneous
 
 STRAY = 0.02  # share of points at each end of an axis that the box leaves out
 OUTPUTS = (3, 4, 3)  # position, quaternion, log scales

@@ -16,12 +16,13 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.hexplane import HexPlaneMotion
-from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import MotionModel
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.rendering.render import render
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 

@@ -6,22 +6,13 @@ clips of any length.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate
-
-
-class Instantaneous(NamedTuple):
-    """Gaussians at one instant, as the renderer takes them; all but the opacities are encoded as in the cloud."""
-
-    means: Tensor  # [N, 3] m
-    quats_wxyz: Tensor  # [N, 4] of any length
-    log_scales: Tensor  # [N, 3] log m
-    opacities: Tensor  # [N] 0 to 1, after the motion's gate
-    intensities: Tensor  # [N, C] spikes per tick
 
 
 class MotionModel(ABC):

@@ -18,7 +18,8 @@ from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.course import Course, evaluated
-from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import MotionModel
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate
 
 WINDOW_RATES = {"instants": Rate(4e-3), "log_durations": Rate(2e-2)}

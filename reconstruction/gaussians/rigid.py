@@ -18,10 +18,11 @@ from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.course import Course, evaluated
-from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import MotionModel
 from reconstruction.gaussians.polynomial import WINDOW_RATES
 from reconstruction.gaussians.riding import carried
 from reconstruction.quaternions import unit
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate
 
 

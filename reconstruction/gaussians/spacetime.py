@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate
 
 

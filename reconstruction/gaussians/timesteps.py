@@ -18,9 +18,10 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.motion_model import Instantaneous, MotionModel
+from reconstruction.gaussians.motion_model import MotionModel
 from reconstruction.gaussians.rigidity import Neighbourhood, neighbourhood, rigidity
 from reconstruction.quaternions import unit
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate
 
 TIMESTEPS = 13

@@ -17,7 +17,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.quaternions import unit
 from reconstruction.rendering.pinhole import Pinhole
 from reconstruction.rendering.reference import DILATION_PX2, LOG_SCALE_MAX, LOG_SCALE_MIN
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 
 DEVICE = "cuda"
 
@@ -39,16 +39,7 @@ def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
     return importlib.import_module("gsplat").rasterization
 
 
-def render_gsplat(
-    means: Tensor,
-    quats_wxyz: Tensor,
-    log_scales: Tensor,
-    opacities: Tensor,
-    intensities: Tensor,
-    camera: Pinhole,
-    *,
-    median: bool = False,
-) -> Rendering:
+def render_gsplat(gaussians: Instantaneous, camera: Pinhole, *, median: bool = False) -> Rendering:
     """Render as `render_reference` does, by gsplat: float32 on a CUDA device.
 
     Raises ReconstructionError where gsplat or a CUDA device is missing, the tensors are elsewhere, or the median depth
@@ -57,6 +48,7 @@ def render_gsplat(
     if median:
         raise ReconstructionError("found a median depth asked of gsplat", "the native or the reference backend")
     rasterization = _rasterization()
+    means, quats_wxyz, log_scales, opacities, intensities = gaussians
     if means.dtype != torch.float32 or means.device.type != DEVICE:
         raise ReconstructionError(f"found {means.dtype} on {means.device}", "float32 on a CUDA device")
     if len(means) == 0:

@@ -12,7 +12,7 @@ from acquisition.native import Address
 from reconstruction.errors import ReconstructionError
 from reconstruction.native import Addresses, Int, addresses, fits, kernel
 from reconstruction.rendering.pinhole import Pinhole
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 
 
 class _Camera(ctypes.Structure):
@@ -67,9 +67,9 @@ class Work(NamedTuple):
     pixels: int  # that lost some of their light to the splat
 
 
-def work_of(cloud: tuple[Tensor, ...], camera: Pinhole) -> Work:
-    """Render a cloud as `render_native` takes it, with intensities [N], and return how much work that was."""
-    frame, _ = _rendered(camera, cloud)
+def work_of(gaussians: Instantaneous, camera: Pinhole) -> Work:
+    """Render the first channel as `render_native` does, and return how much work that was."""
+    frame, _ = _rendered(camera, (*gaussians[:4], gaussians.intensities[:, 0].contiguous()))
     counts = (ctypes.c_int64 * 4)()
     _work(frame.handle, counts)
     return Work(*counts)
@@ -96,27 +96,19 @@ class _Render(Function):
         return (None, None, *out)
 
 
-def render_native(
-    means: Tensor,
-    quats_wxyz: Tensor,
-    log_scales: Tensor,
-    opacities: Tensor,
-    intensities: Tensor,
-    camera: Pinhole,
-    *,
-    median: bool = False,
-) -> Rendering:
+def render_native(gaussians: Instantaneous, camera: Pinhole, *, median: bool = False) -> Rendering:
     """Render as `render_reference` does, in C++; each channel beyond the first costs another pass.
 
     Raises ReconstructionError for tensors that are not float32 on the CPU, or without a channel.
     """
+    means, *_, intensities = gaussians
     if not fits(means) or intensities.shape[1] == 0:
         raise ReconstructionError(
             f"found {intensities.shape[1]} channels of {means.dtype} on {means.device}",
             "float32 on the CPU",
             "use the reference backend",
         )
-    geometry = (camera, median, means, quats_wxyz, log_scales, opacities)
+    geometry = (camera, median, *gaussians[:4])
     if intensities.shape[1] == 1:
         intensity, *others = _Render.apply(*geometry, intensities.squeeze(-1))
         return Rendering(intensity[..., None], *others)

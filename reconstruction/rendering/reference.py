@@ -14,7 +14,7 @@ from torch import Tensor
 
 from reconstruction.quaternions import matrices
 from reconstruction.rendering.pinhole import Pinhole
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 
 LOG_SCALE_MIN, LOG_SCALE_MAX = -30.0, 15.0  # log m
 DILATION_PX2 = 0.3
@@ -136,22 +136,13 @@ def median_depths(splats: Splats, pixels: Tensor) -> Tensor:
     return torch.where(falls, splats.depths, 0).sum(-1).where(falls.any(-1), torch.nan)
 
 
-def render_reference(
-    means: Tensor,
-    quats_wxyz: Tensor,
-    log_scales: Tensor,
-    opacities: Tensor,
-    intensities: Tensor,
-    camera: Pinhole,
-    *,
-    median: bool = False,
-) -> Rendering:
-    """Render N Gaussians in C channels, in the float type and on the device of `means`.
+def render_reference(gaussians: Instantaneous, camera: Pinhole, *, median: bool = False) -> Rendering:
+    """Render N Gaussians in C channels, in the float type and on the device of their means.
 
-    `means` [N, 3] m in the rig frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m, `opacities` [N] 0
-    to 1, `intensities` [N, C] spikes per tick. Differentiable in all five. `median` asks for the median depth too.
+    Differentiable in all five tensors. `median` asks for the median depth too.
     """
-    splats = project(means, quats_wxyz, log_scales, opacities, camera)
+    means, *_, intensities = gaussians
+    splats = project(*gaussians[:4], camera)
     rows = max(1, PAIRS_AT_ONCE // max(1, len(splats.source) * camera.width))
     x = torch.arange(camera.width, dtype=means.dtype, device=means.device) + 0.5
     blocks, medians = [], []

@@ -11,20 +11,20 @@ from reconstruction.rendering.gsplat_backend import render_gsplat
 from reconstruction.rendering.native import render_native
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import render_reference
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 
 Backend = Literal["native", "reference", "gsplat"]
 RENDERERS = {"native": render_native, "reference": render_reference, "gsplat": render_gsplat}
 NEAR_M = 0.01  # depth of the near plane in m
-NAMES = ("means", "quats_wxyz", "log_scales", "opacities", "intensities")
+NAMES = Instantaneous._fields
 
 
-def _check(gaussians: tuple[Tensor, ...]) -> None:
-    means, opacities, n = gaussians[0], gaussians[3].detach(), len(gaussians[0])
+def _check(gaussians: Instantaneous) -> None:
+    means, opacities, n = gaussians.means, gaussians.opacities.detach(), len(gaussians.means)
     if means.dtype not in (torch.float32, torch.float64):
         raise ReconstructionError(f"found means of {means.dtype}", "float32 or float64: covariances need them")
-    shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, *gaussians[4].shape[1:2]))
+    shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, *gaussians.intensities.shape[1:2]))
     for name, shape, tensor in zip(NAMES, shapes, gaussians, strict=True):
         if tensor.shape != shape:
             raise ReconstructionError(f"found {name} of shape {tuple(tensor.shape)}", str(shape))
@@ -48,17 +48,16 @@ def render(
     background: Tensor | float | None = None,
     median: bool = False,
 ) -> Rendering:
-    """Render N Gaussians as they are at one instant; differentiable in all of them.
+    """Render N Gaussians, the five tensors of an `Instantaneous`; differentiable in all of them.
 
-    `gaussians`: means [N, 3] m in the rig frame, quats_wxyz [N, 4] of any length, log_scales [N, 3] (log m), opacities
-    [N] in [0, 1], intensities [N, C] in spikes per tick. `backend`: native (float32 on the CPU), reference (float32 or
-    float64, anywhere), gsplat (float32 on a CUDA device). `near_m`: the least depth that is seen, m. `background`: the
-    intensity behind everything, one number or [H, W, C], black if None. `median` asks for the median depth too, which
-    gsplat does not have. Raises ReconstructionError for shapes that do not fit, NaN or infinity, or a lens that
-    distorts.
+    `backend`: native (float32 on the CPU), reference (float32 or float64, anywhere), gsplat (float32 on a CUDA device).
+    `near_m`: the least depth that is seen, m. `background`: the intensity behind everything, one number or [H, W, C],
+    black if None. `median` asks for the median depth too, which gsplat does not have. Raises ReconstructionError for
+    shapes that do not fit, NaN or infinity, or a lens that distorts.
     """
-    _check(gaussians)
-    seen = RENDERERS[backend](*gaussians, pinhole_of(camera, near_m), median=median)
+    now = Instantaneous(*gaussians)
+    _check(now)
+    seen = RENDERERS[backend](now, pinhole_of(camera, near_m), median=median)
     if background is None:
         return seen
     return seen._replace(intensity=seen.intensity + (1 - seen.alpha)[..., None] * background)

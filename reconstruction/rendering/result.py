@@ -1,8 +1,18 @@
-"""The result of every renderer."""
+"""What every renderer takes and returns."""
 
 from typing import NamedTuple
 
 from torch import Tensor
+
+
+class Instantaneous(NamedTuple):
+    """Gaussians at one instant; all but the opacities are encoded as in the cloud."""
+
+    means: Tensor  # [N, 3] m, rig frame
+    quats_wxyz: Tensor  # [N, 4] of any length
+    log_scales: Tensor  # [N, 3] log m
+    opacities: Tensor  # [N] 0 to 1, after the motion's gate
+    intensities: Tensor  # [N, C] spikes per tick
 
 
 class Rendering(NamedTuple):

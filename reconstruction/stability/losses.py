@@ -7,7 +7,7 @@ import torch
 from reconstruction.losses.ssim import ssim_map
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import NAMES, render
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 from reconstruction.stability.case import Case, Observation, refusal
 from reconstruction.stability.probe import CAMERA, apart, gaussians_of, renderers, running
 from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
@@ -41,17 +41,17 @@ def _refused(renderer: str) -> Observation:
     taken = []
     for position, name in enumerate(NAMES):
         for value in (math.nan, math.inf, -math.inf):
-            tensors = [t.clone().to(device) for t in gaussians_of(9)]
+            tensors = Instantaneous(*(t.clone().to(device) for t in gaussians_of(9)))
             tensors[position][4] = value
             taken += _taken(tensors, renderer, f"{value} in {name}", name)
-    half = [t.to(device, torch.bfloat16) for t in gaussians_of(9)]
+    half = Instantaneous(*(t.to(device, torch.bfloat16) for t in gaussians_of(9)))
     taken += _taken(half, renderer, "bfloat16", "bfloat16")
     return Observation(f"taken: {', '.join(taken) or 'none of 16'}", float(len(taken)))
 
 
-def _taken(tensors: list[torch.Tensor], renderer: str, what: str, named: str) -> list[str]:
+def _taken(tensors: Instantaneous, renderer: str, what: str, named: str) -> list[str]:
     with running(renderer) as backend:
-        error = refusal(lambda: render(tuple(tensors), CAMERA, backend=backend))  # type: ignore[arg-type]
+        error = refusal(lambda: render(tensors, CAMERA, backend=backend))
     if error is None:
         return [what]
     return [] if named in error.found else [f"{what} ({error})"]

@@ -14,13 +14,12 @@ from torch import Tensor
 from acquisition.native import code_path, code_paths
 from reconstruction.rendering.gsplat_backend import why_unavailable
 from reconstruction.rendering.render import Backend, render
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
 
 CAMERA = Camera("cam11", 40, 28, 60.0, 60.0, 20.0, 14.0, Transform.identity())
 BUILDS = ("v2", "v3", "v4")  # builds of the native kernels, on x86-64
-Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def running(renderer: str) -> Iterator[Backend]:
         yield cast(Backend, backend)
 
 
-def gaussians_of(n: int = 1, **changes: Tensor) -> Gaussians:
+def gaussians_of(n: int = 1, **changes: Tensor) -> Instantaneous:
     """Return `n` equal Gaussians at a pixel's centre, two metres away, 3 px wide; `changes` replace whole tensors."""
     tensors = {
         "means": torch.tensor([[0.5 / 30, 0.5 / 30, 2.0]]).repeat(n, 1),
@@ -92,12 +91,11 @@ def gaussians_of(n: int = 1, **changes: Tensor) -> Gaussians:
         "opacities": torch.full((n,), 0.7),
         "intensities": torch.ones(n, 1),
     }
-    means, quats, log_scales, opacities, intensities = {**tensors, **changes}.values()
-    return means, quats, log_scales, opacities, intensities
+    return Instantaneous(**{**tensors, **changes})
 
 
 def probe(
-    gaussians: Gaussians,
+    gaussians: Instantaneous,
     renderer: str,
     near_m: float = 0.01,
     background: float | None = None,
@@ -105,7 +103,7 @@ def probe(
 ) -> Probe:
     """Render on `renderer`, and take the gradients of an uneven sum over all three images."""
     device = "cuda" if renderer == "gsplat" else "cpu"
-    leaves = cast(Gaussians, tuple(t.detach().to(device, dtype).clone().requires_grad_() for t in gaussians))
+    leaves = Instantaneous(*(t.detach().to(device, dtype).clone().requires_grad_() for t in gaussians))
     # Not symmetric, or the gradients would cancel.
     weights = 0.2 + torch.rand(28, 40, generator=torch.Generator().manual_seed(3)).to(device, dtype)
     with running(renderer) as backend:
@@ -129,7 +127,7 @@ def apart(found: Tensor, expected: Tensor) -> float:
 
 
 def against_reference(
-    gaussians: Gaussians, renderer: str, near_m: float = 0.01, background: float | None = None
+    gaussians: Instantaneous, renderer: str, near_m: float = 0.01, background: float | None = None
 ) -> tuple[Probe, Apart]:
     """Return the probe of `renderer`, and its errors against the reference in float64."""
     found = probe(gaussians, renderer, near_m, background)

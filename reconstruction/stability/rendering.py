@@ -5,10 +5,10 @@ import math
 
 import torch
 
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import (
     Apart,
-    Gaussians,
     against_reference,
     apart,
     gaussians_of,
@@ -18,7 +18,7 @@ from reconstruction.stability.probe import (
 )
 
 
-def _worst(cases: list[Gaussians], renderer: str, **options: float) -> Observation:
+def _worst(cases: list[Instantaneous], renderer: str, **options: float) -> Observation:
     error = worst(against_reference(gaussians, renderer, **options)[1] for gaussians in cases)
     return Observation(f"{len(cases)} renderings, worst {error.images:.1e} from float64", *error)
 
@@ -157,11 +157,11 @@ def _all_dead(renderer: str) -> Observation:
 
 
 def _units(renderer: str) -> Observation:
-    means, quats, log_scales, opacities, intensities = gaussians_of()
-    plain = probe(gaussians_of(), renderer).rendering.intensity
+    one = gaussians_of()
+    plain = probe(one, renderer).rendering.intensity
     errors = []
     for size in (1e-3, 1.0, 2e3):
-        scaled = (means * size, quats, log_scales + math.log(size), opacities, intensities)
+        scaled = one._replace(means=one.means * size, log_scales=one.log_scales + math.log(size))
         found, here = against_reference(scaled, renderer, near_m=0.01 * size)
         errors += [here, Apart(apart(found.rendering.intensity, plain), 0.0)]
     error = worst(errors)

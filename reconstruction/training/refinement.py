@@ -15,7 +15,7 @@ from torch import Tensor
 from reconstruction.calibration.calibrated import aligning
 from reconstruction.calibration.projection import Cameras
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion_model import Instantaneous
+from reconstruction.rendering.result import Instantaneous
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform

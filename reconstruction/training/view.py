@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.motion_model import Instantaneous
 from reconstruction.images.composite import CompositeSource
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.training.depth_hold import ConfirmedDepth
 from rigs.camera import Camera
 

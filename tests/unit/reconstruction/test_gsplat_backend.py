@@ -8,6 +8,7 @@ from reconstruction.rendering import gsplat_backend
 from reconstruction.rendering.pinhole import Pinhole
 from reconstruction.rendering.reference import render_reference
 from reconstruction.rendering.render import NAMES, render
+from reconstruction.rendering.result import Instantaneous
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -39,7 +40,8 @@ def as_gsplat(means, quats, scales, opacities, colors, viewmats, Ks, width, heig
         tuple(pose[:3, 3].tolist()),
         near_plane,
     )
-    intensity, depth, alpha, radii, _ = render_reference(means, quats, scales.log(), opacities, colors, camera)
+    gaussians = Instantaneous(means, quats, scales.log(), opacities, colors)
+    intensity, depth, alpha, radii, _ = render_reference(gaussians, camera)
     colours = torch.cat([intensity, depth[..., None]], -1)[None]
     return colours, alpha[None, ..., None], {"radii": radii[None, :, None].expand(-1, -1, 2)}
 

@@ -13,7 +13,7 @@ from reconstruction.rendering.native import work_of
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import TRANSMITTANCE_MIN, alphas_of, project, transmittance_before
 from reconstruction.rendering.render import NAMES, render
-from reconstruction.rendering.result import Rendering
+from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -131,7 +131,7 @@ def test_no_channel_is_refused():
 @pytest.mark.parametrize("log_scale", [-3.0, -1.0])
 def test_the_work_is_counted_as_the_reference_would(log_scale):
     cloud, pinhole = cloud_of(80, 6, log_scale), pinhole_of(camera_of(37, 22), 0.01)
-    work = work_of((*cloud[:4], cloud[4][:, 0].contiguous()), pinhole)
+    work = work_of(Instantaneous(*cloud), pinhole)
     splats = project(*(t.double() for t in cloud[:4]), pinhole)
     y, x = torch.meshgrid(torch.arange(22) + 0.5, torch.arange(37) + 0.5, indexing="ij")
     alphas = alphas_of(splats, torch.stack([x, y], -1).reshape(-1, 2).double())

@@ -11,6 +11,7 @@ from reconstruction.quaternions import matrices
 from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import project, render_reference
 from reconstruction.rendering.render import render
+from reconstruction.rendering.result import Instantaneous
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -122,9 +123,9 @@ def test_the_order_of_the_gaussians_does_not_matter():
 
 def test_blocks_of_rows_make_no_difference(monkeypatch):
     gaussians, pinhole = cloud_of(30), pinhole_of(camera_of(), 0.01)
-    whole = render_reference(*gaussians, pinhole, median=True)
+    whole = render_reference(Instantaneous(*gaussians), pinhole, median=True)
     monkeypatch.setattr("reconstruction.rendering.reference.PAIRS_AT_ONCE", 30 * 48 * 7)
-    for first, second in zip(whole, render_reference(*gaussians, pinhole, median=True), strict=True):
+    for first, second in zip(whole, render_reference(Instantaneous(*gaussians), pinhole, median=True), strict=True):
         torch.testing.assert_close(first, second, equal_nan=True)
 
 
@@ -178,7 +179,9 @@ def test_gradients_are_those_of_the_values():
     inputs = (means, quats, log_scales + 3, 0.3 + 0.3 * opacities, intensities)
     leaves = tuple(t.clone().requires_grad_() for t in inputs)
     assert len(project(*inputs[:4], pinhole).source) == 4
-    assert torch.autograd.gradcheck(lambda *g: render_reference(*g, pinhole)[:3], leaves, eps=1e-7, atol=1e-5)
+    assert torch.autograd.gradcheck(
+        lambda *g: render_reference(Instantaneous(*g), pinhole)[:3], leaves, eps=1e-7, atol=1e-5
+    )
 
 
 def test_what_cannot_be_rendered_is_refused():
