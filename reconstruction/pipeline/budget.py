@@ -1,11 +1,9 @@
 """Measures how much of a training is done; light enough for stages without torch."""
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.run.folder import RunFolder
 
 
 class StoppedError(ReconstructionError):
@@ -26,7 +24,7 @@ class Budget:
     spent_s: float
     budget_s: float | None
     steps: int | None
-    before_training_s: float = field(default=0.0)
+    before_training_s: float = 0.0
 
     def elapsed_s(self) -> float:
         """Return the wall seconds of the run so far, earlier stages and processes included."""
@@ -39,9 +37,3 @@ class Budget:
         assert self.budget_s is not None
         room = self.budget_s - self.before_training_s
         return 1.0 if room <= 0 else min(1.0, max(0.0, self.elapsed_s() - self.before_training_s) / room)
-
-
-def process_budget(run: RunFolder, started: float, clock: Callable[[], float] = time.monotonic) -> Budget:
-    """Return the budget of this process: stages finished by earlier processes count as spent."""
-    config = run.config
-    return Budget(clock, started, float(sum(run.document.seconds.values())), config.budget_s, config.steps)

@@ -24,7 +24,7 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.run.document import BodyCounts
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.plan import INSTANTS
+from reconstruction.run.prices import INSTANTS
 from rigs.camera import Camera
 
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once

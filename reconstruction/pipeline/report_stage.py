@@ -1,11 +1,12 @@
 """Scores a run on its held-out camera, and writes everything that a person looks at."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress, part
 from acquisition.recording.reader import Recording
 from reconstruction.evaluation.evaluate import (
+    INSTANTS,
     HeldOut,
     held_out_camera,
     placed_by_spikes,
@@ -60,6 +61,14 @@ class Trained:
         cameras = self.recording.rig.cameras
         return self.held_out.camera if self.held_out else cameras[len(cameras) // 2]
 
+    def scores(self, cloud: SceneModel, instants: int = INSTANTS) -> dict[str, float]:
+        """Score a state of the model on the held-out camera: against the truth at so many instants, or the counts."""
+        if self.held_out is None:
+            return {}
+        if self.truth is None:
+            return score_against_counts(cloud, self.held_out)
+        return score_against_truth(cloud, self.held_out, self.truth, instants)
+
 
 def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Score the run on its held-out camera and write everything a person looks at."""
@@ -80,8 +89,6 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
 
 def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, progress: Progress) -> dict:
     """Return the document of `evaluate`: metrics on the held-out camera, or a note that there is none."""
-    if run.config.holdout is None:
-        return {"note": "no camera was held out: nothing to score"}
     return _metrics(judged(run, recording, truth), truth, progress)
 
 
@@ -107,17 +114,17 @@ def judged(run: RunFolder, recording: Recording, known: Truth | None, *, again: 
 
 def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
     """Score the held-out camera; `known` is the truth in its own frame."""
-    held_out, truth = trained.held_out, trained.truth
+    held_out, truth, scores = trained.held_out, trained.truth, trained.scores(trained.cloud)
     if held_out is None:
         return {"note": "no camera was held out: nothing to score"}
     if truth is None:
         placed = ", which its other windows have placed after training" if held_out.resected else ""
         note = f"no truth: errors of spike counts over 32-plane windows of the held-out camera{placed}"
-        return {"held_out": held_out.camera.id, "note": note, **score_against_counts(trained.cloud, held_out)}
+        return {"held_out": held_out.camera.id, "note": note, **scores}
     return {
         "held_out": held_out.camera.id,
         "white": truth.white,
-        **score_against_truth(trained.cloud, held_out, truth),
+        **scores,
         **score_floors(held_out, truth, read_sources(trained.run, trained.recording), progress),
         **_pose_scores(trained.run, known),
     }
@@ -143,19 +150,13 @@ def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
 
 def _write_curve(trained: Trained, metrics: dict) -> None:
     """Score the snapshots, and draw error against run time."""
-    run, held_out, truth, rows = trained.run, trained.held_out, trained.truth, []
+    run, truth, rows = trained.run, trained.truth, []
     for path in run.snapshots():
         state = load_checkpoint(path)
-        cloud = model_from_state(state["cloud"])
-        if held_out is None:
-            scores = {}
-        elif truth is None:
-            scores = score_against_counts(cloud, held_out)
-        else:
-            scores = score_against_truth(cloud, held_out, truth, CURVE_INSTANTS)
+        scores = trained.scores(model_from_state(state["cloud"]), CURVE_INSTANTS)
         rows.append({"seconds": round(state["seconds"], 3), "steps": state["steps"], **scores})
     write_json(run.path / "error_vs_time.json", {"held_out": run.config.holdout, "rows": rows})
-    if held_out is not None:
+    if trained.held_out is not None:
         metric = "psnr_db" if truth else "counts.rmse"
         floors = {n: metrics[f"{n}.psnr_db"] for n in ("nearest_view", "depth_blend")} if truth else {}
         caption = f"{run.config.holdout}, held out; {len(rows)} states of one run, scored after it"
@@ -180,7 +181,7 @@ def _write_page(trained: Trained, metrics: dict) -> None:
         "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
         "seconds": told.seconds,
         "decisions": run.plan.decisions,
-        "configuration": told.configuration.to_json(),
+        "configuration": asdict(told.configuration),
     }
     write_durably(run.path / "report.html", report_html(document))
 

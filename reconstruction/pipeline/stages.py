@@ -10,7 +10,7 @@ from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.artefacts import posed
-from reconstruction.pipeline.budget import Budget, StoppedError, process_budget
+from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 
@@ -58,7 +58,8 @@ def reconstruct(
         RunFolder.open(out).forget(STAGES[STAGES.index(stage) :], again)
     run = RunFolder.start(out, config, recording_path, code_revision())
     with run.locked():
-        budget = process_budget(run, began)
+        spent_s = float(sum(run.document.seconds.values()))  # by stages that earlier processes finished
+        budget = Budget(time.monotonic, began, spent_s, config.budget_s, config.steps)
         for name in _due(run, stage, last):
             _work(name, Task(run, recording, progress_of(name), budget, should_stop))
             now = time.monotonic()

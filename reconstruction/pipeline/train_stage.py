@@ -19,13 +19,13 @@ from reconstruction.initialization.points import Points, Seeds
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
-from reconstruction.pipeline.points_stage import INSTANTS, moving_planes
+from reconstruction.pipeline.points_stage import moving_planes
 from reconstruction.pipeline.watch import Watch
 from reconstruction.rendering.render import Backend
 from reconstruction.run.decisions import Decision
 from reconstruction.run.document import EarlyEnd, Elements
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.prices import Work
+from reconstruction.run.prices import INSTANTS, Work
 from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint

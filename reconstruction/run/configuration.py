@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -74,13 +74,9 @@ class ReconstructionConfig:
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"
             )
 
-    def to_json(self) -> dict:
-        """Return plain values, as kept in `run.json`."""
-        return asdict(self) | {"views": list(self.views)}
-
     @classmethod
     def from_json(cls, document: dict) -> ReconstructionConfig:
-        """Return the configuration that `to_json` wrote, also one of an earlier revision."""
+        """Return the configuration that `dataclasses.asdict` made plain, also one of an earlier revision."""
         supervision = RENAMED.get(document["supervision"], document["supervision"])
         values: dict[str, Any] = {**document, "supervision": supervision, "views": tuple(document["views"])}
         return cls(**values)

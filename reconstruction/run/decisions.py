@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from reconstruction.run.configuration import RENAMED
 
-Override = str  # an option such as `--model`; "none" where no option overrides a decision
-
 
 @dataclass(frozen=True)
 class Decision:
-    """One choice: what it is about, what was chosen, why, and which option overrides it.
+    """One choice: what it is about, what was chosen, why, and which option (such as `--model`, or "none") overrides it.
 
     `saves_s` (seconds of one thread) and `saves_bytes` are against what `reason` names; None: nothing, or not known.
     `facts`: numbers and names behind the reason, for programs.
@@ -22,15 +20,17 @@ class Decision:
     about: str
     choice: str
     reason: str
-    override: Override
+    override: str
     saves_s: float | None = None
     saves_bytes: int | None = None
     facts: Mapping[str, float | int | str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return one line for a person: `about: choice (saves 12 s, 40 MB): reason; override --x`."""
-        saved = spoken(self.saves_s, self.saves_bytes)
-        price = f" ({saved})" if saved else ""
+        saved = [] if self.saves_s is None else [f"{self.saves_s:.{0 if self.saves_s >= 10 else 1}f} s"]
+        if self.saves_bytes is not None:
+            saved.append(f"{self.saves_bytes / 1e6:.{0 if self.saves_bytes >= 1e7 else 1}f} MB")
+        price = f" (saves {', '.join(saved)})" if saved else ""
         override = "" if self.override == "none" else f"; override {self.override}"
         return f"{self.about}: {self.choice}{price}: {self.reason}{override}"
 
@@ -64,13 +64,9 @@ class Plan:
         changes: dict[str, Any] = dict(amendment.changes)
         return replace(self, decisions=(*kept, amendment.decision), **changes)
 
-    def to_json(self) -> dict:
-        """Return plain values, as kept in `run.json`."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, document: dict) -> Plan:
-        """Return the plan that `to_json` wrote; what an earlier revision said beyond that is passed over."""
+        """Return the plan that `dataclasses.asdict` made plain; what an earlier revision had beyond is passed over."""
         supervision = RENAMED.get(document["supervision"], document["supervision"])
         known: dict[str, Any] = {f.name: document[f.name] for f in fields(cls) if f.name in document}
         known |= {"views": tuple(document["views"]), "supervision": supervision}
@@ -90,11 +86,3 @@ class Amendment:
     def from_json(cls, document: dict) -> Amendment:
         """Return the amendment that `dataclasses.asdict` made plain."""
         return cls(document["stage"], Decision(**document["decision"]), document["changes"])
-
-
-def spoken(saves_s: float | None, saves_bytes: int | None) -> str:
-    """Return `saves 12 s, 40 MB`, or nothing where neither is known."""
-    parts = [] if saves_s is None else [f"{saves_s:.0f} s" if saves_s >= 10 else f"{saves_s:.1f} s"]
-    if saves_bytes is not None:
-        parts.append(f"{saves_bytes / 1e6:.0f} MB" if saves_bytes >= 1e7 else f"{saves_bytes / 1e6:.1f} MB")
-    return f"saves {', '.join(parts)}" if parts else ""

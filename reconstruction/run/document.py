@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, NamedTuple
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal
 
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Plan
@@ -13,7 +13,8 @@ SCHEMA = 1
 UNITS = ("gaussians", "cells")  # what models are made of
 
 
-class Elements(NamedTuple):
+@dataclass(frozen=True)
+class Elements:
     """The number of elements of a trained model, and their unit: one of UNITS."""
 
     unit: str
@@ -26,7 +27,8 @@ class Elements(NamedTuple):
         return self.still + self.moving
 
 
-class BodyCounts(NamedTuple):
+@dataclass(frozen=True)
+class BodyCounts:
     """The numbers of rigid bodies, of points attached to them, and of free points by reason."""
 
     rigid: int
@@ -34,7 +36,8 @@ class BodyCounts(NamedTuple):
     free: Mapping[str, int]
 
 
-class EarlyEnd(NamedTuple):
+@dataclass(frozen=True)
+class EarlyEnd:
     """The step at which a training ended before its budget, and why."""
 
     step: int
@@ -83,43 +86,26 @@ class RunDocument:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; `plan` is the amended one, beside `planned` and `amendments`, which make it."""
-        own = {"recording", "revision", "backend", "status", "seconds", "attempt", "held_out_used"}
-        plain: dict[str, Any] = {"schema": SCHEMA, **{key: getattr(self, key) for key in sorted(own)}}
-        plain |= {"configuration": self.configuration.to_json(), "seed": self.configuration.seed}
-        if self.planned is not None and self.plan is not None:
-            plain |= {"plan": self.plan.to_json(), "planned": self.planned.to_json()}
-            plain["amendments"] = [asdict(a) for a in self.amendments]
-        for key in ("poses", "steps", "refinement"):
-            if getattr(self, key) is not None:
-                plain[key] = getattr(self, key)
-        for key in ("bodies", "stopped_early"):
-            if getattr(self, key) is not None:
-                plain[key] = getattr(self, key)._asdict()
+        plain = {key: value for key, value in asdict(self).items() if value is not None}
         if self.elements is not None:
-            plain[self.elements.unit] = {"still": self.elements.still, "moving": self.elements.moving}
-        return plain
+            plain[self.elements.unit] = {key: n for key, n in plain.pop("elements").items() if key != "unit"}
+        if self.plan is not None:
+            plain["plan"] = asdict(self.plan)
+        return {"schema": SCHEMA, "seed": self.configuration.seed, "held_out_used": self.held_out_used, **plain}
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> RunDocument:
         """Return the document that `to_json` wrote, also one of an earlier revision, without `planned`."""
+        known = {f.name: plain[f.name] for f in fields(cls) if f.name in plain}
+        known["configuration"] = ReconstructionConfig.from_json(plain["configuration"])
+        known["held_out_used"] = plain.get("held_out_used")
+        known["amendments"] = [Amendment.from_json(a) for a in plain.get("amendments", ())]
         planned = plain.get("planned", plain.get("plan"))
-        unit = next((u for u in UNITS if u in plain), None)
-        bodies, ended = plain.get("bodies"), plain.get("stopped_early")
-        return cls(
-            plain["recording"],
-            ReconstructionConfig.from_json(plain["configuration"]),
-            plain.get("revision", ""),
-            plain.get("backend", "native"),
-            plain["status"],
-            dict(plain["seconds"]),
-            plain.get("attempt", 0),
-            plain.get("held_out_used"),
-            Plan.from_json(planned) if planned else None,
-            [Amendment.from_json(a) for a in plain.get("amendments", ())],
-            plain.get("poses"),
-            BodyCounts(**bodies) if bodies else None,
-            plain.get("steps"),
-            Elements(unit, **plain[unit]) if unit else None,
-            EarlyEnd(**ended) if ended else None,
-            plain.get("refinement"),
-        )
+        known["planned"] = Plan.from_json(planned) if planned else None
+        for name, kind in (("bodies", BodyCounts), ("stopped_early", EarlyEnd)):
+            if name in plain:
+                known[name] = kind(**plain[name])
+        for unit in UNITS:
+            if unit in plain:
+                known["elements"] = Elements(unit, **plain[unit])
+        return cls(**known)

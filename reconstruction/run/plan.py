@@ -23,7 +23,6 @@ STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
 LEAST_VIEWS = 2  # training views
 TWIN_PLANES = 32  # first planes of two streams, which tell whether they are one
 LIGHT_VIEWS = 4  # views that are enough to see the light of the whole scene
-INSTANTS = 8  # instants at which movers are swept
 A_PIXEL = 2  # most Gaussians for each pixel of a view
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
 UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
@@ -109,7 +108,7 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
     reason = f"{work.images(stride)} target images are drawn again and again, not {work.images(1)} for every plane"
     every = f"an image every {stride} planes"
     splats = f"{still:,} still and {moving:,} moving"
-    cost = (work.splats_s(work.gaussians), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * work.gaussians)
+    cost = (work.splats_s(), GAUSSIAN_FLOATS * FLOAT_BYTES * KEPT_COPIES * work.gaussians)
     return [
         Decision("instants", every, reason, "--tick-stride", *spared),
         Decision("Gaussians", splats, "against twice as many", "none", *cost),
@@ -118,11 +117,9 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
 
 def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
     """Return what no reconstruction does."""
-    calibrated = sum(rig.camera(view).pixels is not None for view in views)
-    if calibrated:
+    maps = "the recording has no maps; `spike4dgs calibrate --pixels` makes them"
+    if calibrated := sum(rig.camera(view).pixels is not None for view in views):
         maps = f"maps of {calibrated} views are there, but training does not read them"
-    else:
-        maps = "the recording has no maps; `spike4dgs calibrate --pixels` makes them"
     grey = "a spike carries no colour; against three channels of third-degree harmonics"
     return [
         Decision("pixels", "taken as even", maps, "none"),
@@ -155,10 +152,7 @@ def _training_views(
         stream = streams[view]
         rate = stream.counts(0, len(stream)).mean() / len(stream)
         if rate < DARK_RATE and view not in config.views:
-            reason, spared_s = (
-                f"{rate:.1e} spikes per tick: no light",
-                _work(config, rig, streams, [view]).view_s(INSTANTS),
-            )
+            reason, spared_s = f"{rate:.1e} spikes per tick: no light", _work(config, rig, streams, [view]).view_s()
             decisions.append(Decision("views", f"{view} skipped", reason, "--views", spared_s))
         else:
             lit.append(view)
@@ -183,12 +177,13 @@ def _refuse_twins(views: Sequence[str], streams: Mapping[str, SpikeStream]) -> N
 
 def _light(streams: Sequence[SpikeStream], decisions: list[Decision]) -> Light:
     light = estimate_light(streams[:LIGHT_VIEWS])
+    choice, reason = "steady: no gains", "still pixels see no flicker"
     if light.flickers:
-        least, most = light.gains.min(), light.gains.max()
-        reason = f"still pixels see {least:.2f} to {most:.2f} of the mean light"
-        decisions.append(Decision("light", "one gain a plane", reason, "none"))
-    else:
-        decisions.append(Decision("light", "steady: no gains", "still pixels see no flicker", "none"))
+        choice, reason = (
+            "one gain a plane",
+            f"still pixels see {light.gains.min():.2f} to {light.gains.max():.2f} of the mean light",
+        )
+    decisions.append(Decision("light", choice, reason, "none"))
     return light
 
 
@@ -200,7 +195,7 @@ def _choose_model(
     share = _share(masks)
     if share < STILL_SHARE:
         reason = f"{share:.2%} of the pixels change: no motion model"
-        decisions.append(Decision("motion", "static", reason, "--model", work.movers_s(INSTANTS)))
+        decisions.append(Decision("motion", "static", reason, "--model", work.movers_s()))
         return "static"
     reason = f"{share:.1%} of the pixels change; straight paths instead where bodies explain the counts no better"
     decisions.append(Decision("motion", "bases", reason, "--model"))

@@ -27,6 +27,7 @@ STEP_S = 0.0225
 VARIATION_STEP_S = 0.0424
 SPLATS_S = 6.7e-7
 FLOAT_BYTES = 4
+INSTANTS = 8  # instants at which movers are swept
 KEPT_COPIES = 3  # of a trained number: itself and Adam's two moments
 VIEW_DEPENDENT = 3 * 16 - 1  # extra numbers a Gaussian: three channels of third-degree harmonics, not one grey
 
@@ -61,17 +62,13 @@ class Work:
         assert self.budget_s is not None
         return round(self.budget_s / self.step_s())
 
-    def _steps_s(self, share: float) -> float:
-        """Return the seconds of a `share` of all steps."""
-        return self.likely_steps() * self.step_s() * share
+    def movers_s(self) -> float:
+        """Return the seconds of looking for movers; steps without any cost nothing more."""
+        return self.scale * self.views * (INSTANTS * SWEEP_MOVERS_S + BACKGROUND_S)
 
-    def movers_s(self, instants: int) -> float:
-        """Return the seconds of looking for movers at `instants`; steps without any cost nothing more."""
-        return self.scale * self.views * (instants * SWEEP_MOVERS_S + BACKGROUND_S)
-
-    def view_s(self, instants: int) -> float:
-        """Return the seconds of preparing one more view: background, sweep, and sweeps of movers at `instants`."""
-        return self.scale * (BACKGROUND_S + SWEEP_S + instants * SWEEP_MOVERS_S)
+    def view_s(self) -> float:
+        """Return the seconds of preparing one more view: background, sweep, and sweeps of movers."""
+        return self.scale * (BACKGROUND_S + SWEEP_S + INSTANTS * SWEEP_MOVERS_S)
 
     def poses_s(self) -> float:
         """Return the seconds of finding the poses of nine views; matching grows little with the pictures' size."""
@@ -83,15 +80,15 @@ class Work:
 
     def instants_s(self) -> float:
         """Return the seconds of the extra instants that `image-variation` renders in every step."""
-        return self._steps_s(VARIATION_STEP_S / STEP_S - 1)
+        return self.likely_steps() * self.step_s() * (VARIATION_STEP_S / STEP_S - 1)
 
     def second_instants_s(self, share: float) -> float:
         """Return the seconds of a second instant rendered in a share of the steps."""
         return share * self.instants_s() / 2
 
-    def splats_s(self, count: int) -> float:
-        """Return the seconds of `count` more Gaussians through all steps."""
-        return self.likely_steps() * count * SPLATS_S
+    def splats_s(self) -> float:
+        """Return the seconds of as many Gaussians again through all steps."""
+        return self.likely_steps() * self.gaussians * SPLATS_S
 
     def image_s(self, method: str) -> float:
         """Return the seconds of one target image."""
