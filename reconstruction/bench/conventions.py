@@ -16,7 +16,7 @@ from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION_SEEDS
 from reconstruction.calibration.features import long_image
 from reconstruction.errors import BadRunError
-from reconstruction.evaluation.truth import Truth
+from reconstruction.truth import Truth
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 from acquisition.recording.reader import Recording
 from reconstruction.bench.conventions import HOLDOUT, truth_of
 from reconstruction.evaluation.evaluate import HeldOut, held_out_camera, score_against_truth, score_floors
-from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.artefacts import posed, read_sources
 from reconstruction.run import configuration
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, model_from_state
+from reconstruction.truth import Truth
 
 STAGES = configuration.STAGES[:-1]  # all but the report
 METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "delta_1_25")

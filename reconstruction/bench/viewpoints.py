@@ -15,10 +15,10 @@ from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.scene import Scene
 from reconstruction.bench.conventions import KnownRecording, means, named
 from reconstruction.evaluation.evaluate import score_view
-from reconstruction.evaluation.truth import TruthFrame
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_cloud
+from reconstruction.truth import TruthFrame
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform

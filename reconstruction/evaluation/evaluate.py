@@ -11,11 +11,11 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.floors import depth_blend, nearest_view
 from reconstruction.evaluation.resection import Counted, resected
-from reconstruction.evaluation.truth import Truth, TruthFrame, spread
 from reconstruction.images.composite import CompositeSource
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 from reconstruction.scene_model import SceneModel, View
+from reconstruction.truth import Truth, TruthFrame, spread
 from rigs.camera import Camera
 from rigs.similarity import align
 

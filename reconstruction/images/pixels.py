@@ -70,7 +70,12 @@ def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
         raise BadRecordingError(f"found a flat of {sizes[0]} and a dark of {sizes[1]}", "one size")
     lit, unlit = _rate(flat), _rate(dark)
     light = lit - unlit
-    _refuse_useless(float(np.median(lit)), float(np.median(light)), len(flat))
+    if (spikes := float(np.median(light)) * len(flat)) < LEAST_SPIKES:
+        found = f"found {max(0.0, spikes):.0f} spikes a pixel of light in {len(flat)} planes of the flat"
+        raise BadRecordingError(found, f"at least {LEAST_SPIKES}", "give it more light or record longer")
+    if (brightest := float(np.median(lit))) > BRIGHTEST:
+        found = f"found {brightest:.2f} spikes per tick in the flat"
+        raise BadRecordingError(found, f"at most {BRIGHTEST}", "pixels saturate; dim the light")
     spread = 1.4826 * float(np.median(np.abs(unlit - np.median(unlit))))
     hot = unlit > np.median(unlit) + max(HOT_ABOVE, HOT_SPREADS * spread)
     dead = ~hot & (light < DEAD_BELOW * np.median(light))
@@ -102,16 +107,3 @@ def read_pixels(path: Path) -> PixelCalibration:
 
 def _rate(stream: SpikeStream) -> NDArray[np.float64]:
     return stream.counts(0, len(stream)) / len(stream)
-
-
-def _refuse_useless(lit: float, light: float, planes: int) -> None:
-    if light * planes < LEAST_SPIKES:
-        raise BadRecordingError(
-            f"found {max(0.0, light) * planes:.0f} spikes a pixel of light in {planes} planes of the flat",
-            f"at least {LEAST_SPIKES}",
-            "give it more light or record longer",
-        )
-    if lit > BRIGHTEST:
-        raise BadRecordingError(
-            f"found {lit:.2f} spikes per tick in the flat", f"at most {BRIGHTEST}", "pixels saturate; dim the light"
-        )

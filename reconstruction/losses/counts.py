@@ -8,10 +8,10 @@ tick, so that windows of any length pull alike.
 import torch
 from torch import Tensor
 
+from acquisition.spikes.sensor import ELECTRONS_PER_SPIKE
 from reconstruction.errors import ReconstructionError
 
 PHASE_VARIANCE = 1 / 6  # spikes^2; the count of an integrate-and-fire pixel whose phase is random
-ELECTRONS_PER_SPIKE = 5e4
 GAIN_SPREAD = 0.01  # relative deviation of pixels after a flat-field correction
 
 

@@ -14,7 +14,6 @@ from reconstruction.evaluation.evaluate import (
     score_against_truth,
     score_floors,
 )
-from reconstruction.evaluation.truth import Truth, spread
 from reconstruction.export.viewer import write_viewer
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
@@ -29,6 +28,7 @@ from reconstruction.report.table import score_table
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud, model_from_state
+from reconstruction.truth import Truth, spread
 from rigs.camera import Camera
 from rigs.rig import object_distance_m
 

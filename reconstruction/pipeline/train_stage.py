@@ -10,7 +10,6 @@ import torch
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
-from reconstruction.evaluation.truth import Truth
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.methods.interpolated import PLANES
@@ -34,6 +33,7 @@ from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.exposure import FROM
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
 from reconstruction.training.view import TrainingView
+from reconstruction.truth import Truth
 
 CHECKPOINT_EVERY_S = 5.0  # seconds between checkpoints
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve

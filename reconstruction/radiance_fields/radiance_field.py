@@ -77,8 +77,7 @@ class RadianceField:
 
     def positions(self, instant_s: float) -> Tensor:
         """Return the nodes of all cells [N + M, 3] in m in the rig frame, the same at any instant."""
-        flat = torch.cat([self.still, self.moving]).long()
-        nodes = torch.stack(torch.unravel_index(flat, self.frustum.shape), 1)
+        nodes = torch.stack(torch.unravel_index(self.nodes.long(), self.frustum.shape), 1)
         return torch.from_numpy(self.frustum.positions(nodes.double().numpy())).float()
 
     def movers(self, instant_s: float) -> tuple[Tensor, Tensor]:

@@ -10,10 +10,10 @@ import click
 from acquisition.durable import write_array
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
-from reconstruction.evaluation.truth import Truth
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
+from reconstruction.truth import Truth
 from rigs.exchange.nerfstudio import load_frames
 from server.cli.options import PATH, json_option
 from server.cli.output import answer, scores

@@ -14,10 +14,10 @@ from fastapi.testclient import TestClient
 
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
-from reconstruction.evaluation.truth import Truth
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.truth import Truth
 from rigs.rig import object_distance_m
 from server.app import create_app
 from server.client import ServiceClient

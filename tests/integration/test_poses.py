@@ -17,13 +17,13 @@ from reconstruction.bench.pose_methods import BOARD, METHODS
 from reconstruction.bench.poses import Sight, bench_poses, measured
 from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.evaluation.evaluate import held_out_camera
-from reconstruction.evaluation.truth import Truth
 from reconstruction.initialization.initialisers import InitOptions, initialise
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.artefacts import posed
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.truth import Truth
 from rigs.rig import object_distance_m
 from rigs.similarity import Similarity
 from rigs.toml import catalog_rig

@@ -19,12 +19,15 @@ POOL = 64  # (stream, instant) pairs of a recording that are kept in memory
 
 
 class ClipPictures:
-    """The instants of the clips in `folder`, kept in memory once seen; `smallest` is their shorter side in pixels."""
+    """The instants of the clips in `folder`, kept in memory once seen.
+
+    `smallest` is their shorter side in pixels; `description` says what they are in the document of the training.
+    """
 
     def __init__(self, folder: Path, network: ImageNetwork) -> None:
         self._clips = read_clip_set(folder, CameraClips)
         self._folder, self._network = folder, network
-        self.smallest = self._clips.size
+        self.smallest, self.description = self._clips.size, {"clips": asdict(self._clips)}
         self._kept: dict[int, tuple[list[NDArray], NDArray]] = {}
 
     def draw(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
@@ -37,10 +40,6 @@ class ClipPictures:
         instant = int(rng.integers(len(inputs)))
         return inputs[instant], truth[instant, None]
 
-    def description(self) -> dict:
-        """Return the seeds and sizes of the clips."""
-        return {"clips": asdict(self._clips)}
-
 
 class StreamPictures:
     """`POOL` instants of some streams, drawn once from `seed`; nobody knows their true light. See `ClipPictures`."""
@@ -51,16 +50,13 @@ class StreamPictures:
         rng = np.random.default_rng([seed, 0xB1])
         self.smallest = min(min(stream.layout.width, stream.layout.height) for stream in streams)
         drawn = [(int(rng.integers(len(streams))), rng.random()) for _ in range(POOL)]
-        self._at = [(camera, int(share * len(streams[camera]))) for camera, share in drawn]
-        self._inputs = [_halved(network, streams[camera], plane) for camera, plane in self._at]
+        at = [(camera, int(share * len(streams[camera]))) for camera, share in drawn]
+        self._inputs = [_halved(network, streams[camera], plane) for camera, plane in at]
+        self.description = {"instants": [list(place) for place in at]}
 
     def draw(self, rng: np.random.Generator) -> tuple[NDArray, None]:
         """Draw one of the pool: the input [C, H, W]."""
         return self._inputs[int(rng.integers(POOL))], None
-
-    def description(self) -> dict:
-        """Return the streams, by number, and the planes of the pool."""
-        return {"instants": [list(at) for at in self._at]}
 
 
 Pictures = ClipPictures | StreamPictures
@@ -118,7 +114,7 @@ class ImageTraining(Loop[nn.Module]):
         self.network = image_network(config.name)
         self.batches = Batches(pictures, self.network, config.batch, config.crop, config.seed)
         torch.manual_seed(config.seed)
-        described = {"pictures": pictures.description(), **notes}
+        described = {"pictures": pictures.description, **notes}
         super().__init__(folder, config, self.network.build(), self._loss_of, device, described)
 
     def _loss_of(self, module: nn.Module, number: int) -> torch.Tensor:

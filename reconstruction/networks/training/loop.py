@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 import torch
 from torch import nn
 
-from acquisition.bench_document import BenchDocument
+from acquisition.bench_document import device
 from acquisition.durable import write_json
 from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
@@ -137,12 +137,12 @@ class Loop(Generic[Network]):
         self.curve = list(state["curve"])
 
     def _document(self) -> dict:
-        device = BenchDocument("training").to_json()["device"] | {"threads": torch.get_num_threads()}
+        accelerator = None if self.device.type == "cpu" else str(self.device)
         return {
             "network": self.config.name,
             "parameters": sum(p.numel() for p in self.module.parameters()),
             "config": asdict(self.config),
-            "device": device | {"accelerator": None if self.device.type == "cpu" else str(self.device)},
+            "device": device() | {"threads": torch.get_num_threads(), "accelerator": accelerator},
             "revision": code_revision(),
             **self.described,
             "curve": self.curve,

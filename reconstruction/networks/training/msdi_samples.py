@@ -57,11 +57,8 @@ class Samples:
     def __init__(self, folder: Path, network: Msdi, seed: int, largest_error: float, rising: int) -> None:
         self._folder, self._clips, self._network = folder, read_clip_set(folder, MultiviewClips), network
         self._seed, self._largest, self._rising = seed, largest_error, rising
+        self.description = {"clips": asdict(self._clips)}  # for the document of the training
         self._kept: dict[int, tuple[NDArray, MultiviewClip]] = {}
-
-    def description(self) -> dict:
-        """Return the seeds and sizes of the clips."""
-        return {"clips": asdict(self._clips)}
 
     def sample(self, number: int, *, raw: bool) -> Sample:
         """Return sample `number`; with `raw`, rates for the image network to learn from."""

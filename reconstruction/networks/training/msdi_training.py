@@ -59,7 +59,7 @@ class MsdiTraining(Loop[Msdi]):
             read_weights(SHIPPED / "small.npz", module.image)
         self.wanted = config
         self.samples = Samples(clips, first.eval(), config.seed, config.largest_error, config.pose_from)
-        described = {"pictures": self.samples.description(), **notes}
+        described = {"pictures": self.samples.description, **notes}
         super().__init__(folder, config, network, self._loss_of, device, described)
 
     def _loss_of(self, module: Msdi, number: int) -> Tensor:

@@ -1,6 +1,5 @@
 """Scores MSDI while it learns: on random rigs and scenes of other seeds, and on simulated recordings."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ import numpy as np
 from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.errors import BadRunError
 from reconstruction.metrics.depth import abs_rel
 from reconstruction.metrics.image import psnr_db
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.networks.msdi.inference import full_size, infer_views
 from reconstruction.networks.msdi.network import Msdi
 from reconstruction.networks.training.clips import MultiviewClip, MultiviewClips
+from reconstruction.truth import Truth
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
 from rigs.similarity import align
@@ -50,21 +49,15 @@ def scored_views(development: Sequence[Path]) -> list[ScoredViews]:
 
 def recorded_views(folder: Path) -> ScoredViews:
     """Return a simulated recording at the truth nearest its middle, without the held-out camera."""
-    recording = Recording.open(folder)
-    truth = folder / "truth"
-    if not truth.is_dir():
-        raise BadRunError("found no truth", "a simulated recording to score on", where=folder)
-    nominal = recording.rig
-    ids = [c for c in nominal.ids if c != HELD_OUT]
+    recording, truth = Recording.open(folder), Truth.open(folder / "truth")
+    ids = [c for c in recording.rig.ids if c != HELD_OUT]
     streams = tuple(recording.stream(c) for c in ids)
-    planes = sorted(int(path.stem) for path in (truth / ids[0]).glob("[0-9]*.npy"))
-    chosen = min(planes, key=lambda k: abs(k - len(streams[0]) // 2))
-    light, depth = (
-        np.stack([np.load(truth / c / f"{prefix}{chosen:06d}.npy") for c in ids]) for prefix in ("", "depth_")
-    )
-    true = load_cameras(truth / "cameras.json", nominal.tick_rate_hz).only(ids)
-    white = float(json.loads((truth / "scene.json").read_text())["white"])
-    return ScoredViews("development", MultiviewClip(streams, chosen, light, depth, white, true), nominal.only(ids))
+    chosen = min(truth.planes(ids[0]), key=lambda k: abs(k - len(streams[0]) // 2))
+    frames = [truth.frame(c, chosen) for c in ids]
+    light, depth = np.stack([f.intensity for f in frames]), np.stack([f.depth for f in frames])
+    true = load_cameras(truth.path / "cameras.json", recording.rig.tick_rate_hz).only(ids)
+    clip = MultiviewClip(streams, chosen, light, depth, truth.white, true)
+    return ScoredViews("development", clip, recording.rig.only(ids))
 
 
 def scores(network: Msdi, scored: Sequence[ScoredViews], progress: Progress = silent) -> dict[str, float]:

@@ -6,8 +6,8 @@ import pytest
 
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.floors import depth_blend, nearest_view
-from reconstruction.evaluation.truth import Truth, spread
 from reconstruction.metrics.image import psnr_db
+from reconstruction.truth import Truth, spread
 from rigs.camera import Camera
 from rigs.transform import Transform
 

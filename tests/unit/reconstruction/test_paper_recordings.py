@@ -14,9 +14,9 @@ from acquisition.session.record import simulate
 from reconstruction.bench.paper.changed import changed
 from reconstruction.bench.paper.method import Change
 from reconstruction.errors import BadRunError
-from reconstruction.evaluation.truth import Truth
 from reconstruction.images.composite import CompositeSource
 from reconstruction.pipeline.train_stage import _given
+from reconstruction.truth import Truth
 from rigs.toml import catalog_rig
 
 PLANES, SEED = 60, 5
