@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 import struct
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import hidraw
 
@@ -76,28 +76,12 @@ def decode_command(data: bytes) -> tuple[int, int]:
     return _COMMAND.unpack(data)[1:]
 
 
-class HidDevice(Protocol):
-    """The part of hidapi's device that the box needs; failures are OSError."""
-
-    def send_feature_report(self, buff: bytes) -> int:
-        """Return the bytes sent, -1 where it failed."""
-        ...
-
-    def get_feature_report(self, report_num: int, max_length: int) -> list[int]:
-        """Return the report, its number first."""
-        ...
-
-    def close(self) -> None:
-        """Give the device back."""
-        ...
-
-
 class TriggerBox:
-    """A connected trigger box; the line it drives pulses every `period_s` from the trigger on."""
+    """A connected trigger box, hidapi's `device`; the line it drives pulses every `period_s` from the trigger on."""
 
     kind: Trigger = "box"
 
-    def __init__(self, device: HidDevice, period_s: float = DEFAULT_PERIOD_S):
+    def __init__(self, device: hidraw.device, period_s: float = DEFAULT_PERIOD_S):
         self._device = device
         self._period_us = round(period_s * 1e6)
         self.period_s: float | None = self._period_us * 1e-6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -66,6 +66,17 @@ class CameraRegisters:
         """Have the camera do `request`."""
         with self._link.named():
             self._link.control.write(request, data)
+
+    def latch(self) -> ClockLatch:
+        """Read the camera's clock against the host's: the quickest of three readings."""
+        found = []
+        for _ in range(_LATCHES):
+            before_s = time.monotonic()
+            register = self.read(ClockRegister)
+            half_s = (time.monotonic() - before_s) / 2
+            run_s = None if register.trigger_ns is None else (register.now_ns - register.trigger_ns) * 1e-9
+            found.append(ClockLatch(before_s + half_s, register.now_ns * 1e-9, run_s, half_s))
+        return min(found, key=lambda latch: latch.uncertainty_s)
 
     def set_sensitivity(self, wanted: Sensitivity) -> None:
         """Set threshold and exposure of an idle camera, and confirm them; raises DeviceError for wild values."""
@@ -133,52 +144,6 @@ class BlockStream:
         self.parser, self.repeated = BlockParser(self._block_bytes), RepeatFilter()
 
 
-class CameraClock:
-    """Reads a camera's clock against the host's."""
-
-    def __init__(self, registers: CameraRegisters):
-        self._registers = registers
-
-    def latch(self, clock: Callable[[], float] = time.monotonic) -> ClockLatch:
-        """Return the quickest of three readings."""
-        found = []
-        for _ in range(_LATCHES):
-            before_s = clock()
-            register = self._registers.read(ClockRegister)
-            half_s = (clock() - before_s) / 2
-            run_s = None if register.trigger_ns is None else (register.now_ns - register.trigger_ns) * 1e-9
-            found.append(ClockLatch(before_s + half_s, register.now_ns * 1e-9, run_s, half_s))
-        return min(found, key=lambda latch: latch.uncertainty_s)
-
-
-class CameraRecovery:
-    """Brings a camera back that hangs or was unplugged."""
-
-    def __init__(self, link: UsbLink, stream: BlockStream):
-        self._link, self._stream = link, stream
-
-    def reset(self) -> None:
-        """Reset the camera by the host's port, as when it hangs; `reopen` it then."""
-        self._link.reset()
-
-    def reopen(self) -> None:
-        """Find the camera on the bus again, by its serial, after a reset or when it was plugged in anew.
-
-        Raises CameraSetupError while it is not there, DeviceError for one that is another camera than before.
-        """
-        self._link.close()
-        before = self._stream.layout
-        self._link.attach()
-        try:
-            self._stream.learn_geometry()
-            if self._stream.layout != before:
-                found, where = f"found planes of {self._stream.layout}", self._link.camera.id
-                raise DeviceError(found, f"{before} as before", "reconnect it", where=where)
-        except DeviceError:
-            self._link.close()
-            raise
-
-
 class UsbCamera:
     """A connected camera that is the rig's `camera`. Every error is a DeviceError that names it. Build with `open`."""
 
@@ -187,8 +152,6 @@ class UsbCamera:
         self._link = link
         self.registers = CameraRegisters(link)
         self.stream = BlockStream(link, self.registers)
-        self.clock = CameraClock(self.registers)
-        self.recovery = CameraRecovery(link, self.stream)
 
     @classmethod
     def open(cls, camera: Camera, tick_rate_hz: float, backend: IBackend) -> UsbCamera:
@@ -236,6 +199,27 @@ class UsbCamera:
         """Stop sending, whatever the camera was doing; one that is gone has stopped."""
         with contextlib.suppress(DeviceError):
             self.registers.command(Request.STOP)
+
+    def reset(self) -> None:
+        """Reset the camera by the host's port, as when it hangs; `reopen` it then."""
+        self._link.reset()
+
+    def reopen(self) -> None:
+        """Find the camera on the bus again, by its serial, after a reset or when it was plugged in anew.
+
+        Raises CameraSetupError while it is not there, DeviceError for one that is another camera than before.
+        """
+        self._link.close()
+        before = self.layout
+        self._link.attach()
+        try:
+            self.stream.learn_geometry()
+            if self.layout != before:
+                found = f"found planes of {self.layout}"
+                raise DeviceError(found, f"{before} as before", "reconnect it", where=self.id)
+        except DeviceError:
+            self._link.close()
+            raise
 
     def close(self) -> None:
         """Give the device back."""

@@ -3,8 +3,8 @@
 import dataclasses
 import json
 import threading
+import time
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -14,9 +14,8 @@ from acquisition.errors import DeviceError
 from acquisition.recording.manifest import Trigger
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.session.backlog import Backlog, Held
-from acquisition.session.contact import Contact, RejoinRules
+from acquisition.session.contact import Contact
 from acquisition.session.timing import TimingError, estimate_clock
-from acquisition.spikes.layout import PlaneLayout
 
 READ_TIMEOUT_S = 1.0
 SILENT_READS = 5  # reads without a byte after which a camera has stopped sending
@@ -25,43 +24,22 @@ LONGEST_GAP_S = 60.0  # seconds of planes lost at once; for more, the counter ca
 _SPARE_S = 0.25  # seconds held beside the pre-trigger's span: the cameras are not read at the same instant
 
 
-class SessionCamera(Protocol):
-    """The part of a camera that a session needs; `acquisition.devices.usb.UsbCamera` is one."""
-
-    id: str
-
-    @property
-    def layout(self) -> PlaneLayout:
-        """Return how a plane lies in bytes."""
-        ...
-
-    def ensure_ready(self) -> None:
-        """Get ready for the trigger, and confirm it."""
-        ...
-
-    def read_block(self, timeout_s: float) -> Block | None:
-        """Return the next whole block, or None."""
-        ...
-
-    def ensure_stopped(self) -> None:
-        """Stop sending, whatever the camera was doing."""
-        ...
-
-
 @dataclass(frozen=True)
 class CaptureRules:
     """Rules that hold for every camera of a run.
 
     `waits`: the cameras wait for the host (simulated ones), so a full ring holds them up instead of losing planes.
     `pre_planes`: keep so many planes until the run is saved; None records from the first plane.
-    `rejoin`: a camera that fails is looked for, and recorded on; None leaves it.
+    `rejoin_s`: a camera that fails is looked for so long, and recorded on; 0 leaves it.
+    `period_s`: the time between the line's pulses, None where it does not pulse.
     """
 
     tick_rate_hz: float
     trigger: Trigger
     waits: bool = False
     pre_planes: int | None = None
-    rejoin: RejoinRules | None = None
+    rejoin_s: float = 0.0
+    period_s: float | None = None
 
 
 class Capture:
@@ -70,12 +48,12 @@ class Capture:
     Planes are counted as the camera counts them: `position` is the next one expected of it.
     """
 
-    def __init__(self, camera: SessionCamera, writer: StreamWriter, rules: CaptureRules):
+    def __init__(self, camera: UsbCamera, writer: StreamWriter, rules: CaptureRules):
         self.camera = camera
         self.writer = writer
         self.position = 0
         self.failure: DeviceError | None = None
-        self.contact = Contact(camera) if isinstance(camera, UsbCamera) else None
+        self.contact = Contact(camera)
         self.returned: list[str] = []  # where it was away and came back
         self._stamps: list[tuple[int, float]] = []  # pulses counted since the trigger, and when the last of them came
         self._stamped_until_s = 0.0  # a pulse before it, on the camera's clock, would be among them
@@ -105,12 +83,10 @@ class Capture:
         self._backlog.finish()
         self.writer.close_keeping()
 
-    def tell_clock(self, period_s: float) -> None:
-        """Estimate the clock of the camera from its sync pulses, for the manifest; where they cannot tell, do nothing.
-
-        `period_s` is the time between the pulses.
-        """
-        if not self._stamps:
+    def tell_clock(self) -> None:
+        """Estimate the camera's clock from its sync pulses, for the manifest; where they cannot tell, do nothing."""
+        period_s = self._rules.period_s
+        if period_s is None or not self._stamps:
             return
         counted, stamps_s = zip(*self._stamps, strict=True)
         duration_s = self.writer.planes / self._rules.tick_rate_hz
@@ -132,20 +108,19 @@ class Capture:
                 raise DeviceError(found, "blocks", "check its cable and trigger", where=self.camera.id)
             if block:
                 self._receive(dataclasses.replace(block, first_plane=block.first_plane + self._began_again))
-                if self.contact:
-                    self.contact.count_block()
+                self.contact.count_block()
 
     def _found_again(self, stop: threading.Event) -> bool:
         """Wait for a camera that was lost; where it came back, its planes go on where they belong."""
-        contact, rejoin, rate_hz = self.contact, self._rules.rejoin, self._rules.tick_rate_hz
-        if not (contact and rejoin and rejoin.seconds > 0):
+        rules, rate_hz = self._rules, self._rules.tick_rate_hz
+        if not rules.rejoin_s > 0:
             return False
 
         def is_over() -> bool:
-            run_s = contact.run_s(rejoin.clock())
+            run_s = self.contact.run_s(time.monotonic())
             return run_s is not None and run_s * rate_hz >= self._backlog.end
 
-        found = contact.find_again(rejoin, stop, is_over)
+        found = self.contact.find_again(rules.rejoin_s, rules.period_s, stop, is_over)
         if found is None or round(found.run_s * rate_hz) < self.position:
             return False
         self._began_again, self._dropped = round(found.run_s * rate_hz), 0

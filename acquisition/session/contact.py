@@ -7,6 +7,7 @@ pulses, the trigger is one of the pulses, and r is rounded to it; that is exact 
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -18,19 +19,6 @@ LOOK_BLOCKS = 64  # blocks between two looks: a quarter of a second at the lab r
 CLOCK_SPREAD = 1e-4  # share by which a camera's clock and the host's may differ
 MOST_RETURNS = 20  # returns of one camera in a run; one that is lost more often has a bad cable
 _POLL_S = 0.05
-
-
-@dataclass(frozen=True)
-class RejoinRules:
-    """For how many seconds a camera that was lost is looked for, 0 for not at all, and how it starts again.
-
-    `period_s` is the time between the line's pulses, None where it does not pulse; `clock` counts the host's seconds,
-    as the cameras' latches do.
-    """
-
-    seconds: float
-    clock: Callable[[], float]
-    period_s: float | None
 
 
 @dataclass(frozen=True)
@@ -75,18 +63,23 @@ class Contact:
         """Return the seconds since the run's trigger at the host's `host_s`; None where no clock was latched."""
         return None if self._run is None or self._run.run_s is None else self._run.run_s + host_s - self._run.host_s
 
-    def find_again(self, how: RejoinRules, stop: threading.Event, is_over: Callable[[], bool]) -> Return | None:
-        """Reset the camera, wait for it, arm and start it; None where that is not to be, or not in time."""
+    def find_again(
+        self, rejoin_s: float, period_s: float | None, stop: threading.Event, is_over: Callable[[], bool]
+    ) -> Return | None:
+        """Reset the camera, wait for it for `rejoin_s`, arm and start it; None where that is not to be, or not in time.
+
+        `period_s` is the time between the line's pulses, None where it does not pulse.
+        """
         if self._run is None or len(self.returns) >= MOST_RETURNS:
             return None
         self.away, self._blocks = True, 0
-        until_s = how.clock() + how.seconds
+        until_s = time.monotonic() + rejoin_s
         with contextlib.suppress(DeviceError):
-            self._camera.recovery.reset()
-        while not stop.is_set() and not is_over() and how.clock() < until_s:
+            self._camera.reset()
+        while not stop.is_set() and not is_over() and time.monotonic() < until_s:
             try:
-                self._camera.recovery.reopen()
-                found = self._start(how, stop, until_s)
+                self._camera.reopen()
+                found = self._start(period_s, stop, until_s)
             except DeviceError:
                 found = None
             if found:
@@ -111,25 +104,25 @@ class Contact:
 
     def _look(self) -> None:
         self._now = self._camera.registers.read(LinkCounters)
-        latch = self._camera.clock.latch()
+        latch = self._camera.registers.latch()
         self._latches = [*self._latches[:1], latch]
         if latch.run_s is not None and not self.returns:
             self._run = latch
 
-    def _start(self, how: RejoinRules, stop: threading.Event, until_s: float) -> Return | None:
+    def _start(self, period_s: float | None, stop: threading.Event, until_s: float) -> Return | None:
         """Arm and start the camera, and return where its new trigger lies; None where none came. Raises DeviceError."""
-        self._camera.ensure_ready(joins=how.period_s is not None)
-        if how.period_s is None:
+        self._camera.ensure_ready(joins=period_s is not None)
+        if period_s is None:
             self._camera.start_acquiring()
-        while (latch := self._camera.clock.latch()).run_s is None:
-            if stop.wait(_POLL_S) or how.clock() >= until_s:
+        while (latch := self._camera.registers.latch()).run_s is None:
+            if stop.wait(_POLL_S) or time.monotonic() >= until_s:
                 return None
         before_s = self.run_s(latch.host_s)
         if before_s is None or self._run is None:
             return None
         begin_s, apart_s = before_s - latch.run_s, latch.host_s - self._run.host_s
         uncertainty_s = self._run.uncertainty_s + latch.uncertainty_s + CLOCK_SPREAD * apart_s
-        if how.period_s is None:
+        if period_s is None:
             return Return(begin_s, uncertainty_s)
-        exact = uncertainty_s < how.period_s / 2
-        return Return(round(begin_s / how.period_s) * how.period_s, 0.0 if exact else uncertainty_s)
+        exact = uncertainty_s < period_s / 2
+        return Return(round(begin_s / period_s) * period_s, 0.0 if exact else uncertainty_s)

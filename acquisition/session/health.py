@@ -18,12 +18,12 @@ def _trouble(capture: Capture) -> str:
     """Return what is wrong with one camera, empty where nothing is."""
     if capture.failure:
         return f"failed after {capture.position} planes"
-    if capture.contact and capture.contact.away:
+    if capture.contact.away:
         return f"lost after {capture.position} planes, looked for"
     lost: Counter[str] = Counter()
     for gap in capture.writer.gaps:
         lost[gap.layer] += gap.planes
-    errors, ring = capture.contact.link.errors if capture.contact else 0, capture.writer.ring.fullness
+    errors, ring = capture.contact.link.errors, capture.writer.ring.fullness
     if not lost and not errors and ring < _BUSY:
         return ""
     told = [f"{planes} lost ({layer})" for layer, planes in lost.items()]

@@ -241,7 +241,7 @@ def _samples(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, _Samp
     """Arm, fire, and look at each camera before and after its first block; all are stopped again."""
     cameras = opened.cameras
     try:
-        before = [(camera.registers.read(LinkCounters), camera.clock.latch()) for camera in cameras]
+        before = [(camera.registers.read(LinkCounters), camera.registers.latch()) for camera in cameras]
         for camera in cameras:
             camera.ensure_ready()
         opened.trigger.fire()
@@ -249,7 +249,7 @@ def _samples(opened: OpenCameras, clock: Callable[[], float]) -> dict[str, _Samp
         blocks = [camera.read_block(max(0.01, end - clock())) for camera in cameras]
         found = {}
         for camera, (link, latch), block in zip(cameras, before, blocks, strict=True):
-            latches, now = (latch, camera.clock.latch()), camera.registers.read(LinkCounters)
+            latches, now = (latch, camera.registers.latch()), camera.registers.read(LinkCounters)
             found[camera.id] = _Sample(latches, now.since(link), block)
         return found
     finally:

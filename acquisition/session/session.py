@@ -3,38 +3,21 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from typing import Protocol
 
+from acquisition.devices.trigger_box import TriggerBox
+from acquisition.devices.usb import SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.progress import Progress, silent
-from acquisition.recording.manifest import Trigger
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
-from acquisition.session.capture import Capture, CaptureRules, SessionCamera
-from acquisition.session.contact import RejoinRules
+from acquisition.session.capture import Capture, CaptureRules
 from acquisition.session.health import describe
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
 _STOP_MARGIN_S = 0.05  # seconds recorded beyond the furthest camera, so that all end at the same plane
-
-
-class TriggerLine(Protocol):
-    """Starts armed cameras.
-
-    `kind` goes into the manifest; `period_s` is the time between the sync pulses that follow the trigger, None where
-    none do.
-    """
-
-    kind: Trigger
-    period_s: float | None
-
-    def fire(self) -> None:
-        """Start every armed camera."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +46,8 @@ class Extent:
 
 
 def record_session(
-    cameras: Sequence[SessionCamera],
-    trigger: TriggerLine,
+    cameras: Sequence[UsbCamera],
+    trigger: SoftwareTrigger | TriggerBox,
     extent: Extent | int,
     recording: RecordingWriter,
     progress: Progress = silent,
@@ -81,16 +64,15 @@ def record_session(
     Raises DeviceError naming the camera that does not arm, or the first to fail where none sent a plane.
     """
     extent = Extent(extent) if isinstance(extent, int) else extent
-    rejoin = RejoinRules(rejoin_s, time.monotonic, trigger.period_s)
-    rules = CaptureRules(recording.rig.tick_rate_hz, trigger.kind, waits, extent.pre_planes, rejoin)
+    rate_hz = recording.rig.tick_rate_hz
+    rules = CaptureRules(rate_hz, trigger.kind, waits, extent.pre_planes, rejoin_s, trigger.period_s)
     captures = [Capture(c, recording.stream(c.id, c.layout, extent.planes), rules) for c in cameras]
     run = _Run(captures, extent, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:
         try:
             recording.mark("armed", trigger.kind)
             for capture in captures:
-                if capture.contact:
-                    capture.contact.begin()
+                capture.contact.begin()
                 capture.camera.ensure_ready()
             run.steer()
             tasks = [pool.submit(capture.run, run.abort) for capture in captures]
@@ -103,9 +85,8 @@ def record_session(
                 camera.ensure_stopped()
     run.conclude()
     for capture in captures:
-        capture.writer.device = capture.contact and capture.contact.to_json()
-        if trigger.period_s is not None:
-            capture.tell_clock(trigger.period_s)
+        capture.writer.device = capture.contact.to_json()
+        capture.tell_clock()
     return [capture.writer for capture in captures]
 
 

@@ -14,7 +14,7 @@ from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, Stream, import_recording
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import read_manifest
-from acquisition.recording.spikecv import read_config, write_config
+from acquisition.recording.spikecv import read_size, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, SCENES, STRESS
 from acquisition.session.alignment import align_by_light, firing_rate
@@ -231,8 +231,8 @@ def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) ->
 
     The file counts stored columns, but those of M1K40 as pixels.
     """
-    config = read_config(spikecv)
-    found = config.spike_w - TRAILING_COLUMNS.get(source_format, 0), config.spike_h
+    width, height = read_size(spikecv)
+    found = width - TRAILING_COLUMNS.get(source_format, 0), height
     if size and size != found:
         raise BadRecordingError(
             f"found {found[0]}x{found[1]} pixels", f"the --size {size[0]}x{size[1]}", "leave one out", where=spikecv

@@ -432,12 +432,12 @@ def test_threshold_and_exposure_are_set_while_idle_only(bench, camera):
 
 
 def test_the_clock_is_latched_against_the_host_s(bench, camera):
-    first = camera.clock.latch()
+    first = camera.registers.latch()
     assert first.run_s is None
     camera.ensure_ready()
     bench.fire()
     time.sleep(0.05)
-    second = camera.clock.latch()
+    second = camera.registers.latch()
     apart = first.uncertainty_s + second.uncertainty_s + 1e-6
     assert second.oscillator_s - first.oscillator_s == pytest.approx(second.host_s - first.host_s, abs=apart)
     assert 0.05 <= second.run_s < second.oscillator_s
@@ -453,7 +453,7 @@ def test_a_camera_that_was_reset_by_the_host_is_opened_again(bench, camera):
     camera.ensure_ready()
     bench.fire()
     assert camera.read_block(1).first_plane == 0
-    camera.recovery.reset()
+    camera.reset()
     wait_until(lambda: reopens(camera))
     bench.model.stream.source.left = PLANES
     camera.ensure_ready()
@@ -463,7 +463,7 @@ def test_a_camera_that_was_reset_by_the_host_is_opened_again(bench, camera):
 
 def reopens(camera: UsbCamera) -> bool:
     try:
-        camera.recovery.reopen()
+        camera.reopen()
     except DeviceError:
         return False
     return True

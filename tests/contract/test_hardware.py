@@ -35,7 +35,7 @@ def test_the_pre_flight_passes(rig, tmp_path):
 def test_every_camera_answers_beside_its_stream(rig):
     with open_cameras(rig, None, 0) as opened:
         for camera in opened.cameras:
-            first, last = camera.clock.latch(), camera.clock.latch()
+            first, last = camera.registers.latch(), camera.registers.latch()
             assert last.oscillator_s > first.oscillator_s, camera.id
             assert first.uncertainty_s < 1e-2, camera.id
             camera.registers.set_sensitivity(camera.registers.read(Sensitivity))
@@ -45,9 +45,9 @@ def test_every_camera_answers_beside_its_stream(rig):
 def test_a_reset_by_the_host_brings_every_camera_back(rig):
     with open_cameras(rig, None, 0) as opened:
         for camera in opened.cameras:
-            camera.recovery.reset()
+            camera.reset()
             threading.Event().wait(2.0)  # to enumerate anew
-            camera.recovery.reopen()
+            camera.reopen()
             camera.ensure_ready()
             camera.ensure_stopped()
 

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from maintenance.plain_camera import PlainCamera
 
 from acquisition.devices.protocol import Block
 from acquisition.recording.writer import DiskUse, RecordingWriter
@@ -19,12 +20,13 @@ BLOCK_PLANES, CAMERAS, RATE_HZ = 8, 3, 20_000.0
 RING_BYTES = 4 << 20
 
 
-class Endless:
+class Endless(PlainCamera):
     """Plane k of camera c is full of the byte 1 + (k * 7 + c * 31) % 255; every 50th block is lost on the way."""
 
     layout = LAYOUT
 
     def __init__(self, number: int, pause_s: float, received: np.ndarray):
+        super().__init__()
         self.id = f"cam0{number}"
         self.number, self.pause_s, self.received = number, pause_s, received
         self.block = 0

@@ -1,6 +1,7 @@
 """Tests that a crash leaves a valid prefix, and that finishing it twice changes nothing."""
 
 import json
+import os
 import random
 import signal
 import subprocess
@@ -34,7 +35,7 @@ def record_and_kill(folder: Path, after_s: float) -> np.ndarray:
     received = folder / "received"
     received.write_bytes(bytes(24))
     command = [sys.executable, str(HERE / "endless_recorder.py"), str(folder / "rec"), "2000", str(received)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(HERE.parent)})
     while not np.fromfile(received, dtype=np.uint64).all():
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.002)

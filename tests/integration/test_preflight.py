@@ -17,6 +17,7 @@ from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.profiles.ft60x import FT60X
 from acquisition.devices.usb import SoftwareTrigger, UsbCamera
 from acquisition.errors import DiskError
+from acquisition.recording import direct as direct_module
 from acquisition.session import disk_speed as disk_speed_module
 from acquisition.session import preflight as preflight_module
 from acquisition.session.disk_speed import DiskSpeed, write_speed
@@ -263,14 +264,19 @@ def test_a_disk_that_cannot_be_written_is_refused(bench, monkeypatch):
     assert "Read-only" in bench.checks()["disk speed"].found
 
 
+def refuse_direct(*_):
+    raise OSError(22, "Invalid argument")
+
+
 @pytest.mark.parametrize("direct", [True, False])
 def test_the_disk_test_writes_for_as_long_as_told_and_leaves_nothing(tmp_path, monkeypatch, direct):
     monkeypatch.setattr(disk_speed_module, "_MOST_BYTES", 32 << 20)
     if not direct:
-        monkeypatch.setattr(disk_speed_module.os, "O_DIRECT", 0)
+        monkeypatch.setattr(direct_module.fcntl, "fcntl", refuse_direct)
     seconds = itertools.count(0, 0.01)
     found = write_speed(tmp_path, 1.0, clock=lambda: next(seconds))
     assert found.mb_s > 0
+    assert direct or not found.direct
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(disk_speed_module.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1000}))
     with pytest.raises(DiskError, match="no room for a disk test"):

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from maintenance.plain_camera import PlainCamera
 
 from acquisition.devices.protocol import Block
 from acquisition.errors import DeviceError
@@ -34,10 +35,11 @@ def plane_bytes(camera: int, plane: int) -> np.ndarray:
     return np.full(LAYOUT.plane_bytes, 1 + (plane * 7 + camera * 31) % 255, dtype=np.uint8)
 
 
-class Sender:
+class Sender(PlainCamera):
     """A camera that does not wait for anybody: blocks [0, n), then silence; `lost` never leave it."""
 
     def __init__(self, number: int, blocks: int, lost: frozenset[int] = frozenset(), pause_s: float = 0.0):
+        super().__init__()
         self.id, self.layout = IDS[number], LAYOUT
         self.number, self.blocks, self.lost, self.pause_s = number, blocks, lost, pause_s
         self.sent = self.dropped = 0

@@ -5,6 +5,7 @@ import threading
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from maintenance.plain_camera import PlainCamera
 
 from acquisition.devices.protocol import Block
 from acquisition.errors import DeviceError
@@ -51,12 +52,13 @@ class RandomRing:
         self.closed = True
 
 
-class Camera:
+class Camera(PlainCamera):
     """Sends `steps` of (lost before, planes, repeated), saves after `save` of them, and is then unplugged."""
 
     id, layout = "cam00", LAYOUT
 
     def __init__(self, steps, save, on_save):
+        super().__init__()
         self.blocks, self.at, self.dropped = [], 0, 0
         for lost, by_device, planes, repeated in steps:
             self.at += lost

@@ -1,12 +1,10 @@
 """SpikeCV's sidecar, both ways."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acquisition.errors import BadRecordingError
 from acquisition.recording.manifest import CameraFile, Manifest
-from acquisition.recording.spikecv import SpikeCVConfig, dump_config, read_config, write_config
+from acquisition.recording.spikecv import read_size, write_config
 from acquisition.spikes.layout import PlaneLayout
 
 PUBLIC = """filename: vidar_reconstruction2019
@@ -20,26 +18,7 @@ labeled_data_suffix: None
 
 def test_a_public_config_is_read(tmp_path):
     (tmp_path / "config.yaml").write_text(PUBLIC)
-    config = read_config(tmp_path / "config.yaml")
-    assert config == SpikeCVConfig("vidar_reconstruction2019", 400, 250)
-    assert dump_config(config) == PUBLIC
-
-
-@given(
-    st.builds(
-        SpikeCVConfig,
-        st.text(st.characters(codec="utf-8"), max_size=20),
-        st.integers(1, 9999),
-        st.integers(1, 9999),
-        st.booleans(),
-        st.lists(st.sampled_from([0, 1, 2, 3.1, 3.2, 4, 5, 6, 7]), max_size=4).map(tuple),
-        st.none() | st.sampled_from(["txt", "png"]),
-    )
-)
-def test_a_config_survives_the_disk(tmp_path_factory, config):
-    path = tmp_path_factory.mktemp("yaml") / "config.yaml"
-    path.write_text(dump_config(config), encoding="utf-8")
-    assert read_config(path) == config
+    assert read_size(tmp_path / "config.yaml") == (400, 250)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "a: [", "\x00", "[" * 400, "spike_w: 400", "!!python/object:x.y {}"])
@@ -47,16 +26,16 @@ def test_a_config_survives_the_disk(tmp_path_factory, config):
 def test_what_is_no_config_is_refused_by_name(tmp_path, text, more):
     (tmp_path / "config.yaml").write_text(text + more)
     with pytest.raises(BadRecordingError, match=r"config\.yaml"):
-        read_config(tmp_path / "config.yaml")
+        read_size(tmp_path / "config.yaml")
     with pytest.raises(BadRecordingError, match="cannot be read"):
-        read_config(tmp_path / "other.yaml")
+        read_size(tmp_path / "other.yaml")
 
 
-@pytest.mark.parametrize("field", ["spike_h: 0", "spike_h: -4", "spike_h: 2.5", "spike_h: 2\nlabeled_data_type: [x]"])
+@pytest.mark.parametrize("field", ["spike_h: 0", "spike_h: -4", "spike_h: 2.5"])
 def test_a_field_that_cannot_be_is_named(tmp_path, field):
     (tmp_path / "config.yaml").write_text(f"spike_w: 4\n{field}")
-    with pytest.raises(BadRecordingError, match=field.split("\n")[-1].split(":")[0]):
-        read_config(tmp_path / "config.yaml")
+    with pytest.raises(BadRecordingError, match=field):
+        read_size(tmp_path / "config.yaml")
 
 
 def manifest(*layouts: PlaneLayout) -> Manifest:
@@ -68,8 +47,11 @@ def manifest(*layouts: PlaneLayout) -> Manifest:
 
 
 def test_a_recording_gets_its_config(tmp_path):
-    path = write_config(tmp_path, manifest(PlaneLayout(400, 250, trailing_columns=16)))
-    assert read_config(path) == SpikeCVConfig(tmp_path.name, 416, 250)
+    folder = tmp_path / "vidar_reconstruction2019"
+    folder.mkdir()
+    path = write_config(folder, manifest(PlaneLayout(400, 250, trailing_columns=16)))
+    assert path.read_text() == PUBLIC.replace("400", "416")
+    assert read_size(path) == (416, 250)
 
 
 @pytest.mark.parametrize(
