@@ -16,14 +16,15 @@ from server.routes import calibrations, captures, events, jobs, page, rigs, syst
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.telemetry import trace_requests
+from server.work.keeper import Keeper
 
 
-def create_app(settings: ServiceSettings) -> FastAPI:
-    """Return the application over a data folder.
+def create_app(settings: ServiceSettings, keeper: Keeper | None = None) -> FastAPI:
+    """Return the application over a data folder; `keeper` runs its worker, if it has one of its own.
 
     Raises RigError for a rig that cannot be loaded, and DatabaseError.
     """
-    services = Services(settings)
+    services = Services(settings, keeper)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

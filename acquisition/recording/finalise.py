@@ -64,6 +64,23 @@ def finalise(path: Path, progress: Progress = silent) -> Finalised:
     return Finalised(path, manifest, changed=True)
 
 
+def left_planes(path: Path) -> int | None:
+    """Return the planes that `finalise` could keep of a recorder that was killed; None where it left nothing.
+
+    These are the planes of the camera that has most in its journal, at the moment also of one at work.
+    """
+    folder = partial_of(path)
+    if not folder.is_dir():
+        return None
+    try:
+        cameras = read_any_manifest(folder).cameras
+    except BadRecordingError:
+        return 0
+    return max(
+        read_journal((folder / camera.file).with_suffix(SUFFIX), camera.block_planes).planes for camera in cameras
+    )
+
+
 def _complete(path: Path, progress: Progress) -> Finalised:
     manifest = read_any_manifest(path)
     if manifest.status in UNFINISHED:

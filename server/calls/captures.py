@@ -33,6 +33,10 @@ class CaptureCalls(Transport):
         """Return one capture."""
         return self._get(f"/captures/{capture_id}", Capture)
 
+    def finalise_capture(self, capture_id: str) -> Capture:
+        """Make a recording of the planes that a recorder which failed has left."""
+        return self._post(f"/captures/{capture_id}/finalise", Capture)
+
     def delete_capture(self, capture_id: str) -> None:
         """Delete a capture with its recording."""
         self._send("DELETE", f"/captures/{capture_id}")

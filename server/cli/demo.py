@@ -20,11 +20,11 @@ from reconstruction.report.table import score_table
 from server.cli.options import PATH
 from server.cli.output import columns
 from server.cli.progress import progress_of
-from server.cli.serve import stop_process
 from server.errors import ServiceError
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import ReconstructRequest
 from server.schemas.jobs import Job
+from server.work.leash import stop_process
 
 if TYPE_CHECKING:
     from server.client import ServiceClient

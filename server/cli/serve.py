@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import signal
 import socket
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ from server.cli.options import Parsed, data_folder
 
 if TYPE_CHECKING:
     from server.settings import ServiceSettings
+    from server.work.keeper import Keeper
 
 
 KINDS = ("captures", "reconstructions", "tasks")
@@ -72,7 +72,7 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
     help="A page that may send requests, such as https://lab.example.",
 )
 @_rig_options
-@click.option("--with-worker", is_flag=True, help="Run a worker too, and stop it with the service.")
+@click.option("--with-worker", is_flag=True, help="Run a worker too: keep it running, and stop it with the service.")
 def serve_command(
     host: str | None,
     port: int | None,
@@ -91,11 +91,12 @@ def serve_command(
     if settings.exposed:
         _refuse_without_token(settings)
     with listening(settings.host, settings.port) as listener:
-        app = create_app(settings)
         flags = shared | {"data": settings.data}
         arguments = [text for name, value in flags.items() if value is not None for text in (f"--{name}", str(value))]
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-        with _worker(arguments, settings.grace_s) if with_worker else nullcontext():
+        keeper = _keeper(arguments, settings.grace_s) if with_worker else None
+        app = create_app(settings, keeper)
+        with keeper.running() if keeper else nullcontext():
             address = f"[{settings.host}]" if ":" in settings.host else settings.host
             click.echo(f"http://{address}:{listener.getsockname()[1]}")
             sys.stdout.flush()
@@ -150,24 +151,7 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
         yield listener
 
 
-@contextmanager
-def _worker(arguments: list[str], grace_s: float) -> Iterator[None]:
-    from server.work.leash import leashed
+def _keeper(arguments: list[str], grace_s: float) -> Keeper:
+    from server.work.keeper import Keeper
 
-    command = [sys.executable, "-P", "-m", "server.cli", "worker", *arguments]
-    # In its own session, so that Ctrl-C reaches this process only, which then stops the worker in order.
-    worker = subprocess.Popen(leashed(command, "SIGTERM"), start_new_session=True)
-    try:
-        yield
-    finally:
-        stop_process(worker, grace_s + 5)
-
-
-def stop_process(process: subprocess.Popen[bytes], patience_s: float) -> None:
-    """End a process with SIGTERM, and after `patience_s` with SIGKILL; return when it is gone."""
-    process.terminate()
-    try:
-        process.wait(patience_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    return Keeper([sys.executable, "-P", "-m", "server.cli", "worker", *arguments], grace_s + 5)

@@ -72,6 +72,12 @@ def cancel(capture_id: str, services: TheServices) -> Capture:
     return services.captures.cancel(capture_id)
 
 
+@router.post("/captures/{capture_id}/finalise", status_code=202)
+def finalise(capture_id: str, services: TheServices) -> Capture:
+    """Make a recording of the planes that a recorder which failed has left: `partial_planes` of the capture."""
+    return services.captures.finalise(capture_id)
+
+
 @router.delete("/captures/{capture_id}", status_code=204)
 def delete_capture(capture_id: str, services: TheServices) -> None:
     """Delete a capture with its recording; 409 while it is being made or a job uses it."""

@@ -34,13 +34,13 @@ def start_capture(
 @router.post("/{rig_id}/captures/{capture_id}/stop")
 def stop_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
     """End a recording and keep what it has."""
-    return services.captures.tell(capture_id, "stop")
+    return services.captures.tell(rig_id, capture_id, "stop")
 
 
 @router.post("/{rig_id}/captures/{capture_id}/save")
 def save_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
     """Keep what the pre-trigger holds, and record on from there."""
-    return services.captures.tell(capture_id, "save")
+    return services.captures.tell(rig_id, capture_id, "save")
 
 
 @router.get("/{rig_id}/status")

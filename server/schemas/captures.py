@@ -78,7 +78,10 @@ class ImportRequest(Request):
 
 
 class Capture(Progress):
-    """A recording, made or in the making; `type` says whether it was recorded or imported."""
+    """A recording, made or in the making; `type` says whether it was recorded or imported.
+
+    `partial_planes` are the planes that a recorder which failed has left and `finalise` can keep.
+    """
 
     id: str
     type: str
@@ -87,6 +90,7 @@ class Capture(Progress):
     name: str | None
     created: str
     status: Status
+    partial_planes: int | None = None
 
 
 class Captures(Page[Capture]):

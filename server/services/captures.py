@@ -2,16 +2,18 @@
 
 import threading
 
+from acquisition.recording.finalise import left_planes
+from acquisition.recording.writer import partial_of
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, RigBusyError, StateError
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.progress import ACTIVE, Status
 from server.schemas.rigs import RigInfo, Rigs
-from server.services.listing import capture_document, page_of
+from server.services.listing import Document, capture_document, page_of
 from server.services.queue import Key, Queue
 from server.settings import RigSource
-from server.store.entries import Filter
+from server.store.entries import Filter, Listed
 from server.store.files import is_locked
 from server.store.store import Store
 from server.store.tables import Entry
@@ -82,16 +84,23 @@ class CaptureService:
     def get(self, capture_id: str) -> Capture:
         """Return one capture; raises NotFoundError."""
         entry = self._store.entries.get("capture", capture_id)
-        known = {"status": self._engine.status(entry), "ticks": entry.request.get("ticks")}
+        status = self._engine.status(entry)
+        known = {"status": status, "ticks": entry.request.get("ticks"), "partial_planes": self._left(entry, status)}
         return Capture.model_validate(vars(entry) | entry.progress | known)
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
         """Return a page of captures, newest first: `Captures` as JSON."""
-        return page_of(self._store, self._engine, wanted, status, limit, capture_document)
 
-    def tell(self, capture_id: str, word: str) -> Capture:
-        """Tell a capture to `stop`, or to `save` its pre-trigger; raises NotFoundError, StateError."""
+        def document(entry: Listed, status: Status) -> Document:
+            return capture_document(entry, status) | {"partial_planes": self._left(entry, status)}
+
+        return page_of(self._store, self._engine, wanted, status, limit, document)
+
+    def tell(self, rig_id: str, capture_id: str, word: str) -> Capture:
+        """Tell a capture of a rig to `stop`, or to `save` its pre-trigger; raises NotFoundError, StateError."""
         capture = self.get(capture_id)
+        if capture.rig != rig_id:
+            raise NotFoundError(f"found {capture_id} to be of rig {capture.rig}, not {rig_id[:60]}", "its own rig")
         if capture.status not in ACTIVE or capture.type != "record":
             raise StateError(f"found {capture.id} {capture.status}", "it recording")
         if capture.status == "queued" and word == "stop":
@@ -109,15 +118,32 @@ class CaptureService:
         self._engine.cancel(capture_id)
         return self.get(capture_id)
 
+    def finalise(self, capture_id: str) -> Capture:
+        """Make a recording of the planes that a recorder which failed has left; raises NotFoundError, StateError."""
+        entry = self._ended(capture_id)
+        if not self._left(entry, self._engine.status(entry)):
+            raise StateError(f"found no planes that {capture_id} left unfinished", "some", "record again")
+        self._queue.again(entry)
+        return self.get(capture_id)
+
     def log(self, capture_id: str) -> str:
         """Return the log of making a capture, an import's doubts among it; raises NotFoundError."""
         return self._store.folder.logged(self._store.entries.get("capture", capture_id).id)
 
     def delete(self, capture_id: str) -> None:
-        """Delete a capture and its recording; raises NotFoundError, and StateError while it is in use."""
+        """Delete a capture and what was recorded; raises NotFoundError, and StateError while it is in use."""
+        entry = self._ended(capture_id)
+        self._queue.expect_unused(capture_id)
+        recording = self._store.folder.recording(capture_id)
+        self._queue.remove(entry, recording, partial_of(recording))
+
+    def _ended(self, capture_id: str) -> Entry:
+        """Return a capture that has ended, with its processes; raises StateError for any other."""
         entry = self._store.entries.get("capture", capture_id)
         status = self._engine.status(entry)
         if status in ACTIVE or is_locked(self._store.folder.entry(capture_id)):
             raise StateError(f"found {capture_id} {status}", "it ended", "stop it first")
-        self._queue.expect_unused(capture_id)
-        self._queue.remove(entry, self._store.folder.recording(capture_id))
+        return entry
+
+    def _left(self, entry: Entry | Listed, status: Status) -> int | None:
+        return left_planes(self._store.folder.recording(entry.id)) if status == "failed" else None

@@ -6,16 +6,18 @@ import time
 from server.engine import Engine
 from server.schemas.system import Check, WorkerInfo, Workers
 from server.store.store import Store
+from server.work.keeper import Keeper
 
 _FREE_BYTES = 2**30
 
 
 class HealthService:
-    """The conditions of being ready."""
+    """The conditions of being ready; `keeper` runs the worker of this process, if it has one."""
 
-    def __init__(self, store: Store, engine: Engine) -> None:
+    def __init__(self, store: Store, engine: Engine, keeper: Keeper | None = None) -> None:
         self._store = store
         self._engine = engine
+        self._keeper = keeper
 
     def workers(self) -> Workers:
         """Return the workers that are alive."""
@@ -29,9 +31,15 @@ class HealthService:
         """Check database, disk and worker."""
         self._engine.check()
         free = shutil.disk_usage(self._store.folder.path).free
-        alive = ", ".join(f"{one.id} on {one.host}" for one in self.workers().items)
         return {
             "database": Check(ok=True, found="answers"),
             "disk": Check(ok=free >= _FREE_BYTES, found=f"{free / 2**30:.1f} GiB free"),
-            "worker": Check(ok=bool(alive), found=alive or "no worker; run spike4dgs worker on this data folder"),
+            "worker": self._worker(),
         }
+
+    def _worker(self) -> Check:
+        """Check that a worker lives and, where it is this process's own, that it stays so."""
+        alive = ", ".join(f"{one.id} on {one.host}" for one in self.workers().items)
+        trouble = self._keeper.trouble if self._keeper else None
+        found = trouble or alive or "no worker; run spike4dgs worker on this data folder"
+        return Check(ok=bool(alive) and trouble is None, found=found)

@@ -78,7 +78,7 @@ class JobService:
 
     def resume(self, job_id: str) -> Job:
         """Queue a failed or cancelled job again from the stage it stopped in; raises NotFoundError, StateError."""
-        return self._rewind(self._expected(job_id, "failed", "cancelled"), None)
+        return self._again(self._expected(job_id, "failed", "cancelled"))
 
     def restart(self, job_id: str, stage: str) -> Job:
         """Queue an ended job again from `stage` on, whose results and later ones are forgotten.
@@ -95,7 +95,7 @@ class JobService:
             )
         attempt = (entry.restart or {}).get("attempt", 0) + 1
         self._store.entries.change(job_id, restart={"stage": stage, "attempt": attempt})
-        return self._rewind(entry, stage)
+        return self._again(entry, stage)
 
     def prioritise(self, job_id: str, priority: int) -> Job:
         """Give a queued job another priority; raises NotFoundError, StateError."""
@@ -117,16 +117,9 @@ class JobService:
         text = self._store.folder.logged(self._store.entries.get("job", job_id).id)
         return "".join(text.splitlines(keepends=True)[first_line:])
 
-    def _rewind(self, entry: Entry, stage: str | None) -> Job:
-        self._tell_queued(entry)  # first, so that the announcer looks at it even if this process dies on the way
-        self._engine.rewind(entry, stage)
-        self._tell_queued(entry)  # again, where the announcer has looked too early
+    def _again(self, entry: Entry, stage: str | None = None) -> Job:
+        self._queue.again(entry, stage)
         return self.get(entry.id)
-
-    def _tell_queued(self, entry: Entry) -> None:
-        told = self._store.entries.get("job", entry.id).told
-        if told not in ACTIVE:
-            self._store.events.tell(entry.id, told, "queued", {})
 
     def _expected(self, job_id: str, *states: Status) -> Entry:
         """Return a job that is in one of `states`; one that has ended has no process left."""

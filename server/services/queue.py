@@ -91,12 +91,23 @@ class Queue:
             self._engine.forget(entry.id)
             self.start(self._store.entries.find([entry.id])[0])
 
-    def remove(self, entry: Entry, made: Path) -> None:
-        """Forget an entry, and delete its log and the folder `made` for it."""
+    def again(self, entry: Entry, stage: str | None = None) -> None:
+        """Queue an ended entry again, from `stage` on or from the one it stopped in; raises StateError."""
+        self._tell_queued(entry)  # first, so that the announcer looks at it even if this process dies on the way
+        self._engine.rewind(entry, stage)
+        self._tell_queued(entry)  # again, where the announcer has looked too early
+
+    def remove(self, entry: Entry, *made: Path) -> None:
+        """Forget an entry, and delete its log and the folders `made` for it."""
         self._store.entries.remove(entry.id)  # first: what is kept and not queued is queued again
         self._engine.forget(entry.id)
-        self._store.folder.remove(made)
-        self._store.folder.remove(self._store.folder.entry(entry.id))
+        for folder in (*made, self._store.folder.entry(entry.id)):
+            self._store.folder.remove(folder)
+
+    def _tell_queued(self, entry: Entry) -> None:
+        told = self._store.entries.get(entry.kind, entry.id).told
+        if told not in ACTIVE:
+            self._store.events.tell(entry.id, told, "queued", {})
 
     def _at_work(self) -> list[Entry]:
         """Return the entries queued or running as the engine knows it: announcements lag by half a second."""

@@ -17,15 +17,17 @@ from server.services.queue import Queue
 from server.services.retention import Retention
 from server.services.rig_jobs import RigJobService
 from server.services.uploads import UploadService
+from server.services.watchdog import Watchdog
 from server.services.webhooks import WebhookService
 from server.settings import ServiceSettings
 from server.store.store import Store
+from server.work.keeper import Keeper
 
 
 class Services:
     """Built once from the settings. Raises RigError for a rig that cannot be loaded, and DatabaseError."""
 
-    def __init__(self, settings: ServiceSettings) -> None:
+    def __init__(self, settings: ServiceSettings, keeper: Keeper | None = None) -> None:
         for source in settings.rigs.values():
             source.load()  # before anything is written
         self.settings = settings
@@ -37,7 +39,8 @@ class Services:
         self.jobs = JobService(self.store, self.engine, queue, Admission(self.store, self.engine, self.rigs))
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
-        self.health = HealthService(self.store, self.engine)
+        self.health = HealthService(self.store, self.engine, keeper)
+        self.watchdog = Watchdog(keeper)
         self.uploads = UploadService(self.store, queue, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
@@ -54,9 +57,11 @@ class Services:
         self.hub.start()
         self.announcer.thread.start()
         self.webhooks.thread.start()
+        self.watchdog.start()
 
     def close(self) -> None:
         """End that work, and let go of the databases."""
+        self.watchdog.close()
         self.hub.close()
         self.announcer.thread.stop()
         self.webhooks.thread.stop()

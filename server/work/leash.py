@@ -7,6 +7,7 @@ here rather than between fork and exec keeps the parent free of code that is uns
 import ctypes
 import os
 import signal
+import subprocess
 import sys
 
 _PR_SET_PDEATHSIG = 1
@@ -15,6 +16,21 @@ _PR_SET_PDEATHSIG = 1
 def leashed(command: list[str], signal_name: str) -> list[str]:
     """Return `command` wrapped so that it dies with this process, which must be the one to start it."""
     return [sys.executable, "-P", "-m", "server.work.leash", signal_name, str(os.getpid()), *command]
+
+
+def stop_process(process: subprocess.Popen[bytes], patience_s: float) -> None:
+    """End a process with SIGTERM, and after `patience_s` with SIGKILL; return when it is gone."""
+    process.terminate()
+    try:
+        process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def named_end(code: int) -> str:
+    """Return how a process ended: the signal of a negative exit code, or the code."""
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 def main() -> None:

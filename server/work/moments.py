@@ -4,13 +4,14 @@ from datetime import datetime
 from pathlib import Path
 
 from acquisition.durable import write_durably
+from acquisition.recording.finalise import left_planes
 from acquisition.recording.reader import read_manifest
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.commands import record_arguments
 from server.work.processes import Processes
 from server.work.reporter import Reporter
-from server.work.supervisor import Control, StageError
+from server.work.supervisor import Control, KilledError, StageError
 
 PATIENCE_S = 60.0  # longest time from the order to record until a worker takes it up
 MISSED = "record again: the moment has passed"
@@ -71,6 +72,9 @@ class Moments:
             )
             if not beginning.earlier:
                 return
+        except KilledError:
+            if not left_planes(recording):
+                raise
         except StageError:
             if not recording.exists():  # else it was kept, and says itself what it lacks
                 raise

@@ -16,7 +16,7 @@ from typing import TextIO, cast
 from acquisition.progress import Progress
 from server.errors import ServiceError
 from server.store.files import locked
-from server.work.leash import leashed
+from server.work.leash import leashed, named_end
 
 _LOCK_POLL_S = 0.1
 _CONTROL_POLL_S = 0.05
@@ -27,6 +27,10 @@ _LAST_WORDS_S = 1.0
 
 class StageError(ServiceError):
     """A stage ended badly: the error that its process reported or, where it reported none, the last line it wrote."""
+
+
+class KilledError(StageError):
+    """A stage's process was killed by a signal before it could end in order."""
 
 
 @dataclass(frozen=True)
@@ -91,13 +95,10 @@ async def supervise(
             raise relay.fault
         code = transport.get_returncode() or 0
         if code != 0 and not (code == 1 and answers and stdout and stdout.stat().st_size):
-            raise relay.error or StageError(relay.last or f"the stage ended with {_named(code)} and no message")
+            kind = KilledError if code < 0 else StageError
+            raise relay.error or kind(relay.last or f"the stage ended with {named_end(code)} and no message")
         if finished is not None:
             finished.touch()
-
-
-def _named(code: int) -> str:
-    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 async def _tell(transport: asyncio.SubprocessTransport, relay: _Relay, control: Control) -> None:

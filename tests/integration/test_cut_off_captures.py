@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 
 from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
-from server.client import ServiceClient
+from server.client import RefusedError, ServiceClient
 from server.schemas.captures import Capture, CaptureRequest, ManifestInfo
 from server.settings import RigSource, ServiceSettings
 
@@ -109,6 +109,44 @@ def test_a_killed_recorder_leaves_what_it_had_and_records_no_other_moment(client
     assert "killed" in manifest.reason
     assert 0 < next(c.bytes for c in manifest.cameras if c.id == "cam00") <= most
     assert not partial.exists()
+
+
+def test_a_recorder_killed_beside_its_worker_leaves_what_it_had(client, start_worker, tmp_path) -> None:
+    worker = start_worker()
+    capture = recording(client, tmp_path, ticks=TICKS)
+    recorder_of(worker).kill()
+    assert "killed" in kept(client, capture).reason
+
+
+@pytest.fixture
+def failed(client, start_worker, tmp_path) -> Capture:
+    """A capture whose recorder was killed and whose planes nobody has finalised yet."""
+    worker = start_worker()
+    capture = recording(client, tmp_path, ticks=TICKS)
+    partial = tmp_path / "data/captures" / f"{capture.id}.partial"
+    recorder = recorder_of(worker)
+    recorder.suspend()
+    manifest = (partial / "recording.json").rename(partial / "kept.json")  # it cannot be finalised without
+    recorder.kill()
+    assert ended(client, capture).status == "failed"
+    manifest.rename(partial / "recording.json")
+    return client.capture(capture.id)
+
+
+def test_what_a_failed_capture_left_is_told_and_finalised_on_demand(client, failed) -> None:
+    assert 0 < failed.partial_planes < TICKS
+    (listed,) = client.captures(status="failed")
+    assert listed == failed
+    assert client.finalise_capture(failed.id).status in ("queued", "running")
+    assert max(camera.planes for camera in kept(client, failed).cameras) == failed.partial_planes
+    with pytest.raises(RefusedError, match="found no planes"):
+        client.finalise_capture(failed.id)
+
+
+def test_a_deleted_capture_leaves_nothing(client, failed, tmp_path) -> None:
+    client.delete_capture(failed.id)
+    assert list((tmp_path / "data/captures").iterdir()) == []
+    assert not (tmp_path / "data/entries" / failed.id).exists()
 
 
 def test_a_recorder_ends_in_order_when_its_worker_is_killed(client, start_worker, tmp_path) -> None:

@@ -70,7 +70,10 @@ function offered(item, context) {
       button('Verify', `verify-${item.id}`, verify, { done: 'The check of every byte is queued' }),
     ],
     removal(item, `/captures/${item.id}`, 'The recording is deleted for good; what was made of it stays, but cannot be done again.')));
+  const finalise = () => post(`/captures/${item.id}/finalise`);
   return [
+    item.partial_planes > 0 && actions(button(
+      `Finalise ${item.partial_planes} planes`, `finalise-${item.id}`, finalise, { plain: false, done: 'What was kept becomes a recording' })),
     item.status === 'done' && actions(asking('Reconstruct…', 'Reconstruct', 'reconstruct', item, context, false)),
     fold(`more-${item.id}`, 'More', more),
   ];

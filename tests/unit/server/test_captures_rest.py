@@ -272,7 +272,11 @@ def test_a_rig_does_one_thing_at_a_time(tmp_path: Path) -> None:
         capture = http.post("/v1/rigs/lab3x3/captures", json={"ticks": 5}).json()
         refused(http.post("/v1/rigs/lab3x3/look", json={"ticks": 50}), 409, capture["id"])
         refused(http.post("/v1/rigs/lab3x3/preflight"), 409, capture["id"])
+        for word in ("stop", "save"):
+            refused(http.post(f"/v1/rigs/nosuch/captures/{capture['id']}/{word}"), 404, "of rig lab3x3, not nosuch")
+        refused(http.post(f"/v1/captures/{capture['id']}/finalise"), 409, "queued")
         http.post(f"/v1/rigs/lab3x3/captures/{capture['id']}/stop")
+        refused(http.post(f"/v1/captures/{capture['id']}/finalise"), 409, "found no planes")
         looks = []
         for _ in range(3):
             looks.append(http.post("/v1/rigs/lab3x3/look", json={"ticks": 50}).json()["id"])
