@@ -19,10 +19,9 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.conventions import RATE_HZ
 from reconstruction.bench.streams import TrueImage
-from reconstruction.metrics.image import psnr_db, ssim
+from reconstruction.metrics.image import edge_sharpness, psnr_db, ssim
 from reconstruction.metrics.lpips import Lpips
 from reconstruction.metrics.natural import Niqe, brisque
-from reconstruction.metrics.sharpness import edge_sharpness
 from reconstruction.report.display import grey
 
 Image = NDArray[np.float32]

@@ -42,7 +42,9 @@ def write_viewer(folder: Path, scene: Scene) -> None:
 @torch.no_grad()
 def viewer_of(scene: Scene) -> tuple[dict, bytes]:
     """Return the document of `viewer.json` and the bytes of `viewer.bin`."""
-    still, moving = _still(scene.gaussians), _moving(scene.gaussians)
+    cloud = scene.gaussians
+    still = _still(cloud)
+    moving = _polynomial(cloud, cloud.motion) if type(cloud.motion) is PolynomialMotion else _keyframes(cloud)
     count, movers = len(still["means"]), len(moving["means"])
     arrays = {name: np.concatenate([array, moving[name]]) for name, array in still.items()}
     arrays["intensities"] = arrays["intensities"] / np.float32(scene.white)
@@ -83,10 +85,6 @@ def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, i
         "opacities": floats(opacities),
         "intensities": floats(intensities[:, 0]),
     }
-
-
-def _moving(cloud: DynamicCloud) -> Arrays:
-    return _polynomial(cloud, cloud.motion) if type(cloud.motion) is PolynomialMotion else _keyframes(cloud)
 
 
 def _polynomial(cloud: DynamicCloud, motion: PolynomialMotion) -> Arrays:

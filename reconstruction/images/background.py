@@ -1,4 +1,8 @@
-"""The background that stays when the movers are taken away, and the pixels a sensor has lost."""
+"""The pixels that ever see something move, the background that stays without movers, and the pixels a sensor has lost.
+
+Under constant light, counts over equal windows differ by at most one spike plus shot noise. A pixel whose counts spread
+wider, over long windows (slow change) or short ones (a brief passage), is moving.
+"""
 
 from dataclasses import dataclass
 
@@ -12,6 +16,9 @@ from reconstruction.images.flicker import Light
 WINDOWS = 20  # equal parts of the clip
 SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background
 MOSTLY = 0.4  # share of the parts that may show something else
+CUTS = (4, 16)  # equal windows the clip is cut into, once for slow and once for brief change
+CHANGE = 3  # smallest spread of counts that constant light does not explain
+GROW_PX = 2  # a mover's edge is soft: its neighbours see it too
 STUCK_GAP = 0.05  # spikes per tick a stuck pixel must differ from its neighbours to matter
 
 
@@ -27,6 +34,26 @@ class Background:
     stuck: NDArray[np.bool_]
 
 
+def moving_pixels(stream: SpikeStream, light: Light) -> NDArray[np.bool_]:
+    """Find the pixels [H, W] that change somewhere in the stream by more than `light` does."""
+    seen = np.zeros((stream.layout.height, stream.layout.width), dtype=np.uint8)
+    for windows in CUTS:
+        if len(stream) // windows >= CHANGE:
+            counts, least = _steady_counts(stream, windows, light)
+            shot = np.sqrt(counts.mean(axis=0)) * 0.05
+            seen |= (np.ptp(counts, axis=0) >= CHANGE / least + shot).astype(np.uint8)
+    seen = cv2.medianBlur(seen, 3)  # a lone flickering pixel is the sensor's, not the scene's
+    return cv2.dilate(seen, np.ones((2 * GROW_PX + 1,) * 2, dtype=np.uint8)).astype(bool)
+
+
+def _steady_counts(stream: SpikeStream, windows: int, light: Light) -> tuple[NDArray[np.floating], float]:
+    """Count spikes over equal windows [windows, H, W], as in steady light; return the least gain of a window, too."""
+    length = len(stream) // windows
+    spans = [(i * length, (i + 1) * length) for i in range(windows)]
+    gains = [light.over(*span) for span in spans]
+    return np.stack([stream.counts(*s) / np.float32(gain) for s, gain in zip(spans, gains, strict=True)]), min(gains)
+
+
 def background(stream: SpikeStream, moving: NDArray[np.bool_], light: Light) -> Background:
     """Find the background behind the `moving` pixels [H, W] in mean light; stuck pixels take the median around them."""
     mean = stream.counts(0, len(stream)).astype(np.float32) / np.float32(len(stream))
@@ -34,8 +61,7 @@ def background(stream: SpikeStream, moving: NDArray[np.bool_], light: Light) -> 
     length = len(stream) // WINDOWS
     if length == 0 or not moving.any():
         return Background(mended(mean, stuck), ~moving, stuck)
-    spans = [(i * length, (i + 1) * length) for i in range(WINDOWS)]
-    counts = np.stack([stream.counts(*span) / np.float32(light.over(*span)) for span in spans])
+    counts, _ = _steady_counts(stream, WINDOWS, light)
     median = np.median(counts, axis=0).astype(np.float32)
     elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)
     image = mean.copy()

@@ -24,9 +24,7 @@ class Replay:
         self._planes = stream.planes(self._first, last).view(bool)
         self._instant = plane
         shape = self._planes.shape[1:]
-        self.silence = np.zeros(shape, dtype=np.int16)
-        self.longest = np.zeros(shape, dtype=np.int16)
-        self.intervals = np.zeros(shape, dtype=np.int16)
+        self.silence, self.longest, self.intervals = (np.zeros(shape, dtype=np.int16) for _ in range(3))
 
     @property
     def saturated(self) -> NDArray[np.bool_]:

@@ -42,15 +42,11 @@ def _constants(data_range: float) -> tuple[float, float]:
     return (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
 
 
-def _window(like: Tensor) -> Tensor:
-    offsets = torch.arange(-REACH_PX, REACH_PX + 1, dtype=like.dtype, device=like.device)
-    weights = torch.exp(-0.5 * (offsets / SIGMA_PX) ** 2)
-    return weights / weights.sum()
-
-
 def windowed_means(images: Tensor) -> Tensor:
     """Return the Gaussian-weighted means [B, H, W] around each pixel of images [B, H, W]."""
-    window = _window(images)
+    offsets = torch.arange(-REACH_PX, REACH_PX + 1, dtype=images.dtype, device=images.device)
+    weights = torch.exp(-0.5 * (offsets / SIGMA_PX) ** 2)
+    window = weights / weights.sum()
 
     def filtered(x: Tensor) -> Tensor:
         x = torch.nn.functional.conv2d(x[:, None], window[None, None, None, :], padding=(0, REACH_PX))

@@ -81,8 +81,7 @@ def niqe_features(pixels: Pixels) -> NDArray[np.float64]:
 
 def _even(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the image [H, W] without its local mean and contrast (7x7 Gaussian of 7/6 px)."""
-    mean = cv2.GaussianBlur(image, (7, 7), 7 / 6, borderType=cv2.BORDER_REPLICATE)
-    power = cv2.GaussianBlur(image**2, (7, 7), 7 / 6, borderType=cv2.BORDER_REPLICATE)
+    mean, power = (cv2.GaussianBlur(a, (7, 7), 7 / 6, borderType=cv2.BORDER_REPLICATE) for a in (image, image**2))
     return (image - mean) / (np.sqrt(np.abs(power - mean**2)) + 1)
 
 

@@ -23,10 +23,6 @@ def write_video(path: Path, size: tuple[int, int], pictures: Iterable[Pixels]) -
         stream = container.add_stream("libx264", rate=RATE_HZ, options=VIDEO)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for picture in pictures:
-            pixels = np.ascontiguousarray(picture[:height, :width])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format=_form(pixels))))
+            pixels, form = np.ascontiguousarray(picture[:height, :width]), "gray" if picture.ndim == 2 else "bgr24"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format=form)))
         container.mux(stream.encode(None))
-
-
-def _form(pixels: Pixels) -> str:
-    return "gray" if pixels.ndim == 2 else "bgr24"

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
+from reconstruction.images.background import moving_pixels
 from reconstruction.images.flicker import Light, estimate_light
-from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES

@@ -1,6 +1,6 @@
 """Looks a second time at the pixels that a plan calls still, and finds the regions that change after all.
 
-The plan tests pixel by pixel over a few long windows (`images.moving_pixels`), and misses what moves slowly or stands
+The plan tests pixel by pixel over a few long windows (`images.background`), and misses what moves slowly or stands
 out little. Here counts of WINDOW planes are pooled over BOX_PX x BOX_PX still pixels. Under constant light a sensor's
 count is sub-Poisson: it varies by one spike's rounding (1/6) and a Fano factor of .05, so the pooled count of n pixels
 with m spikes has the variance n / 6 + .05 m. A region changes where LEAST_PX or more connected pixels depart from their

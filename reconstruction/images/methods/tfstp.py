@@ -29,8 +29,7 @@ AGREE = 1.5  # ticks: an interval's quantisation, and what u still moves
 def tfstp(stream: SpikeStream, plane: int) -> Estimate:
     """Return the image at `plane` from the synapses' state at its next spike."""
     replay = Replay(stream, plane)
-    spent = np.zeros(replay.silence.shape, dtype=np.float32)  # 1 - R
-    primed = np.zeros(replay.silence.shape, dtype=np.float32)  # u - U0
+    spent, primed = (np.zeros(replay.silence.shape, dtype=np.float32) for _ in range(2))  # 1 - R, u - U0
     ages = np.arange(2 * HISTORY + 1, dtype=np.float32)
     refill, fade = np.exp(-ages / np.float32(TAU_D)), np.exp(-ages / np.float32(TAU_F))
     for closed, ticks in replay:

@@ -31,15 +31,12 @@ def tvs(stream: SpikeStream, plane: int) -> Estimate:
     import cv2
 
     replay = Replay(stream, plane)
-    shape = replay.silence.shape
-    mean, potential = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-    step = np.zeros(shape, dtype=np.float32)
-    length = np.zeros(shape, dtype=np.float32)  # intervals since the last cut, at most MEMORY
+    mean, potential, step, length = (np.zeros(replay.silence.shape, dtype=np.float32) for _ in range(4))
     for closed, ticks in replay:
         unlike = closed & (length > 0) & (np.abs(ticks - mean) > UNLIKE)
         potential = LEAK * potential + cv2.filter2D(unlike.astype(np.float32), -1, FED, borderType=cv2.BORDER_CONSTANT)
         excited = potential >= FIRES_AT
-        length[excited & closed] = 0
+        length[excited & closed] = 0  # intervals since the last cut
         np.minimum(length + 1, MEMORY, out=length, where=closed)
         np.divide(ticks - mean, length, out=step, where=closed)
         np.add(mean, step, out=mean, where=closed)

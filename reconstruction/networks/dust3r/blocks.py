@@ -74,10 +74,7 @@ class CrossAttention(nn.Module):
     def __init__(self, dim: int, heads: int):
         super().__init__()
         self.heads = heads
-        self.projq = nn.Linear(dim, dim)
-        self.projk = nn.Linear(dim, dim)
-        self.projv = nn.Linear(dim, dim)
-        self.proj = nn.Linear(dim, dim)
+        self.projq, self.projk, self.projv, self.proj = (nn.Linear(dim, dim) for _ in range(4))
 
     def forward(self, tokens: Tensor, other: Tensor, turns: Turns, other_turns: Turns) -> Tensor:
         """Map [b, n, c] and the other image's [b, m, c] to [b, n, c]."""

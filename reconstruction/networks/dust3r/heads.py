@@ -45,8 +45,7 @@ _doubled = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True)
 class _Residual(nn.Module):
     def __init__(self, dim: int):
         super().__init__()
-        self.conv1 = nn.Conv2d(dim, dim, 3, padding=1)
-        self.conv2 = nn.Conv2d(dim, dim, 3, padding=1)
+        self.conv1, self.conv2 = (nn.Conv2d(dim, dim, 3, padding=1) for _ in range(2))
 
     def forward(self, image: Tensor) -> Tensor:
         return image + self.conv2(relu(self.conv1(relu(image))))
@@ -57,8 +56,7 @@ class _Fusion(nn.Module):
 
     def __init__(self, dim: int):
         super().__init__()
-        self.resConfUnit1 = _Residual(dim)
-        self.resConfUnit2 = _Residual(dim)
+        self.resConfUnit1, self.resConfUnit2 = _Residual(dim), _Residual(dim)
         self.out_conv = nn.Conv2d(dim, dim, 1)
 
     def forward(self, coarse: Tensor, fine: Tensor | None = None) -> Tensor:

@@ -14,8 +14,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.networks.dust3r.blocks import NORM_EPS, DecoderBlock, EncoderBlock, PatchEmbedding, Turns
 from reconstruction.networks.dust3r.heads import DptHead, DptSizes, LinearHead
 
-MOST_LOG_DISTANCE = 20.0  # exp(20) = 5e8: far beyond any scene, far below what float32 overflows at
-MOST_LOG_CONFIDENCE = 20.0
+MOST_LOG = 20.0  # of a distance or confidence: exp(20) = 5e8 is beyond any scene, far below where float32 overflows
 DPT_PATCH_PX = 16
 LARGEST = 65536  # channels, blocks, heads or pixels: beyond any transformer
 
@@ -137,6 +136,6 @@ def unfolded(outputs: Tensor) -> PointMap:
     """
     vectors, logits = outputs[:, :3].permute(0, 2, 3, 1), outputs[:, 3]
     norms = vectors.norm(dim=-1, keepdim=True)
-    distances = torch.expm1(norms.clamp(max=MOST_LOG_DISTANCE))
+    distances = torch.expm1(norms.clamp(max=MOST_LOG))
     points = vectors / norms.clamp(min=1e-8) * distances
-    return PointMap(points, 1 + torch.exp(logits.clamp(max=MOST_LOG_CONFIDENCE)))
+    return PointMap(points, 1 + torch.exp(logits.clamp(max=MOST_LOG)))

@@ -7,6 +7,7 @@ residuals are whitened by the correspondences' own information. Letters: V = W v
 parameters: turn (rad, in camera axes) and shift (m) of each view, then the logarithm of the focal factor.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -72,9 +73,8 @@ def moved(nominal: Views, parameters: Tensor) -> Views:
     """Return the views turned, shifted and refocused by `parameters` [P]."""
     turns, shifts = parameters[:-1].reshape(-1, 2, 3).unbind(dim=1)
     rotation = torch.linalg.matrix_exp(cross_matrices(turns)) @ nominal.rotation
-    return Views(
-        rotation, nominal.center + shifts, nominal.focal * parameters[-1].exp(), nominal.principal, nominal.distance
-    )
+    focal = nominal.focal * parameters[-1].exp()
+    return replace(nominal, rotation=rotation, center=nominal.center + shifts, focal=focal)
 
 
 def residuals(views: Views, matches: Matches, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:

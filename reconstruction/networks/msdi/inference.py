@@ -43,7 +43,13 @@ def infer_views(
     """Find the images of all `streams` at `plane`, then cameras, then depth, from the `nominal` rig of the streams."""
     height, width = streams[0].layout.height, streams[0].layout.width
     factor = working_factor(width)
-    light, sigma, seen = _observe_all(network, streams, plane, factor, progress)
+    found = []
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # views are shared out over the cores
+        for one in pool.map(lambda stream: observed(network, stream, plane, factor), streams):
+            found.append(one)
+            progress(0.7 * len(found) / len(streams), f"image {len(found)} of {len(streams)}")
+    light, sigma, channels_of_all = zip(*found, strict=True)
+    seen = torch.cat(channels_of_all)
     progress(0.7, "poses")
     with torch.inference_mode():
         small = Views.of_rig(nominal, factor)
@@ -58,20 +64,7 @@ def infer_views(
             confidence.append(swept.confidence[:rows, :columns])
         depth = (1 / torch.stack(inverse)).float().numpy()
         sure = torch.stack(confidence).numpy()
-    return Inferred(light, sigma, views, solved, depth, sure, factor)
-
-
-def _observe_all(
-    network: Msdi, streams: Sequence[SpikeStream], plane: int, factor: int, progress: Progress
-) -> tuple[Floats, Floats, Tensor]:
-    """Return light and sigma [V, h, w] and channels [V, CHANNELS, H, W]; views are shared out over the cores."""
-    found = []
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        for one in pool.map(lambda stream: observed(network, stream, plane, factor), streams):
-            found.append(one)
-            progress(0.7 * len(found) / len(streams), f"image {len(found)} of {len(streams)}")
-    light, sigma, seen = zip(*found, strict=True)
-    return np.stack(light), np.stack(sigma), torch.cat(seen)
+    return Inferred(np.stack(light), np.stack(sigma), views, solved, depth, sure, factor)
 
 
 def observed(network: Msdi, stream: SpikeStream, plane: int, factor: int) -> tuple[Floats, Floats, Tensor]:

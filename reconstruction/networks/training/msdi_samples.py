@@ -125,4 +125,4 @@ class _Cut:
             rotation, center = mirror @ rotation @ mirror, center @ mirror
             principal[:, 0] = self.whole - principal[:, 0]
         principal = principal - torch.tensor([self.left, self.top], dtype=torch.float64)
-        return Views(rotation, center, views.focal, principal, views.distance)
+        return replace(views, rotation=rotation, center=center, principal=principal)

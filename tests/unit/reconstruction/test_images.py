@@ -7,13 +7,12 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.background import background
+from reconstruction.images.background import background, moving_pixels
 from reconstruction.images.catalogue import method
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfi import tfi
 from reconstruction.images.methods.tfp import tfp
-from reconstruction.images.moving_pixels import moving_pixels
 
 
 def stream_of(planes):

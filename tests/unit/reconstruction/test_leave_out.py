@@ -32,8 +32,8 @@ from reconstruction.bench.leave_out import (
     recorded,
 )
 from reconstruction.bench.leave_out_run import EveryChannel, Memory
+from reconstruction.images.background import moving_pixels
 from reconstruction.images.flicker import Light
-from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.plan import STILL_SHARE
 from reconstruction.training.changed_pixels import changed_pixels

@@ -5,9 +5,8 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.background import background
+from reconstruction.images.background import background, moving_pixels
 from reconstruction.images.flicker import FLICKER, Light, estimate_light
-from reconstruction.images.moving_pixels import moving_pixels
 
 WIDTH, HEIGHT, PLANES = 96, 64, 400
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from reconstruction.errors import BadRunError
+from reconstruction.metrics.image import edge_sharpness
 from reconstruction.metrics.lpips import Lpips
 from reconstruction.metrics.natural import Niqe, brisque, fit_asymmetric, niqe_features
-from reconstruction.metrics.sharpness import edge_sharpness
 
 
 def picture(seed=0, height=200, width=300):

@@ -17,11 +17,10 @@ from reconstruction.gaussians.hexplane import HexPlaneMotion
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
-from reconstruction.images.background import background
+from reconstruction.images.background import background, moving_pixels
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.methods.tfp import tfp
-from reconstruction.images.moving_pixels import moving_pixels
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import write_tensors
