@@ -43,9 +43,7 @@ class Truth:
             scene = json.loads((path / "scene.json").read_text())
             return cls(path, float(scene["white"]), tuple(int(m["id"]) for m in scene["movers"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise BadRunError(
-                "found no usable scene.json", "the truth/ of a simulated recording", where=path
-            ) from error
+            raise BadRunError("found no usable scene.json", "a simulated recording's truth", where=path) from error
 
     def planes(self, camera_id: str) -> list[int]:
         """Return the planes a camera has truth for; raises BadRunError where it has none."""

@@ -42,9 +42,8 @@ def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
     swept = [sweep_view(view, [other for other in chosen if other is not view], options) for view in chosen]
     maps = consistent(swept, options)
     depth = np.asarray(cv2.medianBlur(_close_holes(_carry(wanted, maps)), SPECK_PX), dtype=np.float32)
-    samples, weights = zip(
-        *(_sample(wanted, depth, view, m) for view, m in zip(chosen, maps, strict=True)), strict=True
-    )
+    pairs = [_sample(wanted, depth, view, m) for view, m in zip(chosen, maps, strict=True)]
+    samples, weights = zip(*pairs, strict=True)
     total = np.sum(weights, axis=0)
     blend = np.sum([s * w for s, w in zip(samples, weights, strict=True)], axis=0) / np.maximum(total, 1e-9)
     plain = np.mean(samples, axis=0)
@@ -89,9 +88,7 @@ def _sample(wanted: Camera, depth: Image, view: Posed, depth_map: DepthMap) -> t
     x = (seen[..., 0] / z * camera.fx + camera.cx - 0.5).astype(np.float32)
     y = (seen[..., 1] / z * camera.fy + camera.cy - 0.5).astype(np.float32)
     sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    there = cv2.remap(
-        depth_map.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
-    )
+    there = cv2.remap(depth_map.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
     with np.errstate(invalid="ignore"):
         visible = np.abs(there / z - 1) < VISIBLE
     return np.asarray(sampled, np.float32), (visible & np.isfinite(depth)).astype(np.float32)

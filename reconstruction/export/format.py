@@ -15,10 +15,9 @@ Writer = Callable[[Path, Scene, Choices, Progress], dict]
 class Format:
     """A form in which other tools read a run; a file of `reconstruction.export.formats` defines one.
 
-    `about` says in a line what it is. `file` names what an export job writes into its own folder. `takes` lists the
-    fields of `Choices` that matter to it. `folder` says that it is a folder with a manifest. `served` says whether the
-    service offers it. `write(path, scene, choices, progress)` makes the file or folder, which does not exist yet, and
-    returns what a folder's manifest adds.
+    `about` says in a line what it is. `file` names what an export job writes into its own folder: a file, or where the
+    name has no suffix a folder with a manifest. `write(path, scene, choices, progress)` makes it and returns what a
+    manifest adds. `takes` lists the fields of `Choices` that matter to it. `served`: whether the service offers it.
     """
 
     name: str
@@ -26,12 +25,16 @@ class Format:
     file: str
     write: Writer
     takes: tuple[str, ...]
-    folder: bool = False
     served: bool = True
 
+    @property
+    def folder(self) -> bool:
+        """Return whether it is a folder."""
+        return not Path(self.file).suffix
 
-def splat_writer(encode: Callable[[Splats], bytes]) -> Writer:
-    """Return the writer of a single file: the bytes that `encode` makes of the Gaussians at the instant chosen."""
+
+def splat_format(name: str, about: str, encode: Callable[[Splats], bytes]) -> Format:
+    """Return the format of a single file: the bytes that `encode` makes of the Gaussians at the instant chosen."""
 
     def write(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
         splats = splats_at(scene, scene.instant_s(choices))
@@ -39,4 +42,4 @@ def splat_writer(encode: Callable[[Splats], bytes]) -> Writer:
         progress(1.0, f"{len(splats)} Gaussians")
         return {}
 
-    return write
+    return Format(name, about, f"scene.{name}", write, ("at_s",))

@@ -54,11 +54,8 @@ class Scene:
         if choices.at_s is None:
             return clip.middle_s
         if not clip.first_s <= choices.at_s <= clip.last_s:
-            raise BadRunError(
-                f"found the instant {choices.at_s:g} s",
-                f"one within the clip, {clip.first_s:g} to {clip.last_s:g} s",
-                "change --at",
-            )
+            expected = f"one within the clip, {clip.first_s:g} to {clip.last_s:g} s"
+            raise BadRunError(f"found the instant {choices.at_s:g} s", expected, "change --at")
         return choices.at_s
 
     def instants_s(self, choices: Choices) -> list[float]:

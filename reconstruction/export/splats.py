@@ -60,13 +60,8 @@ def splats_at(scene: Scene, instant_s: float) -> Splats:
 
     with torch.no_grad():
         now = scene.gaussians.at(instant_s)
-        splats = Splats(
-            floats(now.means),
-            floats(unit(now.quats_wxyz)),
-            linear_scales(now.log_scales),
-            floats(now.opacities),
-            floats(now.intensities[:, 0] / scene.white),
-        )
+        shapes = floats(now.means), floats(unit(now.quats_wxyz)), linear_scales(now.log_scales)
+        splats = Splats(*shapes, floats(now.opacities), floats(now.intensities[:, 0] / scene.white))
     return splats.select(splats.opacities >= ALPHA_MIN)
 
 

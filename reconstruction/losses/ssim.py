@@ -28,9 +28,8 @@ def ssim_map(image: Tensor, target: Tensor, data_range: float) -> Tensor:
     reference. Raises ReconstructionError for shapes that differ or a data range that is not positive.
     """
     if image.ndim != 2 or image.shape != target.shape or image.numel() == 0:
-        raise ReconstructionError(
-            f"found images of shapes {tuple(image.shape)} and {tuple(target.shape)}", "the same (H, W)"
-        )
+        found = f"found images of shapes {tuple(image.shape)} and {tuple(target.shape)}"
+        raise ReconstructionError(found, "the same (H, W)")
     if not (math.isfinite(data_range) and data_range > 0):
         raise ReconstructionError(f"found the data range {data_range}", "a positive number")
     if not fits(image, target):

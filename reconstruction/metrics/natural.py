@@ -46,9 +46,8 @@ class Niqe:
             if self._mean.shape != (36,) or self._spread.shape != (36, 36):
                 raise ValueError(f"{self._mean.shape}, {self._spread.shape}")
         except (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile) as error:
-            raise BadRunError(
-                f"found no NIQE model ({error})", "mu_pris_param [36] and cov_pris_param [36, 36]", where=parameters
-            ) from error
+            wanted = "mu_pris_param [36] and cov_pris_param [36, 36]"
+            raise BadRunError(f"found no NIQE model ({error})", wanted, where=parameters) from error
 
     def __call__(self, pixels: Pixels) -> float:
         """Return the NIQE of an 8-bit grey image [H, W]; NaN for one with less than two patches of 96 pixels."""
@@ -69,10 +68,7 @@ def niqe_features(pixels: Pixels) -> NDArray[np.float64]:
     scales = []
     for scale in (1, 2):
         side = PATCH // scale
-        even = _even(image)
-        patches = (
-            even[r * side : (r + 1) * side, c * side : (c + 1) * side] for r in range(rows) for c in range(columns)
-        )
+        patches = _even(image).reshape(rows, side, columns, side).swapaxes(1, 2).reshape(-1, side, side)
         scales.append(np.array([_patch_features(patch) for patch in patches]))
         image = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).astype(np.float64)
     features = np.concatenate(scales, axis=1)

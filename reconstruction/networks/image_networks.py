@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -90,17 +89,15 @@ def _mean(seen: Tensor) -> Tensor:
     return seen.mean(dim=(1, 2, 3), keepdim=True).clamp_min(LEAST_LIGHT)
 
 
-IMAGE_NETWORKS: Mapping[str, ImageNetwork] = MappingProxyType(
-    {
-        "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet),
-        "published": ImageNetwork(partial(planes_around, reach=RAW_REACH), _mean, PublishedSpk2ImgNet, reach=RAW_REACH),
-        "blindspot": ImageNetwork(
-            blind_rates,
-            _mean_rate,
-            BlindSpotNet,
-            reversed_blind_rates,
-            lambda seen: seen[:, BINS // 2, None],
-            NOISE_BEND,
-        ),
-    }
-)
+IMAGE_NETWORKS: Mapping[str, ImageNetwork] = {
+    "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet),
+    "published": ImageNetwork(partial(planes_around, reach=RAW_REACH), _mean, PublishedSpk2ImgNet, reach=RAW_REACH),
+    "blindspot": ImageNetwork(
+        blind_rates,
+        _mean_rate,
+        BlindSpotNet,
+        reversed_blind_rates,
+        lambda seen: seen[:, BINS // 2, None],
+        NOISE_BEND,
+    ),
+}

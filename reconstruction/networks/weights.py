@@ -36,6 +36,4 @@ def read_weights(path: Path, module: nn.Module) -> None:
         raise BadRunError(f"found no weights ({error.strerror})", do="train this network first", where=path) from error
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, BadZipFile, zlib.error) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BadRunError(
-            f"found other or damaged weights ({reason})", do="train this network again", where=path
-        ) from error
+        raise BadRunError(f"found other or damaged weights ({reason})", do="train it again", where=path) from error

@@ -154,11 +154,8 @@ class RadianceField:
             kept = {name: state[name] for name in ("light", "still", "moving")}
             return cls(frustum=Frustum(**state["frustum"]), clip=TimeSpan(*state["clip"]), **learnt, **kept)
         except (KeyError, TypeError, ValueError) as error:
-            raise ReconstructionError(
-                f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}",
-                "one as this version stores it",
-                "train again",
-            ) from error
+            found = f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}"
+            raise ReconstructionError(found, "one as this version stores it", "train again") from error
 
 
 def grid_of(nodes: Tensor, first: int, shape: tuple[int, int, int], reach: tuple[int, int, int]) -> Grid:

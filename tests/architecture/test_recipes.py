@@ -178,7 +178,7 @@ def test_an_export_format_is_one_file_and_a_line(copy):
         '''
         """`.xyz`: a line of text for each Gaussian at one instant, an example of an export format."""
 
-        from reconstruction.export.format import Format, splat_writer
+        from reconstruction.export.format import splat_format
         from reconstruction.export.splats import Splats
 
 
@@ -187,7 +187,7 @@ def test_an_export_format_is_one_file_and_a_line(copy):
             return "".join(f"{x:.6f} {y:.6f} {z:.6f}\\n" for x, y, z in splats.means).encode()
 
 
-        XYZ = Format("xyz", "where the Gaussians are", "scene.xyz", splat_writer(xyz_bytes), ("at_s",))
+        XYZ = splat_format("xyz", "where the Gaussians are", xyz_bytes)
         ''',
     )
     readme = copy / "reconstruction/README.md"

@@ -36,10 +36,5 @@ def write_colmap(folder: Path, scene: Scene, choices: Choices, progress: Progres
 
 
 COLMAP = Format(
-    "colmap",
-    "text model, a rendered picture a camera, the Gaussians as points",
-    "colmap",
-    write_colmap,
-    ("at_s",),
-    folder=True,
+    "colmap", "text model, a rendered picture a camera, the Gaussians as points", "colmap", write_colmap, ("at_s",)
 )

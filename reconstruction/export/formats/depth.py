@@ -25,10 +25,5 @@ def write_depth(folder: Path, scene: Scene, choices: Choices, progress: Progress
 
 
 DEPTH = Format(
-    "depth",
-    "depth maps in m (NaN where nothing is) and in colours",
-    "depth",
-    write_depth,
-    ("frames", "camera"),
-    folder=True,
+    "depth", "depth maps in m (NaN where nothing is) and in colours", "depth", write_depth, ("frames", "camera")
 )

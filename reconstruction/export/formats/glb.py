@@ -13,7 +13,7 @@ import struct
 
 import numpy as np
 
-from reconstruction.export.format import Format, splat_writer
+from reconstruction.export.format import splat_format
 from reconstruction.export.splats import SH_0, Splats, to_bytes
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -86,6 +86,4 @@ def _container(document: dict, data: bytes) -> bytes:
     return struct.pack("<III", MAGIC, 2, 12 + len(body)) + body
 
 
-GLB = Format(
-    "glb", "glTF with `KHR_gaussian_splatting`: y up, linear scales", "scene.glb", splat_writer(glb_bytes), ("at_s",)
-)
+GLB = splat_format("glb", "glTF with `KHR_gaussian_splatting`: y up, linear scales", glb_bytes)

@@ -46,5 +46,4 @@ NERFSTUDIO = Format(
     "nerfstudio",
     write_nerfstudio,
     ("at_s", "frames"),
-    folder=True,
 )

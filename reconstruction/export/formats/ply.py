@@ -8,7 +8,7 @@ Source: Kerbl et al., "3D Gaussian splatting", SIGGRAPH 2023, and its reference 
 
 import numpy as np
 
-from reconstruction.export.format import Format, splat_writer
+from reconstruction.export.format import splat_format
 from reconstruction.export.splats import SH_0, Splats
 
 NAMES = (
@@ -33,10 +33,6 @@ def ply_bytes(splats: Splats) -> bytes:
     return header.encode() + rows.tobytes()
 
 
-PLY = Format(
-    "ply",
-    "the Gaussians at one instant as 3DGS stores them: OpenCV axes, log scales, logits",
-    "scene.ply",
-    splat_writer(ply_bytes),
-    ("at_s",),
+PLY = splat_format(
+    "ply", "the Gaussians at one instant as 3DGS stores them: OpenCV axes, log scales, logits", ply_bytes
 )

@@ -26,5 +26,4 @@ PLY_SEQUENCE = Format(
     "ply",
     write_ply_sequence,
     ("frames",),
-    folder=True,
 )

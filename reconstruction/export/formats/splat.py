@@ -7,7 +7,7 @@ Source: antimatter15/splat, `convert.py` (the format's reference).
 
 import numpy as np
 
-from reconstruction.export.format import Format, splat_writer
+from reconstruction.export.format import splat_format
 from reconstruction.export.splats import Splats, to_bytes
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("colour", "u1", 4), ("quat_wxyz", "u1", 4)])
@@ -25,6 +25,4 @@ def splat_bytes(splats: Splats) -> bytes:
     return rows.tobytes()
 
 
-SPLAT = Format(
-    "splat", "the Gaussians at one instant in 32 bytes each", "scene.splat", splat_writer(splat_bytes), ("at_s",)
-)
+SPLAT = splat_format("splat", "the Gaussians at one instant in 32 bytes each", splat_bytes)

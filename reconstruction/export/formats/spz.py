@@ -16,7 +16,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.export.format import Format, splat_writer
+from reconstruction.export.format import splat_format
 from reconstruction.export.splats import SH_0, Floats, Splats, to_bytes
 
 MAGIC, VERSION, ANTIALIASED = 0x5053474E, 3, 1
@@ -62,10 +62,4 @@ def _smallest_three(quats_wxyz: Floats) -> NDArray[np.uint32]:
     return packed.astype("<u4")
 
 
-SPZ = Format(
-    "spz",
-    "the Gaussians at one instant in 17 bytes each or less, y up",
-    "scene.spz",
-    splat_writer(spz_bytes),
-    ("at_s",),
-)
+SPZ = splat_format("spz", "the Gaussians at one instant in 17 bytes each or less, y up", spz_bytes)

@@ -23,6 +23,5 @@ VIEWER = Format(
     "viewer",
     export_viewer,
     (),
-    folder=True,
     served=False,
 )

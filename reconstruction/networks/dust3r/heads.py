@@ -89,14 +89,13 @@ class _Dpt(nn.Module):
         super().__init__()
         a, b, _, d = sizes.scales
         first = [nn.Conv2d(dim, width, 1) for dim, width in zip(dims, sizes.scales, strict=True)]
-        self.act_postprocess = nn.ModuleList(
-            [
-                nn.Sequential(first[0], nn.ConvTranspose2d(a, a, 4, stride=4)),
-                nn.Sequential(first[1], nn.ConvTranspose2d(b, b, 2, stride=2)),
-                nn.Sequential(first[2]),
-                nn.Sequential(first[3], nn.Conv2d(d, d, 3, stride=2, padding=1)),
-            ]
+        resized = (
+            nn.Sequential(first[0], nn.ConvTranspose2d(a, a, 4, stride=4)),
+            nn.Sequential(first[1], nn.ConvTranspose2d(b, b, 2, stride=2)),
+            nn.Sequential(first[2]),
+            nn.Sequential(first[3], nn.Conv2d(d, d, 3, stride=2, padding=1)),
         )
+        self.act_postprocess = nn.ModuleList(resized)
         self.scratch = _Scales(sizes)
         half = sizes.fused // 2
         self.head = nn.Sequential(

@@ -101,11 +101,8 @@ def correlations(features: Tensor, views: Views, view: int, steps: Tensor) -> Te
     grid = (2 * at[0] / extent - 1).reshape(len(steps), rows * columns, len(sources), 2)
     visible = (grid.abs() <= 1).all(dim=-1) & (ratio.reshape(grid.shape[:-1]) > LEAST_Z)
     for number, source in enumerate(sources):
-        warped = functional.grid_sample(
-            features[source].flatten(0, 1)[None],
-            grid[None, :, :, number].clamp(-2, 2).flatten(1, 2)[:, None],
-            align_corners=False,
-        )  # [1, G c, 1, K h w]
+        place = grid[None, :, :, number].clamp(-2, 2).flatten(1, 2)[:, None]
+        warped = functional.grid_sample(features[source].flatten(0, 1)[None], place, align_corners=False)
         warped = warped.reshape(*features.shape[1:3], len(steps), rows, columns)
         mask = visible[:, :, number].reshape(len(steps), rows, columns)
         alike.append((features[view][:, :, None] * warped).sum(dim=1) * mask)

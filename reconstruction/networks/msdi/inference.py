@@ -81,7 +81,5 @@ def full_size(small: Floats, factor: int, height: int, width: int) -> Floats:
     """Enlarge a map [H, W] of the working size to the pixels of the view [h, w], bilinearly."""
     rows, columns = small.shape
     shape = (rows * factor, columns * factor)
-    large = functional.interpolate(
-        torch.from_numpy(small)[None, None], size=shape, mode="bilinear", align_corners=False
-    )
+    large = functional.interpolate(torch.from_numpy(small)[None, None], size=shape, mode="bilinear")
     return large[0, 0, :height, :width].numpy()
