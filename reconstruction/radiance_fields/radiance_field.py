@@ -20,8 +20,7 @@ from torch.nn.functional import softplus
 from reconstruction.errors import ReconstructionError
 from reconstruction.radiance_fields.frustum import Frustum
 from reconstruction.radiance_fields.march import BLOCK, STEP, Grid, march
-from reconstruction.rendering.pinhole import pinhole_of
-from reconstruction.rendering.render import NEAR_M
+from reconstruction.rendering.render import refuse_distortion
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 
@@ -86,7 +85,7 @@ class RadianceField:
 
     def look(self, camera: Camera, instant_s: float) -> View:
         """Return what `camera` sees at `instant_s` on the rig clock."""
-        pinhole_of(camera, NEAR_M)  # refuses a lens that distorts
+        refuse_distortion(camera)
         rows, columns = np.indices((camera.height, camera.width)).reshape(2, -1)
         rays = self.frustum.rays(camera, columns, rows)
         with torch.no_grad():

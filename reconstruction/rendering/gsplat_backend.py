@@ -15,9 +15,9 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.quaternions import unit
-from reconstruction.rendering.pinhole import Pinhole
 from reconstruction.rendering.reference import DILATION_PX2, LOG_SCALE_MAX, LOG_SCALE_MIN
 from reconstruction.rendering.result import Instantaneous, Rendering
+from rigs.camera import Camera
 
 DEVICE = "cuda"
 
@@ -39,7 +39,7 @@ def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
     return importlib.import_module("gsplat").rasterization
 
 
-def render_gsplat(gaussians: Instantaneous, camera: Pinhole, *, median: bool = False) -> Rendering:
+def render_gsplat(gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False) -> Rendering:
     """Render as `render_reference` does, by gsplat: float32 on a CUDA device.
 
     Raises ReconstructionError where gsplat or a CUDA device is missing, the tensors are elsewhere, or the median depth
@@ -56,9 +56,8 @@ def render_gsplat(gaussians: Instantaneous, camera: Pinhole, *, median: bool = F
         dark = nothing[..., None].expand(-1, -1, intensities.shape[1]) + intensities.sum()
         return Rendering(dark, nothing, nothing, torch.zeros(0, dtype=torch.int32, device=means.device))
     cam_from_world = torch.eye(4, device=means.device)
-    cam_from_world[:3, :3] = means.new_tensor(camera.rotation).reshape(3, 3)
-    cam_from_world[:3, 3] = means.new_tensor(camera.translation)
-    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    cam_from_world[:3, :3] = means.new_tensor(camera.cam_from_rig.rotation)
+    cam_from_world[:3, 3] = means.new_tensor(camera.cam_from_rig.translation)
     colours, alphas, meta = rasterization(
         means=means,
         quats=unit(quats_wxyz),
@@ -66,10 +65,10 @@ def render_gsplat(gaussians: Instantaneous, camera: Pinhole, *, median: bool = F
         opacities=opacities,
         colors=intensities,
         viewmats=cam_from_world[None],
-        Ks=means.new_tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])[None],
+        Ks=means.new_tensor(camera.K)[None],
         width=camera.width,
         height=camera.height,
-        near_plane=camera.near_m,
+        near_plane=near_m,
         eps2d=DILATION_PX2,
         packed=False,
         render_mode="RGB+D",

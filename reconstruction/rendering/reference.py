@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from reconstruction.quaternions import matrices
-from reconstruction.rendering.pinhole import Pinhole
 from reconstruction.rendering.result import Instantaneous, Rendering
+from rigs.camera import Camera
 
 LOG_SCALE_MIN, LOG_SCALE_MAX = -30.0, 15.0  # log m
 DILATION_PX2 = 0.3
@@ -37,20 +37,19 @@ class Splats:
     source: Tensor  # [M] index of the Gaussian
 
 
-def clamped_slopes(in_cam: Tensor, camera: Pinhole) -> tuple[Tensor, Tensor]:
+def clamped_slopes(in_cam: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
     """Return x/z and y/z [N] of points [N, 3] m in the camera's frame, held within 15% of the image's size around it.
 
     So far out the projection is still nearly linear.
     """
-    slopes = []
-    for axis, size in enumerate((camera.width, camera.height)):
-        focal, principal = camera.focal[axis], camera.principal[axis]
+    slopes, lens = [], ((camera.width, camera.fx, camera.cx), (camera.height, camera.fy, camera.cy))
+    for axis, (size, focal, principal) in enumerate(lens):
         low, high = (-principal - 0.15 * size) / focal, (size - principal + 0.15 * size) / focal
         slopes.append((in_cam[:, axis] / in_cam[:, 2]).clamp(low, high))
     return slopes[0], slopes[1]
 
 
-def projected_axes(in_cam: Tensor, quats_wxyz: Tensor, log_scales: Tensor, camera: Pinhole) -> Tensor:
+def projected_axes(in_cam: Tensor, quats_wxyz: Tensor, log_scales: Tensor, camera: Camera) -> Tensor:
     """Return the images [N, 2, 3] in px of each Gaussian's scaled axes; times its transpose, the covariance in px^2.
 
     `in_cam` [N, 3] m in the camera's frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m.
@@ -58,26 +57,28 @@ def projected_axes(in_cam: Tensor, quats_wxyz: Tensor, log_scales: Tensor, camer
     z = in_cam[:, 2]
     slope_x, slope_y = clamped_slopes(in_cam, camera)
     zero = torch.zeros_like(z)
-    fx, fy = camera.focal
+    fx, fy = camera.fx, camera.fy
     jacobian = torch.stack([fx / z, zero, -fx * slope_x / z, zero, fy / z, -fy * slope_y / z], -1).unflatten(-1, (2, 3))
-    rotation = in_cam.new_tensor(camera.rotation).reshape(3, 3)
+    rotation = in_cam.new_tensor(camera.cam_from_rig.rotation)
     scales = log_scales.clamp(LOG_SCALE_MIN, LOG_SCALE_MAX).exp()
     return jacobian @ rotation @ (matrices(quats_wxyz) * scales[:, None, :])
 
 
-def in_camera(means: Tensor, camera: Pinhole) -> Tensor:
+def in_camera(means: Tensor, camera: Camera) -> Tensor:
     """Return points [N, 3] of the rig frame in the camera's frame, in m."""
-    rotation = means.new_tensor(camera.rotation).reshape(3, 3)
-    return means @ rotation.T + means.new_tensor(camera.translation)
+    pose = camera.cam_from_rig
+    return means @ means.new_tensor(pose.rotation).T + means.new_tensor(pose.translation)
 
 
-def project(means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, camera: Pinhole) -> Splats:
+def project(
+    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, camera: Camera, near_m: float
+) -> Splats:
     """Return the Gaussians that reach at least one pixel, in order of depth (equal depths keep their order).
 
     `means` [N, 3] m in the rig frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m, `opacities` [N] 0
     to 1. The covariance is J W V W^T J^T as in Zwicker et al., with the guards of this module.
     """
-    in_front = (in_camera(means.detach(), camera)[:, 2] >= camera.near_m).nonzero()[:, 0]
+    in_front = (in_camera(means.detach(), camera)[:, 2] >= near_m).nonzero()[:, 0]
     in_cam = in_camera(means[in_front], camera)
     axes = projected_axes(in_cam, quats_wxyz[in_front], log_scales[in_front], camera)
     (a, b, c), (d, e, f) = axes[:, 0].unbind(-1), axes[:, 1].unbind(-1)
@@ -89,7 +90,8 @@ def project(means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Te
     opacity = opacities[in_front] * torch.where(kept, torch.where(kept, det, 1) / det_blurred, 0).sqrt()
     p = (yy / det_blurred / 2).sqrt()
     factors = torch.stack([p, -p * xy / yy, (0.5 / yy).sqrt()], -1)
-    means2d = in_cam[:, :2] / in_cam[:, 2:] * in_cam.new_tensor(camera.focal) + in_cam.new_tensor(camera.principal)
+    focal, principal = in_cam.new_tensor((camera.fx, camera.fy)), in_cam.new_tensor((camera.cx, camera.cy))
+    means2d = in_cam[:, :2] / in_cam[:, 2:] * focal + principal
     with torch.no_grad():
         reach = (2 * (255 * opacity).log()[:, None] * torch.stack([xx, yy], -1)).clamp_min(0).sqrt()
         size = means2d.new_tensor([camera.width, camera.height])
@@ -136,13 +138,13 @@ def median_depths(splats: Splats, pixels: Tensor) -> Tensor:
     return torch.where(falls, splats.depths, 0).sum(-1).where(falls.any(-1), torch.nan)
 
 
-def render_reference(gaussians: Instantaneous, camera: Pinhole, *, median: bool = False) -> Rendering:
+def render_reference(gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False) -> Rendering:
     """Render N Gaussians in C channels, in the float type and on the device of their means.
 
     Differentiable in all five tensors. `median` asks for the median depth too.
     """
     means, *_, intensities = gaussians
-    splats = project(*gaussians[:4], camera)
+    splats = project(*gaussians[:4], camera, near_m)
     rows = max(1, PAIRS_AT_ONCE // max(1, len(splats.source) * camera.width))
     x = torch.arange(camera.width, dtype=means.dtype, device=means.device) + 0.5
     blocks, medians = [], []

@@ -9,7 +9,6 @@ from torch import Tensor
 from reconstruction.errors import ReconstructionError
 from reconstruction.rendering.gsplat_backend import render_gsplat
 from reconstruction.rendering.native import render_native
-from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import render_reference
 from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
@@ -18,6 +17,12 @@ Backend = Literal["native", "reference", "gsplat"]
 RENDERERS = {"native": render_native, "reference": render_reference, "gsplat": render_gsplat}
 NEAR_M = 0.01  # depth of the near plane in m
 NAMES = Instantaneous._fields
+
+
+def refuse_distortion(camera: Camera) -> None:
+    """Raise ReconstructionError where a lens distorts: scenes are shown as a pinhole sees them."""
+    if any(camera.distortion):
+        raise ReconstructionError("found lens distortion", "a pinhole", "undistort its images first", where=camera.id)
 
 
 def _check(gaussians: Instantaneous) -> None:
@@ -57,7 +62,10 @@ def render(
     """
     now = Instantaneous(*gaussians)
     _check(now)
-    seen = RENDERERS[backend](now, pinhole_of(camera, near_m), median=median)
+    refuse_distortion(camera)
+    if not near_m > 0:
+        raise ReconstructionError(f"found the near plane at {near_m} m", "a positive depth")
+    seen = RENDERERS[backend](now, camera, near_m, median=median)
     if background is None:
         return seen
     return seen._replace(intensity=seen.intensity + (1 - seen.alpha)[..., None] * background)

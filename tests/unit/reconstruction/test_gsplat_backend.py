@@ -5,7 +5,6 @@ import torch
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.rendering import gsplat_backend
-from reconstruction.rendering.pinhole import Pinhole
 from reconstruction.rendering.reference import render_reference
 from reconstruction.rendering.render import NAMES, render
 from reconstruction.rendering.result import Instantaneous
@@ -31,17 +30,10 @@ def as_gsplat(means, quats, scales, opacities, colors, viewmats, Ks, width, heig
     """The reference behind gsplat's signature."""
     assert options == {"eps2d": 0.3, "packed": False, "render_mode": "RGB+D", "rasterize_mode": "antialiased"}
     pose, K = viewmats[0].double(), Ks[0].double()
-    camera = Pinhole(
-        width,
-        height,
-        (float(K[0, 0]), float(K[1, 1])),
-        (float(K[0, 2]), float(K[1, 2])),
-        tuple(pose[:3, :3].ravel().tolist()),
-        tuple(pose[:3, 3].tolist()),
-        near_plane,
-    )
+    (fx, _, cx), (_, fy, cy) = K[:2].tolist()
+    camera = Camera("cam11", width, height, fx, fy, cx, cy, Transform(pose[:3, :3].numpy(), pose[:3, 3].numpy()))
     gaussians = Instantaneous(means, quats, scales.log(), opacities, colors)
-    intensity, depth, alpha, radii, _ = render_reference(gaussians, camera)
+    intensity, depth, alpha, radii, _ = render_reference(gaussians, camera, near_plane)
     colours = torch.cat([intensity, depth[..., None]], -1)[None]
     return colours, alpha[None, ..., None], {"radii": radii[None, :, None].expand(-1, -1, 2)}
 

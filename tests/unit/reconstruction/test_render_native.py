@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from acquisition.native import code_path, code_paths
 from reconstruction.errors import ReconstructionError
 from reconstruction.rendering.native import work_of
-from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import TRANSMITTANCE_MIN, alphas_of, project, transmittance_before
-from reconstruction.rendering.render import NAMES, render
+from reconstruction.rendering.render import NAMES, NEAR_M, render
 from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -130,9 +129,9 @@ def test_no_channel_is_refused():
 
 @pytest.mark.parametrize("log_scale", [-3.0, -1.0])
 def test_the_work_is_counted_as_the_reference_would(log_scale):
-    cloud, pinhole = cloud_of(80, 6, log_scale), pinhole_of(camera_of(37, 22), 0.01)
-    work = work_of(Instantaneous(*cloud), pinhole)
-    splats = project(*(t.double() for t in cloud[:4]), pinhole)
+    cloud, camera = cloud_of(80, 6, log_scale), camera_of(37, 22)
+    work = work_of(Instantaneous(*cloud), camera, NEAR_M)
+    splats = project(*(t.double() for t in cloud[:4]), camera, NEAR_M)
     y, x = torch.meshgrid(torch.arange(22) + 0.5, torch.arange(37) + 0.5, indexing="ij")
     alphas = alphas_of(splats, torch.stack([x, y], -1).reshape(-1, 2).double())
     live = transmittance_before(alphas)[:, :-1] >= TRANSMITTANCE_MIN

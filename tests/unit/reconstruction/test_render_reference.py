@@ -8,9 +8,8 @@ import torch
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.quaternions import matrices
-from reconstruction.rendering.pinhole import pinhole_of
 from reconstruction.rendering.reference import project, render_reference
-from reconstruction.rendering.render import render
+from reconstruction.rendering.render import NEAR_M, render
 from reconstruction.rendering.result import Instantaneous
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -122,10 +121,11 @@ def test_the_order_of_the_gaussians_does_not_matter():
 
 
 def test_blocks_of_rows_make_no_difference(monkeypatch):
-    gaussians, pinhole = cloud_of(30), pinhole_of(camera_of(), 0.01)
-    whole = render_reference(Instantaneous(*gaussians), pinhole, median=True)
+    gaussians, camera = cloud_of(30), camera_of()
+    whole = render_reference(Instantaneous(*gaussians), camera, NEAR_M, median=True)
     monkeypatch.setattr("reconstruction.rendering.reference.PAIRS_AT_ONCE", 30 * 48 * 7)
-    for first, second in zip(whole, render_reference(Instantaneous(*gaussians), pinhole, median=True), strict=True):
+    blocks = render_reference(Instantaneous(*gaussians), camera, NEAR_M, median=True)
+    for first, second in zip(whole, blocks, strict=True):
         torch.testing.assert_close(first, second, equal_nan=True)
 
 
@@ -173,14 +173,14 @@ def test_no_median_depth_is_found_unasked_and_none_has_a_gradient(backend):
 
 def test_gradients_are_those_of_the_values():
     camera = camera_of(9, 7)
-    pinhole = pinhole_of(Camera("cam11", 9, 7, 12.0, 11.0, 4.5, 3.5, camera.cam_from_rig), 0.01)
+    camera = Camera("cam11", 9, 7, 12.0, 11.0, 4.5, 3.5, camera.cam_from_rig)
     means, quats, log_scales, opacities, intensities = cloud_of(4, seed=3)
     # Wide and faint: no pixel comes near the cut at 1/255, where the image jumps.
     inputs = (means, quats, log_scales + 3, 0.3 + 0.3 * opacities, intensities)
     leaves = tuple(t.clone().requires_grad_() for t in inputs)
-    assert len(project(*inputs[:4], pinhole).source) == 4
+    assert len(project(*inputs[:4], camera, NEAR_M).source) == 4
     assert torch.autograd.gradcheck(
-        lambda *g: render_reference(Instantaneous(*g), pinhole)[:3], leaves, eps=1e-7, atol=1e-5
+        lambda *g: render_reference(Instantaneous(*g), camera, NEAR_M)[:3], leaves, eps=1e-7, atol=1e-5
     )
 
 
