@@ -1,1 +1,1 @@
-"""The losses that `--supervision` names, one file each or one for a family; listing them loads no torch."""
+"""The losses that `--supervision` names, ours in one file; listing them loads no torch."""

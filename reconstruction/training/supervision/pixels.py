@@ -1,5 +1,0 @@
-"""Compares renders with images alone."""
-
-from reconstruction.training.term import Supervision
-
-PIXELS = Supervision("pixels", lambda image, sampling: None)
