@@ -52,23 +52,14 @@ class RigidMotion(MotionModel):
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
         """Return the attached Gaussians as their bodies carry and turn them, and the free ones along their lines."""
-        counts = [len(self.bodies), len(self.velocities)]
-        (local, start), (turns, turned), (dense, free_dense), (instants, free_instants), (lives, free_lives) = (
-            t.split(counts)
-            for t in (moving.means, moving.quats_wxyz, moving.opacity_logits, self.instants, self.log_durations)
-        )
-        places, quats = carried(local, turns, self.bodies, *self.poses(u))
-        riding = Course(places, dense, instants, lives, ())
-        straight = Course(start, free_dense, free_instants, free_lives, (self.velocities,))
-        none = moving.means[:0], moving.opacity_logits[:0]
-        (places, seen), (moved, also_seen) = (evaluated(*none, course, u) for course in (riding, straight))
-        return Instantaneous(
-            torch.cat([places, moved]),
-            torch.cat([quats, turned]),
-            moving.log_scales,
-            torch.cat([seen, also_seen]),
-            moving.intensities,
-        )
+        riders = len(self.bodies)
+        places, quats = carried(moving.means[:riders], moving.quats_wxyz[:riders], self.bodies, *self.poses(u))
+        starts = torch.cat([places, moving.means[riders:]])
+        velocities = torch.cat([torch.zeros_like(places), self.velocities])
+        course = Course(starts, moving.opacity_logits, self.instants, self.log_durations, (velocities,))
+        means, opacities = evaluated(moving.means[:0], moving.opacity_logits[:0], course, u)
+        quats = torch.cat([quats, moving.quats_wxyz[riders:]])
+        return Instantaneous(means, quats, moving.log_scales, opacities, moving.intensities)
 
 
 def knot_weights(u: float, knots: int) -> Tensor:

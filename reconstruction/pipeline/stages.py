@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.progress import Progress
@@ -13,23 +12,6 @@ from reconstruction.pipeline.artefacts import posed
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
-
-
-@dataclass(frozen=True)
-class Task:
-    """One stage of a run: what it works on, and whether it is asked to stop."""
-
-    run: RunFolder
-    recording: Recording
-    progress: Progress
-    budget: Budget
-    should_stop: Callable[[], bool]
-
-    def stoppable(self, fraction: float, message: str) -> None:
-        """Report progress, and stop a stage without a checkpoint of its own; its artefacts are whole or absent."""
-        if self.should_stop():
-            raise StoppedError("stopped", do="the same command resumes it", where=self.run.path)
-        self.progress(fraction, message)
 
 
 def reconstruct(
@@ -61,7 +43,7 @@ def reconstruct(
         spent_s = float(sum(run.document.seconds.values()))  # by stages that earlier processes finished
         budget = Budget(time.monotonic, began, spent_s, config.budget_s, config.steps)
         for name in _due(run, stage, last):
-            _work(name, Task(run, recording, progress_of(name), budget, should_stop))
+            _work(name, run, recording, progress_of(name), budget, should_stop)
             now = time.monotonic()
             trained = name == "train"
             spent = budget.elapsed_s() - sum(run.document.seconds.values()) if trained else now - began
@@ -80,30 +62,38 @@ def _due(run: RunFolder, stage: str | None, last: str) -> list[str]:
     return [] if run.has(stage) else [stage]
 
 
-def _work(name: str, task: Task) -> None:
+def _work(
+    name: str, run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
+) -> None:
     """Run one stage, imported here: torch, plots and video are for the last two, and listing stages needs none."""
-    run, recording = task.run, task.recording
+
+    def stoppable(fraction: float, message: str) -> None:
+        """Report progress, and stop a stage without a checkpoint of its own; its artefacts are whole or absent."""
+        if should_stop():
+            raise StoppedError("stopped", do="the same command resumes it", where=run.path)
+        progress(fraction, message)
+
     if name == "plan":
         from reconstruction.pipeline.plan_stage import plan_stage
 
-        plan_stage(run, recording, task.stoppable)
+        plan_stage(run, recording, stoppable)
     elif name == "poses":
         from reconstruction.pipeline.poses_stage import poses_stage
 
-        poses_stage(run, recording, task.stoppable)
+        poses_stage(run, recording, stoppable)
     elif name == "images":
         from reconstruction.pipeline.images_stage import images_stage
 
-        images_stage(run, recording, task.stoppable)
+        images_stage(run, recording, stoppable)
     elif name == "points":
         from reconstruction.pipeline.points_stage import points_stage
 
-        points_stage(run, posed(run, recording), task.stoppable)
+        points_stage(run, posed(run, recording), stoppable)
     elif name == "train":
         from reconstruction.pipeline.train_stage import train_stage
 
-        train_stage(run, posed(run, recording), task.progress, task.budget, task.should_stop)
+        train_stage(run, posed(run, recording), progress, budget, should_stop)
     else:
         from reconstruction.pipeline.report_stage import report_stage
 
-        report_stage(run, posed(run, recording, refined=True), task.stoppable)
+        report_stage(run, posed(run, recording, refined=True), stoppable)

@@ -1,9 +1,7 @@
 """Trains: budget, checkpoints, snapshots, and a clean stop on request."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import torch
 
@@ -39,36 +37,24 @@ CHECKPOINT_EVERY_S = 5.0  # seconds between checkpoints
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """The start of a training, read from the artefacts of earlier stages: its views, and points to seed a model."""
-
-    views: list[TrainingView]
-    seeds: Seeds
-
-    @classmethod
-    def of(cls, run: RunFolder, recording: Recording) -> Beginning:
-        """Read it; raises BadRunError where an earlier stage or the truth of given images is missing."""
-        rig, sources = recording.rig, artefacts.read_sources(run, recording)
-        views = []
-        for view, source in sources.items():
-            depth = ConfirmedDepth.of(run.read_array(artefacts.DEPTH.format(view=view))).without(source.moving)
-            shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
-            views.append(TrainingView(rig.camera(view), shown, depth=depth))
-        still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
-        clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
-        bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731
-        return cls(views, Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, bodies))
+def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView], Seeds]:
+    """Return the views of a training and the points to seed it; BadRunError where artefacts or truth are missing."""
+    rig, views = recording.rig, []
+    for view, source in artefacts.read_sources(run, recording).items():
+        depth = ConfirmedDepth.of(run.read_array(artefacts.DEPTH.format(view=view))).without(source.moving)
+        shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
+        views.append(TrainingView(rig.camera(view), shown, depth=depth))
+    still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
+    clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
+    bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731
+    return views, Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, bodies)
 
 
 def train_stage(
     run: RunFolder, recording: Recording, progress: Progress, budget: Budget, should_stop: Callable[[], bool]
 ) -> None:
     """Train to the budget from the points, or on from the checkpoint; raises StoppedError when asked to stop."""
-    beginning = Beginning.of(run, recording)
-    if not run.checkpoint.exists():
-        settle_motion(run, recording, beginning)
-    trainer = trainer_of(run, recording, beginning)
+    trainer = trainer_of(run, recording)
     budget.before_training_s = budget.elapsed_s()
     watch = Watch(run, trainer)
     if run.checkpoint.exists():
@@ -100,16 +86,16 @@ def train_stage(
     _record(run, recording, trainer)
 
 
-def settle_motion(run: RunFolder, recording: Recording, beginning: Beginning) -> None:
+def _settle_motion(run: RunFolder, recording: Recording, views: list[TrainingView], seeds: Seeds) -> None:
     """Amend the plan's motion, where it was left open, to the one that explains the training cameras better.
 
     Rigid bodies are held against straight paths at instants between those that movers were swept at.
     """
-    if run.config.model != "auto" or run.plan.model != "bases":
+    if run.checkpoint.exists() or run.config.model != "auto" or run.plan.model != "bases":
         return
     planes = between(moving_planes(recording.planes, "bases"))
     errors = {
-        model: count_error(METHODS[model].start(beginning.seeds), beginning.views, planes, recording.rig.clock)
+        model: count_error(METHODS[model].start(seeds), views, planes, recording.rig.clock)
         for model in ("bases", "linear")
     }
     model, bodies = min(errors, key=errors.__getitem__), run.document.bodies
@@ -123,19 +109,17 @@ def settle_motion(run: RunFolder, recording: Recording, beginning: Beginning) ->
 
 
 def trainer_of(
-    run: RunFolder,
-    recording: Recording,
-    beginning: Beginning,
-    backend: Backend = "native",
-    dtype: torch.dtype = torch.float32,
+    run: RunFolder, recording: Recording, backend: Backend = "native", dtype: torch.dtype = torch.float32
 ) -> Trainer:
-    """Return the trainer as a run starts it; float64 takes the reference as its backend."""
+    """Return the trainer as a run starts it, its motion settled; float64 takes the reference as its backend."""
+    views, seeds = _beginning(run, recording)
+    _settle_motion(run, recording, views, seeds)
     plan, method = run.plan, METHODS[run.plan.model]
-    cloud = method.start(beginning.seeds)
+    cloud = method.start(seeds)
     light = artefacts.read_light(run)
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
-    white = artefacts.white_of([view.source.background for view in beginning.views])
+    white = artefacts.white_of([view.source.background for view in views])
     settings = TrainerSettings(
         plan.supervision,
         method.training,
@@ -148,7 +132,7 @@ def trainer_of(
     )
     if dtype != torch.float32:
         cloud = cloud.to(dtype)
-    return Trainer(cloud, beginning.views, settings, recording.rig.clock, run.config.seed)
+    return Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
 
 
 class _Saver:

@@ -24,7 +24,7 @@ from reconstruction.bench.score_run import held_out_with_truth
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.pipeline.stages import reconstruct
-from reconstruction.pipeline.train_stage import Beginning, settle_motion, trainer_of
+from reconstruction.pipeline.train_stage import trainer_of
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.stability.case import Case, Observation
@@ -107,11 +107,7 @@ class StiffScene:
 
 def _trainer(run: RunFolder, recording: Recording, *, exact: bool = False) -> Trainer:
     """Return the trainer that the train stage would begin with."""
-    beginning = Beginning.of(run, recording)
-    settle_motion(run, recording, beginning)
-    return trainer_of(
-        run, recording, beginning, *(("reference", torch.float64) if exact else ("native", torch.float32))
-    )
+    return trainer_of(run, recording, *(("reference", torch.float64) if exact else ("native", torch.float32)))
 
 
 def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float, ...]:

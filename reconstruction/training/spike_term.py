@@ -76,13 +76,10 @@ class Part:
     left: int
     good: NDArray[np.bool_]
 
-    def of(self, image: NDArray) -> NDArray:
-        """Return the part of an image [H, W] of the whole view."""
-        return image[self.top : self.top + self.camera.height, self.left : self.left + self.camera.width]
-
     def counts(self, view: TrainingView, first: int, last: int) -> NDArray[np.float32]:
         """Return the spikes [H, W] over planes [first, last)."""
-        return self.of(view.source.stream.counts(first, last)).astype(np.float32)
+        whole, height, width = view.source.stream.counts(first, last), self.camera.height, self.camera.width
+        return whole[self.top : self.top + height, self.left : self.left + width].astype(np.float32)
 
 
 def part_with_mover(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:

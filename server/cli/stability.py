@@ -6,8 +6,8 @@ from pathlib import Path
 import click
 
 from acquisition.durable import write_json
+from reconstruction.bench.diagrams import plot_stability
 from reconstruction.stability.catalogue import LongRuns, run_catalogue
-from reconstruction.stability.plot import plot_stability
 from server.cli.options import json_option
 from server.cli.output import answer, columns
 from server.cli.progress import progress_of

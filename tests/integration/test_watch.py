@@ -11,7 +11,7 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
-from reconstruction.pipeline.train_stage import Beginning, trainer_of
+from reconstruction.pipeline.train_stage import trainer_of
 from reconstruction.pipeline.watch import Watch
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
@@ -61,7 +61,7 @@ def trained(small_recording, blind, out, kills=()):
 
 def beginning_trainer(run, path):
     recording = Recording.open(path)
-    return trainer_of(run, recording, Beginning.of(run, recording))
+    return trainer_of(run, recording)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,6 @@ from reconstruction.bench.paper.tables import held_out_used, write_tables
 from reconstruction.bench.score_run import METRICS
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training.curve import plot_curves
-from reconstruction.stability.plot import plot_stability
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "tests" / "benchmarks"
@@ -106,7 +105,7 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
 def main(folder: Path, text: Path) -> None:
     """Draw every figure and fill every table anew, and say how long the runs behind them took."""
     documents = read_documents(folder)
-    for name, plot in {**PLOTS, "stability": plot_stability}.items():
+    for name, plot in PLOTS.items():
         if name in documents:
             plot(folder / f"{name}.png", documents[name])
     if "paper" in documents:

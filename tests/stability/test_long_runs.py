@@ -8,11 +8,11 @@ from click.testing import CliRunner
 
 from acquisition.native import code_paths
 from acquisition.progress import silent
+from reconstruction.bench.diagrams import plot_stability
 from reconstruction.stability import catalogue, drift, stiff
 from reconstruction.stability.case import row_of
 from reconstruction.stability.catalogue import LongRuns
 from reconstruction.stability.models import model_names
-from reconstruction.stability.plot import plot_stability
 from reconstruction.stability.stiff import Extent, StiffScene, Trained, stiff_cases
 from server.cli.stability import stability_command
 
