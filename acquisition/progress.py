@@ -1,14 +1,8 @@
 """Lets long work tell its caller how far it is."""
 
-from typing import Protocol
+from collections.abc import Callable
 
-
-class Progress(Protocol):
-    """Called with the fraction done in [0, 1] and a short message; must return at once."""
-
-    def __call__(self, fraction: float, message: str, /) -> None:
-        """Report the fraction done and a message."""
-        ...
+Progress = Callable[[float, str], None]  # takes the fraction done in [0, 1] and a short message; returns at once
 
 
 def silent(fraction: float, message: str) -> None:

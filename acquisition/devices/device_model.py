@@ -11,14 +11,14 @@ from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.registers import (
     PROTOCOL_VERSION,
     Identity,
-    Register,
     Request,
     Sensitivity,
     State,
     TickRate,
 )
+from acquisition.devices.replay import ReplaySource
 from acquisition.errors import DeviceError
-from acquisition.spikes.source import Adjustable, PlaneSource
+from acquisition.scenes.source import SceneSource
 
 STRINGS = ("", "spike4dgs", "simulated spike camera")
 _IN, _KIND, _VENDOR = 0x80, 0x60, 0x40
@@ -34,18 +34,13 @@ class DeviceRegisters:
 
     def read(self, request: int) -> bytes:
         """Return the bytes of a register; raises StallError for an unknown one."""
-        registers: dict[int, Callable[[], Register]] = {
-            Request.IDENTITY: lambda: Identity(PROTOCOL_VERSION, self.firmware_version),
-            Request.GEOMETRY: lambda: self._stream.geometry,
-            Request.TICK_RATE: lambda: TickRate(self._run.tick_rate_hz),
-            Request.STATUS: self._run.status,
-            Request.SENSITIVITY: lambda: self.sensitivity,
-            Request.CLOCK: self._run.clock_register,
-            Request.LINK: lambda: self._run.link,
-        }
-        if request not in registers:
-            raise StallError
-        return registers[request]().encode()
+        run, identity = self._run, Identity(PROTOCOL_VERSION, self.firmware_version)
+        rate = TickRate(run.tick_rate_hz)
+        known = identity, self._stream.geometry, rate, run.status(), self.sensitivity, run.clock_register(), run.link
+        for register in known:
+            if request == register.REQUEST:
+                return register.encode()
+        raise StallError
 
     def write(self, request: int, data: bytes) -> None:
         """Do what is asked; raises StallError for an unknown request, or one that does not fit the camera's state."""
@@ -59,14 +54,14 @@ class DeviceRegisters:
         if self._run.state is not State.IDLE:
             raise StallError
         self.sensitivity = wanted
-        if isinstance(self._stream.source, Adjustable):
+        if isinstance(self._stream.source, SceneSource):
             self._stream.source.sensitivity = wanted.gain
 
 
 class DeviceModel:
     """A camera whose light comes from `source`; armed, it waits for `trigger` (the shared line) or for START."""
 
-    def __init__(self, serial: str, source: PlaneSource, tick_rate_hz: float, profile: Profile = DIRECT):
+    def __init__(self, serial: str, source: SceneSource | ReplaySource, tick_rate_hz: float, profile: Profile = DIRECT):
         self.serial, self.profile = serial, profile
         self.run = DeviceRun(tick_rate_hz)
         self.stream = DeviceStream(self.run, source)

@@ -4,8 +4,9 @@ from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_run import DeviceRun
 from acquisition.devices.protocol import Block, BlockStatus, encode_block
 from acquisition.devices.registers import Geometry, LinkCounters, State
+from acquisition.devices.replay import ReplaySource
 from acquisition.recording.manifest import block_planes_of
-from acquisition.spikes.source import PlaneSource
+from acquisition.scenes.source import SceneSource
 
 
 class DeviceStream:
@@ -14,7 +15,7 @@ class DeviceStream:
     While `halted`, the pipe is stalled. Each block adds `link_per_block` to the LINK register.
     """
 
-    def __init__(self, run: DeviceRun, source: PlaneSource):
+    def __init__(self, run: DeviceRun, source: SceneSource | ReplaySource):
         self.source, self.geometry = source, Geometry(source.layout, block_planes_of(source.layout))
         self.halted, self.link_per_block = False, LinkCounters()
         self._run = run

@@ -70,11 +70,12 @@ def _zeros_digest(size: int) -> str:
     return xxhash.xxh3_64_hexdigest(bytes(size))
 
 
-def digests_of(path: Path, block_bytes: int) -> tuple[str, tuple[str, ...]]:
-    """Read the SHA-256 of a file and the xxh3-64 of each of its blocks."""
-    sha256, blocks = hashlib.sha256(), []
+def digests_of(path: Path, block_bytes: int, size: int | None = None) -> tuple[str, tuple[str, ...]]:
+    """Read the SHA-256 of a file, or of its first `size` bytes, and the xxh3-64 of each of their blocks."""
+    sha256, blocks, left = hashlib.sha256(), [], path.stat().st_size if size is None else size
     with path.open("rb") as file:
-        while data := file.read(block_bytes):
+        while data := file.read(min(block_bytes, left)):
             sha256.update(data)
             blocks.append(xxhash.xxh3_64_hexdigest(data))
+            left -= len(data)
     return sha256.hexdigest(), tuple(blocks)

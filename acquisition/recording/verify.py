@@ -2,11 +2,11 @@
 
 import hashlib
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
-import xxhash
-
 from acquisition.progress import Progress, silent
+from acquisition.recording.digests import digests_of
 from acquisition.recording.manifest import RIG_FILE, CameraFile
 from acquisition.recording.reader import read_manifest
 
@@ -49,24 +49,20 @@ def _verify_whole(path: Path, sha256: str) -> list[Damaged]:
 
 
 def _verify_stream(path: Path, camera: CameraFile) -> list[Damaged]:
-    damages = []
-    sha256 = hashlib.sha256()
     plane_bytes = camera.layout.plane_bytes
     try:
         size = path.stat().st_size
-        with path.open("rb") as file:
-            for block, digest in enumerate(camera.block_digests):
-                data = file.read(camera.block_planes * plane_bytes)
-                sha256.update(data)
-                planes = min(camera.block_planes, camera.planes - block * camera.block_planes)
-                if xxhash.xxh3_64_hexdigest(data[: planes * plane_bytes]) != digest:
-                    first = block * camera.block_planes
-                    reason = f"planes {first} to {first + planes - 1} are not the recorded ones"
-                    damages.append(Damaged(path.name, block, reason))
+        sha256, found = digests_of(path, camera.block_planes * plane_bytes, camera.planes * plane_bytes)
     except OSError as error:
         return [Damaged(path.name, None, f"cannot be read ({error.strerror})")]
+    damages = []
+    for block, (recorded, digest) in enumerate(zip_longest(camera.block_digests, found)):
+        if recorded != digest:
+            first, last = block * camera.block_planes, min((block + 1) * camera.block_planes, camera.planes) - 1
+            reason = f"planes {first} to {last} are not the recorded ones"
+            damages.append(Damaged(path.name, block, reason))
     if size != camera.planes * plane_bytes:
         damages.append(Damaged(path.name, None, f"found {size} bytes, expected {camera.planes * plane_bytes}"))
-    elif not damages and camera.sha256 is not None and sha256.hexdigest() != camera.sha256:
+    elif not damages and camera.sha256 is not None and sha256 != camera.sha256:
         damages.append(Damaged(path.name, None, "its SHA-256 is not the recorded one"))
     return damages

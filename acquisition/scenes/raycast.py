@@ -131,25 +131,24 @@ class Raycaster:
         rotations, positions = self._checked(placement[0][None], placement[1][None])
         _raycast_still(self._scene, self._view, rotations, positions, self._still)
 
-    def intensity(self, rotations: Floats, positions: Floats, gains: Floats | None = None) -> NDArray[np.float32]:
+    def intensity(self, rotations: Floats, positions: Floats, gains: Floats) -> NDArray[np.float32]:
         """Trace light alone [n, H, W] with the shapes at `rotations` [n, P, 3, 3] and `positions` [n, P, 3] in metres.
 
-        The light of each instant is multiplied by its `gains` [n]; None means 1.
+        The light of each instant is multiplied by its `gains` [n].
         """
         intensity = np.empty((len(rotations), *self._size), dtype=np.float32)
-        self._trace((rotations, positions, gains), intensity, None, None)
+        self._trace(rotations, positions, gains, intensity, None, None)
         return intensity
 
-    def frames(self, rotations: Floats, positions: Floats, gains: Floats | None = None) -> Frames:
+    def frames(self, rotations: Floats, positions: Floats, gains: Floats) -> Frames:
         """Trace light, depth and objects; the arguments are those of `intensity`."""
         shape = (len(rotations), *self._size)
         frames = Frames(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int8))
-        self._trace((rotations, positions, gains), frames.intensity, frames.depth, frames.ids)
+        self._trace(rotations, positions, gains, frames.intensity, frames.depth, frames.ids)
         return frames
 
-    def _trace(self, placements: tuple[Floats, Floats, Floats | None], *images: NDArray | None) -> None:
-        rotations, positions = self._checked(*placements[:2])
-        gains = np.ones(len(rotations)) if placements[2] is None else placements[2]
+    def _trace(self, rotations: Floats, positions: Floats, gains: Floats, *images: NDArray | None) -> None:
+        rotations, positions = self._checked(rotations, positions)
         if gains.shape != rotations.shape[:1]:
             raise AcquisitionError(f"found gains {gains.shape}", f"one for each of {len(rotations)} instants")
         poses = (rotations, positions, np.ascontiguousarray(gains, dtype=np.float64))

@@ -15,7 +15,6 @@ from acquisition.devices.profile import Profile
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.protocol import Block, BlockParser, BlockStatus, encode_block
 from acquisition.devices.registers import ClockRegister, State, Status
-from acquisition.spikes.source import PlaneSource
 
 _POLL_S = 0.002
 
@@ -75,7 +74,7 @@ class StrainedStream(DeviceStream):
     of the next block a bit is damaged. A paced camera throws planes away that were not fetched in time.
     """
 
-    def __init__(self, run: StrainedRun, source: PlaneSource):
+    def __init__(self, run: StrainedRun, source):
         super().__init__(run, source)
         self.hangs_after: int | None = None
         self.flipped: list[int] = []
@@ -125,7 +124,7 @@ class StrainedModel(DeviceModel):
     def __init__(
         self,
         serial: str,
-        source: PlaneSource,
+        source,
         tick_rate_hz: float,
         clock: DeviceClock | None = None,
         pace: Pace | None = None,

@@ -67,7 +67,7 @@ def random_geometry(rng, count: int) -> tuple[SceneArrays, np.ndarray, np.ndarra
 
 def trace(geometry, view, rotations, positions, samples=2, threads=1):
     caster = Raycaster(geometry, view, (rotations, positions), samples=samples, threads=threads)
-    return caster.frames(rotations[None], positions[None])
+    return caster.frames(rotations[None], positions[None], np.ones(1))
 
 
 def same(a, b) -> bool:
@@ -269,7 +269,7 @@ def test_a_lens_is_refused_and_so_are_poses_of_another_scene():
     with pytest.raises(AcquisitionError, match="cam11: found lens distortion"):
         thing.render(replace(camera(), distortion=(0.1, 0, 0, 0)), np.zeros(1))
     with pytest.raises(AcquisitionError, match="poses"):
-        thing.raycaster(camera(), 2).intensity(np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)))
+        thing.raycaster(camera(), 2).intensity(np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)), np.ones(1))
     with pytest.raises(AcquisitionError, match="gains"):
         thing.raycaster(camera(), 2).intensity(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3)), np.ones(2))
 
