@@ -5,16 +5,17 @@ of files. Rates are in MB/s (10^6 bytes). They are compared with the disk's own 
 and one measured after.
 """
 
+import contextlib
 import mmap
 import shutil
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument, fastest_s
 from acquisition.errors import DiskError
@@ -65,34 +66,6 @@ class LapFile(DirectFile):
         """Close and remove."""
         self.abandon()
         self.path.unlink()
-
-
-class _Feed:
-    """Feeds one stream blocks at a steady pace, each stamped with its number; what the ring does not take is lost.
-
-    Without a period it waits for room instead.
-    """
-
-    def __init__(self, writer: StreamWriter, blocks: int, period_s: float):
-        self.writer, self.blocks, self.period_s = writer, blocks, period_s
-        self._pool = np.random.default_rng(blocks).integers(0, 256, (4, BLOCK_PLANES, LAYOUT.plane_bytes), np.uint8)
-
-    def run(self, start_s: float) -> None:
-        for number in range(self.blocks):
-            pause_s = start_s + number * self.period_s - time.perf_counter()
-            if pause_s > 0:
-                time.sleep(pause_s)
-            if not self._offer(number):
-                first = number * BLOCK_PLANES
-                self.writer.append_lost([Gap(first, BLOCK_PLANES, self.writer.refusing)])
-
-    def _offer(self, number: int) -> bool:
-        block = self._pool[number % len(self._pool)]
-        block[0, :8] = np.array([number + 1], dtype="<u8").view(np.uint8)
-        if self.period_s:
-            return self.writer.offer(block)
-        self.writer.append(block)
-        return True
 
 
 def bench_recorder(folder: Path, schedule: Schedule, progress: Progress = silent) -> BenchDocument:
@@ -170,53 +143,39 @@ def paced_row(folder: Path, case: str, mb_s: float, seconds: float) -> dict:
     """Run all streams at `mb_s` together, round the bounded files, hashed and journalled."""
     space = StreamSpace(RING_BYTES, allows=lambda size: False, open_file=LapFile)
     blocks = max(1, round(mb_s * 1e6 * seconds / BLOCK_BYTES / STREAMS))
-    feeds = _feeds(folder / case.strip(" %"), space, blocks, seconds / blocks)
-    cpu_s, elapsed_s = _run(feeds)
-    for feed in feeds:
-        feed.writer.close()
-    lost = sum(gap.planes for feed in feeds for gap in feed.writer.gaps)
-    shutil.rmtree(folder / case.strip(" %"))
+    with _fed(folder / "paced", space, blocks, seconds / blocks) as (writers, spent, _):
+        lost = sum(gap.planes for writer in writers for gap in writer.gaps)
     found = {"offered_blocks": blocks * STREAMS, "dropped_blocks": lost // BLOCK_PLANES}
-    return {"case": case, "mb_s": mb_s, **found, "cores": cpu_s / elapsed_s, "seconds": elapsed_s}
+    return {"case": case, "mb_s": mb_s, **found, **spent}
 
 
 def overload_row(folder: Path, mb_s: float, total_bytes: int) -> dict:
     """Write more than the disk takes into whole files, then look up every block: there, or zeros and listed."""
     blocks = total_bytes // BLOCK_BYTES // STREAMS
     period_s = BLOCK_BYTES * STREAMS / (mb_s * 1e6)
-    feeds = _feeds(folder / "over", StreamSpace(4 << 20, blocks * BLOCK_PLANES), blocks, period_s)
-    cpu_s, elapsed_s = _run(feeds)
     dropped = unreported = 0
-    for feed in feeds:
-        feed.writer.close()
-        lost = np.zeros(blocks, dtype=bool)
-        for gap in feed.writer.gaps:
-            lost[gap.first_plane // BLOCK_PLANES : (gap.first_plane + gap.planes) // BLOCK_PLANES] = True
-        stamps = np.memmap(feed.writer.path, dtype=np.uint8, mode="r", shape=(blocks, BLOCK_BYTES))[:, :8]
-        expected = np.where(lost, 0, np.arange(1, blocks + 1)).astype("<u8")
-        unreported += int((np.ascontiguousarray(stamps).view("<u8")[:, 0] != expected).sum())
-        unreported += abs(feed.writer.planes - blocks * BLOCK_PLANES)
-        dropped += int(lost.sum())
-    shutil.rmtree(folder / "over")
+    with _fed(folder / "over", StreamSpace(4 << 20, blocks * BLOCK_PLANES), blocks, period_s) as (writers, spent, _):
+        for writer in writers:
+            lost = np.zeros(blocks, dtype=bool)
+            for gap in writer.gaps:
+                lost[gap.first_plane // BLOCK_PLANES : (gap.first_plane + gap.planes) // BLOCK_PLANES] = True
+            stamps = np.memmap(writer.path, dtype=np.uint8, mode="r", shape=(blocks, BLOCK_BYTES))[:, :8]
+            expected = np.where(lost, 0, np.arange(1, blocks + 1)).astype("<u8")
+            unreported += int((np.ascontiguousarray(stamps).view("<u8")[:, 0] != expected).sum())
+            unreported += abs(writer.planes - blocks * BLOCK_PLANES)
+            dropped += int(lost.sum())
     found = {"offered_blocks": blocks * STREAMS, "dropped_blocks": dropped, "unreported_blocks": unreported}
-    return {"case": "120 %", "mb_s": mb_s, **found, "cores": cpu_s / elapsed_s, "seconds": elapsed_s}
+    return {"case": "120 %", "mb_s": mb_s, **found, **spent}
 
 
 def ram_row(total_bytes: int) -> dict:
     """Write into files in memory as fast as it goes, all streams waiting for room: the limit of the recorder itself."""
     folder = RAM_FOLDER / f"spike4dgs-bench-{time.monotonic_ns()}"
     blocks = total_bytes // BLOCK_BYTES // STREAMS
-    try:
-        feeds = _feeds(folder, StreamSpace(4 << 20, allows=lambda size: False), blocks, 0.0)
-        start_s = time.perf_counter()
-        cpu_s, _ = _run(feeds)
-        for feed in feeds:
-            feed.writer.close()
-        elapsed_s = time.perf_counter() - start_s
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-    mb_s = blocks * BLOCK_BYTES * STREAMS / elapsed_s / 1e6
-    return {"case": "memory", "mb_s": mb_s, "cores": cpu_s / elapsed_s, "seconds": elapsed_s}
+    with _fed(folder, StreamSpace(4 << 20, allows=lambda size: False), blocks, 0.0) as (_, spent, written_s):
+        mb_s = blocks * BLOCK_BYTES * STREAMS / written_s / 1e6
+    cores = spent["cores"] * spent["seconds"] / written_s
+    return {"case": "memory", "mb_s": mb_s, "cores": cores, "seconds": written_s}
 
 
 def memcpy_gb_s() -> float:
@@ -225,19 +184,42 @@ def memcpy_gb_s() -> float:
     return source.nbytes / fastest_s(lambda: np.copyto(target, source), 5) / 1e9
 
 
-def _feeds(folder: Path, space: StreamSpace, blocks: int, period_s: float) -> list[_Feed]:
+@contextlib.contextmanager
+def _fed(
+    folder: Path, space: StreamSpace, blocks: int, period_s: float
+) -> Iterator[tuple[list[StreamWriter], dict[str, float], float]]:
+    """Feed all streams, which begin one after another, in the new `folder`, which is removed at the end.
+
+    Yields the closed writers, the cores and seconds until all was offered, and the seconds until all was written.
+    """
     folder.mkdir()
-    writers = [StreamWriter(folder, f"cam{n}", LAYOUT, space) for n in range(STREAMS)]
-    return [_Feed(writer, blocks, period_s) for writer in writers]
+    try:
+        writers = [StreamWriter(folder, f"cam{n}", LAYOUT, space) for n in range(STREAMS)]
+        pools = np.random.default_rng(blocks).integers(0, 256, (STREAMS, 4, BLOCK_PLANES, LAYOUT.plane_bytes), np.uint8)
+        start_s, cpu_s = time.perf_counter(), time.process_time()
+        starts_s = [start_s + n * period_s / STREAMS for n in range(STREAMS)]
+        with ThreadPoolExecutor(STREAMS) as threads:
+            list(threads.map(lambda *stream: _feed(*stream, blocks, period_s), writers, pools, starts_s))
+        cpu_s, offered_s = time.process_time() - cpu_s, time.perf_counter() - start_s
+        for writer in writers:
+            writer.close()
+        yield writers, {"cores": cpu_s / offered_s, "seconds": offered_s}, time.perf_counter() - start_s
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
-def _run(feeds: Sequence[_Feed]) -> tuple[float, float]:
-    """Run the feeds, which begin one after another; return processor seconds and seconds until all was offered."""
-    start_s, cpu_s = time.perf_counter(), time.process_time()
-    offset_s = feeds[0].period_s / len(feeds)
-    threads = [threading.Thread(target=f.run, args=(start_s + n * offset_s,)) for n, f in enumerate(feeds)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return time.process_time() - cpu_s, time.perf_counter() - start_s
+def _feed(writer: StreamWriter, pool: NDArray[np.uint8], start_s: float, blocks: int, period_s: float) -> None:
+    """Feed a stream blocks at a steady pace, each stamped with its number; what the ring does not take is lost.
+
+    Without a period it waits for room instead.
+    """
+    for number in range(blocks):
+        pause_s = start_s + number * period_s - time.perf_counter()
+        if pause_s > 0:
+            time.sleep(pause_s)
+        block = pool[number % len(pool)]
+        block[0, :8] = np.array([number + 1], dtype="<u8").view(np.uint8)
+        if not period_s:
+            writer.append(block)
+        elif not writer.offer(block):
+            writer.append_lost([Gap(number * BLOCK_PLANES, BLOCK_PLANES, writer.refusing)])
