@@ -47,7 +47,7 @@ def _parse_s(pieces: list[tuple[bytes, ...]], rounds: int) -> float:
         for parts in pieces:
             for part in parts:
                 parser.feed(part)
-            while isinstance(parser.next(), Block):
+            while parser.next():
                 found += 1
     seconds = time.thread_time() - begin_s
     if found != rounds * len(pieces) or parser.damages:

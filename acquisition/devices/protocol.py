@@ -57,13 +57,6 @@ class Block:
         return None if self.pulse_age_ns == NO_PULSE else (self.device_time_ns - self.pulse_age_ns) * 1e-9
 
 
-@dataclass(frozen=True)
-class Damage:
-    """A stretch of the stream that was no block, up to the next whole one."""
-
-    skipped_bytes: int
-
-
 class _Leader(NamedTuple):
     magic: bytes
     version: int
@@ -103,10 +96,9 @@ class BlockParser:
     def __init__(self, max_payload_bytes: int = MAX_PAYLOAD_BYTES) -> None:
         self._max_payload_bytes = max_payload_bytes
         self._buffer = bytearray()
-        self._skipped = 0
-        self._ready: Block | None = None
         self._fed_whole: Block | None = None  # comes before the buffer
-        self.damages = 0  # stretches of damage begun so far
+        self._in_damage = False
+        self.damages = self.skipped_bytes = 0  # stretches of damage begun so far, and their bytes
 
     def feed(self, data: Data) -> None:
         """Take the next bytes of the stream; just one whole block, as most transfers are, is not copied twice."""
@@ -117,17 +109,10 @@ class BlockParser:
                 return
         self._buffer += data
 
-    def next(self) -> Block | Damage | None:
-        """Return the next block, the damage before it, or None until more bytes come."""
-        block = self._ready or self._fed_whole or self._find_block()
-        if block is None:
-            return None
-        self._fed_whole = None
-        if self._skipped:
-            self._ready, damage = block, Damage(self._skipped)
-            self._skipped = 0
-            return damage
-        self._ready = None
+    def next(self) -> Block | None:
+        """Return the next block, or None until more bytes come."""
+        block = self._fed_whole or self._find_block()
+        self._fed_whole, self._in_damage = None, self._in_damage and block is None
         return block
 
     def _find_block(self) -> Block | None:
@@ -163,8 +148,9 @@ class BlockParser:
         return at >= 0
 
     def _skip(self, count: int) -> None:
-        self.damages += not self._skipped and count > 0
-        self._skipped += count
+        self.damages += not self._in_damage and count > 0
+        self._in_damage |= count > 0
+        self.skipped_bytes += count
         del self._buffer[:count]
 
 

@@ -11,7 +11,7 @@ from typing import TypeVar
 from usb.backend import IBackend
 
 from acquisition.devices.profile import Profile
-from acquisition.devices.protocol import Block, BlockParser, Damage, RepeatFilter
+from acquisition.devices.protocol import Block, BlockParser, RepeatFilter
 from acquisition.devices.registers import (
     PROTOCOL_VERSION,
     ClockRegister,
@@ -127,11 +127,9 @@ class BlockStream:
         """Return the next whole block, or None when `timeout_s` passed without new bytes."""
         while True:
             found = self.parser.next()
-            if isinstance(found, Block):
-                if self.repeated.is_repeat(found):
-                    continue
+            if found and not self.repeated.is_repeat(found):
                 return found
-            if not isinstance(found, Damage) and not self._receive(timeout_s):
+            if not found and not self._receive(timeout_s):
                 return None
 
     def _receive(self, timeout_s: float) -> bool:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -199,7 +200,7 @@ def _fed(
         start_s, cpu_s = time.perf_counter(), time.process_time()
         starts_s = [start_s + n * period_s / STREAMS for n in range(STREAMS)]
         with ThreadPoolExecutor(STREAMS) as threads:
-            list(threads.map(lambda *stream: _feed(*stream, blocks, period_s), writers, pools, starts_s))
+            list(threads.map(_feed, writers, pools, starts_s, repeat(blocks), repeat(period_s)))
         cpu_s, offered_s = time.process_time() - cpu_s, time.perf_counter() - start_s
         for writer in writers:
             writer.close()

@@ -29,6 +29,7 @@ class CaptureRules:
     """Rules that hold for every camera of a run.
 
     `waits`: the cameras wait for the host (simulated ones), so a full ring holds them up instead of losing planes.
+    `planes`: record so many of every camera; None until stopped.
     `pre_planes`: keep so many planes until the run is saved; None records from the first plane.
     `rejoin_s`: a camera that fails is looked for so long, and recorded on; 0 leaves it.
     `period_s`: the time between the line's pulses, None where it does not pulse.
@@ -37,6 +38,7 @@ class CaptureRules:
     tick_rate_hz: float
     trigger: Trigger
     waits: bool = False
+    planes: int | None = None
     pre_planes: int | None = None
     rejoin_s: float = 0.0
     period_s: float | None = None

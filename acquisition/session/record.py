@@ -13,7 +13,7 @@ from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
 from acquisition.scenes.truth import write_truth
 from acquisition.session.rig_lock import rig_lock
-from acquisition.session.session import Control, Extent, record_session
+from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 
@@ -67,7 +67,6 @@ def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: 
 
 def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progress) -> Manifest:
     pre_planes = None if take.pre_trigger_ms is None else round(take.pre_trigger_ms * 1e-3 * rig.tick_rate_hz)
-    extent = Extent(take.planes, pre_planes)
     _check_memory(rig, pre_planes or 0)
     share = _RECORDING_SHARE if isinstance(devices, Simulation) else _WRITTEN
     drawn = devices.drawn(rig) if isinstance(devices, Simulation) else rig
@@ -78,9 +77,10 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
             streams = record_session(
                 opened.cameras,
                 opened.trigger,
-                extent,
+                take.planes,
                 recording,
                 part(progress, 0.0, share),
+                pre_planes=pre_planes,
                 control=take.control,
                 waits=devices is not None,
                 rejoin_s=take.rejoin_s if devices is None else 0.0,

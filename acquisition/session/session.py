@@ -37,37 +37,30 @@ class Control:
         return self.stop.is_set() or self.cut_off.is_set()
 
 
-@dataclass(frozen=True)
-class Extent:
-    """The planes recorded of every camera, None until stopped; with `pre_planes`, from so many before `save`."""
-
-    planes: int | None
-    pre_planes: int | None = None
-
-
 def record_session(
     cameras: Sequence[UsbCamera],
     trigger: SoftwareTrigger | TriggerBox,
-    extent: Extent | int,
+    planes: int | None,
     recording: RecordingWriter,
     progress: Progress = silent,
     *,
+    pre_planes: int | None = None,
     control: Control | None = None,
     waits: bool = False,
     rejoin_s: float = 0.0,
 ) -> list[StreamWriter]:
-    """Record every camera into `recording`, with a thread for each camera and each file; the caller commits it.
+    """Record `planes` of every camera, None until stopped, into `recording`; the caller commits it.
 
+    Each camera and each file has a thread. With `pre_planes`, the run begins so many planes before `control` saves it.
     A camera that fails is noted in `recording.problems`, and the others go on; where a disk fills, all end together.
     With `waits`, the cameras wait for the host, so that a full ring holds them up instead of losing planes. A camera
     that is lost is reset and looked for, for `rejoin_s` seconds, and recorded on; the run is incomplete all the same.
     Raises DeviceError naming the camera that does not arm, or the first to fail where none sent a plane.
     """
-    extent = Extent(extent) if isinstance(extent, int) else extent
     rate_hz = recording.rig.tick_rate_hz
-    rules = CaptureRules(rate_hz, trigger.kind, waits, extent.pre_planes, rejoin_s, trigger.period_s)
-    captures = [Capture(c, recording.stream(c.id, c.layout, extent.planes), rules) for c in cameras]
-    run = _Run(captures, extent, recording, control or Control())
+    rules = CaptureRules(rate_hz, trigger.kind, waits, planes, pre_planes, rejoin_s, trigger.period_s)
+    captures = [Capture(c, recording.stream(c.id, c.layout, planes), rules) for c in cameras]
+    run = _Run(captures, rules, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:
         try:
             recording.mark("armed", trigger.kind)
@@ -93,10 +86,10 @@ def record_session(
 class _Run:
     """Decides which planes of the cameras of one session are recorded."""
 
-    def __init__(self, captures: list[Capture], extent: Extent, recording: RecordingWriter, control: Control):
+    def __init__(self, captures: list[Capture], rules: CaptureRules, recording: RecordingWriter, control: Control):
         self.abort = threading.Event()
         self._captures = captures
-        self._extent = extent
+        self._planes, self._pre_planes = rules.planes, rules.pre_planes
         self._recording = recording
         self._control = control
         self._began = self._ended = False
@@ -113,7 +106,7 @@ class _Run:
 
     def steer(self) -> None:
         """Begin and end all cameras at common planes, when it is time."""
-        if not self._began and (self._extent.pre_planes is None or self._control.save.is_set()):
+        if not self._began and (self._pre_planes is None or self._control.save.is_set()):
             self._begin()
         refused = any(capture.writer.failure for capture in self._captures)
         if not self._ended and (self._control.ends or self._recording.full or refused):
@@ -130,8 +123,8 @@ class _Run:
         problems += [str(c.writer.disk_error()) for c in self._captures if c.writer.failure]
         problems += [self._recording.full] if self._recording.full else []
         planes = max(capture.writer.planes for capture in self._captures)
-        if self._control.ends and self._extent.planes and planes < self._extent.planes:
-            problems.append(f"it was stopped after {planes} of {self._extent.planes} planes")
+        if self._control.ends and self._planes and planes < self._planes:
+            problems.append(f"it was stopped after {planes} of {self._planes} planes")
         if self._control.cut_off.is_set():
             problems.append(f"it was cut off after {planes} planes: the program that started it ended")
         self._recording.problems += problems
@@ -139,13 +132,13 @@ class _Run:
     def _begin(self) -> None:
         self._began = True
         first = 0
-        if self._extent.pre_planes is not None:
+        if self._pre_planes is not None:
             reached = min((c.position for c in self._captures if not c.failure), default=0)
-            first = max(0, reached - self._extent.pre_planes)
+            first = max(0, reached - self._pre_planes)
             self._recording.trigger_plane, self._recording.first_plane = reached - first, first
         for capture in self._captures:
-            if self._extent.planes is not None:
-                capture.end_at(first + self._extent.planes)
+            if self._planes is not None:
+                capture.end_at(first + self._planes)
             capture.begin_at(first)
 
     def _end(self) -> None:
@@ -165,7 +158,7 @@ class _Run:
             return 0.0, f"waiting to be told to save, {health}, {seen} planes seen"
         written = sum(capture.writer.planes for capture in self._captures)
         each = written // len(self._captures)
-        if self._extent.planes is None:
+        if self._planes is None:
             return 0.0, f"{each} planes, {health}"
-        fraction = written / (self._extent.planes * len(self._captures))
-        return fraction, f"{each} of {self._extent.planes} planes, {health}"
+        fraction = written / (self._planes * len(self._captures))
+        return fraction, f"{each} of {self._planes} planes, {health}"

@@ -28,7 +28,7 @@ from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import RecordingWriter
 from acquisition.session import capture as capture_module
-from acquisition.session.session import Control, Extent, record_session
+from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -542,7 +542,7 @@ def run(bench, tmp_path):
         try:
             with RecordingWriter(tmp_path / "rec", rig, 0) as recording, ThreadPoolExecutor(1) as pool:
                 task = pool.submit(play)
-                record_session(cameras, line, Extent(None), recording, control=control, rejoin_s=rejoin_s)
+                record_session(cameras, line, None, recording, control=control, rejoin_s=rejoin_s)
                 task.result()
                 recording.commit(recording.entries(), line.kind)
         finally:

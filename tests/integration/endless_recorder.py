@@ -9,7 +9,7 @@ from maintenance.plain_camera import PlainCamera
 
 from acquisition.devices.protocol import Block
 from acquisition.recording.writer import DiskUse, RecordingWriter
-from acquisition.session.session import Extent, record_session
+from acquisition.session.session import record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -57,7 +57,7 @@ def main(out: str, blocks_per_s: str, received: str) -> None:
     cameras = [Endless(n, 1 / float(blocks_per_s), counts) for n in range(CAMERAS)]
     rig = Rig("x", RATE_HZ, tuple(Camera(c.id, 400, 250, 450, 450, 200, 125, Transform.identity()) for c in cameras))
     with RecordingWriter(Path(out), rig, DiskUse(ring_bytes=RING_BYTES)) as recording:
-        record_session(cameras, Pulse(), Extent(None), recording)
+        record_session(cameras, Pulse(), None, recording)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import Recording, read_any_manifest
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import DiskUse, RecordingWriter
-from acquisition.session.session import Control, Extent, record_session
+from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -75,14 +75,14 @@ class Pulse:
 
 @pytest.fixture
 def capture(tmp_path, monkeypatch):
-    def run(senders, extent, *, file=DirectFile, use=None, control=None, progress=None) -> Manifest:
+    def run(senders, planes, *, file=DirectFile, use=None, progress=None, **how) -> Manifest:
         monkeypatch.setattr(writer_module, "StreamSpace", functools.partial(StreamSpace, open_file=file))
         ids = [s.id for s in senders]
         rig = Rig("bench", RATE_HZ, tuple(Camera(i, 400, 250, 450, 450, 200, 125, Transform.identity()) for i in ids))
         with RecordingWriter(tmp_path / "rec", rig, use or DiskUse()) as recording:
             report = progress or (lambda fraction, message: None)
             waits = not issubclass(file, SlowFile)  # on a shared machine any disk is slow now and then
-            record_session(senders, Pulse(), extent, recording, report, control=control, waits=waits)
+            record_session(senders, Pulse(), planes, recording, report, waits=waits, **how)
             return recording.commit(recording.entries(), "line")
 
     return run
@@ -170,7 +170,7 @@ def test_the_disk_guard_ends_the_run_before_the_disk_is_full(tmp_path, capture, 
     left = iter([10 << 30] * 4)
     monkeypatch.setattr(writer_module, "free_bytes", lambda folder: next(left, 900 << 20))
     senders = [Sender(number, 100_000, pause_s=0.001) for number in range(2)]
-    manifest = capture(senders, Extent(None), use=DiskUse(keep_free_bytes=850 << 20))
+    manifest = capture(senders, None, use=DiskUse(keep_free_bytes=850 << 20))
     assert manifest.reason == f"the disk had {900 << 20} bytes free, {850 << 20} are kept free"
     assert all(sum(camera.drops.values()) == 0 for camera in manifest.cameras)
     check(tmp_path / "rec")
@@ -180,7 +180,7 @@ def test_a_run_until_stopped_ends_all_cameras_at_one_plane(tmp_path, capture):
     control = Control()
     senders = [Sender(number, 100_000, pause_s=0.0005) for number in range(3)]
     senders[1].before_block = lambda number: control.stop.set() if number == 60 else None
-    manifest = capture(senders, Extent(None), control=control)
+    manifest = capture(senders, None, control=control)
     assert manifest.status == "complete"
     assert {camera.planes for camera in manifest.cameras} == {manifest.cameras[0].planes}
     assert manifest.cameras[0].planes >= 60 * BLOCK_PLANES
@@ -191,7 +191,7 @@ def test_a_pre_trigger_keeps_what_was_before_it(tmp_path, capture):
     control, pre = Control(), 100
     senders = [Sender(number, 100_000, pause_s=0.0005) for number in range(3)]
     senders[0].before_block = lambda number: control.save.set() if number == 1500 else None
-    manifest = capture(senders, Extent(5_000, pre), control=control)
+    manifest = capture(senders, 5_000, pre_planes=pre, control=control)
     assert manifest.status == "complete"
     assert {camera.planes for camera in manifest.cameras} == {5_000}
     assert manifest.trigger_plane == pre
@@ -210,7 +210,7 @@ def test_a_pre_trigger_that_never_comes_keeps_nothing(tmp_path, capture):
     senders = [Sender(0, 100_000, pause_s=0.0005)]
     senders[0].before_block = lambda number: control.stop.set() if number == 100 else None
     with pytest.raises(DeviceError, match="stopped before it was told to save"):
-        capture(senders, Extent(None, 50), control=control)
+        capture(senders, None, pre_planes=50, control=control)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -283,6 +283,6 @@ def test_a_file_system_without_direct_writes_is_used_and_named(tmp_path, capture
 def test_a_stop_from_another_thread_is_heard(tmp_path, capture):
     control = Control()
     threading.Timer(0.3, control.stop.set).start()
-    manifest = capture([Sender(0, 1_000_000, pause_s=0.001)], Extent(None), control=control)
+    manifest = capture([Sender(0, 1_000_000, pause_s=0.001)], None, control=control)
     assert manifest.cameras[0].planes > 0
     check(tmp_path / "rec")
