@@ -69,6 +69,10 @@ class UploadDiskError(ServiceError):
         self.headers = {"Upload-Offset": str(offset)}
 
 
+class NoRoomError(ServiceError):
+    """The disk has no room for what is asked for, beside what it has promised already."""
+
+
 class DigestError(ServiceError):
     """The bytes that were sent are not the ones that were announced."""
 

@@ -39,7 +39,7 @@ _STATUS: dict[int, tuple[type[Exception], ...]] = {
     428: (errors.PreconditionRequiredError,),
     429: (errors.BusyClientError,),
     500: (Spike4dgsError,),
-    507: (errors.UploadDiskError, DiskError),
+    507: (errors.NoRoomError, errors.UploadDiskError, DiskError),
 }
 STATUS = {kind: status for status, kinds in _STATUS.items() for kind in kinds}
 

@@ -4,7 +4,7 @@ from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
 from server.routes import parameters
-from server.routes.parameters import IdempotencyKey, IfNoneMatch, TheServices, located, png
+from server.routes.parameters import MAKES_ROOM, IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -66,7 +66,7 @@ def log(capture_id: str, services: TheServices) -> str:
     return services.captures.log(capture_id)
 
 
-@router.post("/captures/{capture_id}/cancel")
+@router.post("/captures/{capture_id}/cancel", dependencies=[MAKES_ROOM])
 def cancel(capture_id: str, services: TheServices) -> Capture:
     """Give up an import, or stop a recording and keep what it has."""
     return services.captures.cancel(capture_id)
@@ -78,7 +78,7 @@ def finalise(capture_id: str, services: TheServices) -> Capture:
     return services.captures.finalise(capture_id)
 
 
-@router.delete("/captures/{capture_id}", status_code=204)
+@router.delete("/captures/{capture_id}", status_code=204, dependencies=[MAKES_ROOM])
 def delete_capture(capture_id: str, services: TheServices) -> None:
     """Delete a capture with its recording; 409 while it is being made or a job uses it."""
     services.captures.delete(capture_id)

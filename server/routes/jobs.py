@@ -9,7 +9,7 @@ from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
 from server.etags import tag
 from server.routes import parameters
-from server.routes.parameters import IdempotencyKey, IfNoneMatch, TheServices, located, not_modified
+from server.routes.parameters import MAKES_ROOM, IdempotencyKey, IfNoneMatch, TheServices, located, not_modified
 from server.schemas.job_types import BatchRequest, JobRequest, PriorityRequest, RestartRequest
 from server.schemas.jobs import Artefacts, Job, Jobs, Steps
 from server.schemas.progress import Status
@@ -62,7 +62,7 @@ def job(job_id: str, services: TheServices) -> Job:
     return services.jobs.get(job_id)
 
 
-@router.delete("/jobs/{job_id}", status_code=204)
+@router.delete("/jobs/{job_id}", status_code=204, dependencies=[MAKES_ROOM])
 def delete_job(job_id: str, services: TheServices) -> None:
     """Delete an ended job and its results."""
     services.jobs.delete(job_id)
@@ -74,7 +74,7 @@ def steps(job_id: str, services: TheServices) -> Steps:
     return services.jobs.steps(job_id)
 
 
-@router.post("/jobs/{job_id}/cancel")
+@router.post("/jobs/{job_id}/cancel", dependencies=[MAKES_ROOM])
 def cancel(job_id: str, services: TheServices) -> Job:
     """Stop a queued or running job and keep what it has made so far."""
     return services.jobs.cancel(job_id)

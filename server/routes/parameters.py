@@ -1,5 +1,6 @@
 """Parameters and answers that several routes share, and their way to the services."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Protocol, TypeVar
 
 from fastapi import Depends, Header, Query, Request, Response
@@ -15,6 +16,14 @@ async def _services(request: Request) -> Services:  # a plain function would cos
 
 
 TheServices = Annotated[Services, Depends(_services)]
+
+
+def _making_room(services: TheServices) -> Iterator[None]:
+    with services.store.disk.making_room():
+        yield
+
+
+MAKES_ROOM = Depends(_making_room)  # of routes that must work on a full disk
 IdempotencyKey = Annotated[
     str | None,
     Header(

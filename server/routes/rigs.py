@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter, Response
 
-from server.routes.parameters import PNG, IdempotencyKey, IfNoneMatch, TheServices, located, png
+from server.routes.parameters import MAKES_ROOM, PNG, IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.jobs import Job
@@ -27,11 +27,11 @@ def rig(rig_id: str, services: TheServices) -> RigInfo:
 def start_capture(
     rig_id: str, request: CaptureRequest, response: Response, services: TheServices, key: IdempotencyKey = None
 ) -> Capture:
-    """Record; 409 while the rig is recording already."""
+    """Record; 409 while the rig is recording already, 507 where the disk has no room for it."""
     return located(response, "captures", services.captures.get(services.rigs.start(rig_id, request, key)))
 
 
-@router.post("/{rig_id}/captures/{capture_id}/stop")
+@router.post("/{rig_id}/captures/{capture_id}/stop", dependencies=[MAKES_ROOM])
 def stop_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
     """End a recording and keep what it has."""
     return services.captures.tell(rig_id, capture_id, "stop")

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 
-from server.routes.parameters import Cursor, Limit, TheServices, located
+from server.routes.parameters import MAKES_ROOM, Cursor, Limit, TheServices, located
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 
 router = APIRouter(prefix="/uploads", tags=["uploads"])
@@ -59,7 +59,7 @@ def commit(upload_id: str, services: TheServices) -> Upload:
     return services.uploads.commit(upload_id)
 
 
-@router.delete("/{upload_id}", status_code=204)
+@router.delete("/{upload_id}", status_code=204, dependencies=[MAKES_ROOM])
 def delete(upload_id: str, services: TheServices) -> None:
     """Delete an upload, committed or not; 409 while it is written or imported."""
     services.uploads.delete(upload_id)

@@ -12,6 +12,7 @@ from server.schemas.progress import ACTIVE, Status
 from server.schemas.rigs import RigInfo, Rigs
 from server.services.listing import Document, capture_document, page_of
 from server.services.queue import Key, Queue
+from server.services.space import Space
 from server.settings import RigSource
 from server.store.entries import Filter, Listed
 from server.store.files import is_locked
@@ -20,14 +21,15 @@ from server.store.tables import Entry
 
 
 class RigService:
-    """The rigs, and the captures they are told to make. Raises RigError for a rig that cannot be loaded."""
+    """The rigs, and the captures they are told to make."""
 
-    def __init__(self, store: Store, engine: Engine, queue: Queue, sources: dict[str, RigSource]) -> None:
+    def __init__(self, store: Store, engine: Engine, queue: Queue, space: Space, sources: dict[str, RigSource]) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
+        self._space = space
         self._sources = sources
-        self.rigs: dict[str, Rig] = {rig_id: source.load() for rig_id, source in sources.items()}
+        self.rigs = space.rigs
         self._one_at_a_time = threading.Lock()
 
     def list(self) -> Rigs:
@@ -54,23 +56,26 @@ class RigService:
         return RigInfo.model_validate(vars(rig) | shown, from_attributes=True)
 
     def start(self, rig_id: str, request: CaptureRequest, key: Key = None) -> str:
-        """Queue a recording; return its id. Raises NotFoundError and, while the rig is busy, RigBusyError."""
+        """Queue a recording; return its id. Raises NotFoundError, NoRoomError and, while it is busy, RigBusyError."""
         self.rig(rig_id)
         capture_id, known = self._queue.once("capture", request, key, rig_id)
         if not known:
             queue = capture_queue(rig_id)
-            self.add_where_idle(
-                self._queue.entry("capture", capture_id, request, type="record", rig=rig_id, queue=queue)
-            )
+            entry = self._queue.entry("capture", capture_id, request, type="record", rig=rig_id, queue=queue)
+            self.add_where_idle(entry, self._space.recording_bytes(rig_id, entry.request))
         return capture_id
 
-    def add_where_idle(self, entry: Entry) -> None:
-        """Queue an entry that uses its rig's cameras; raises RigBusyError while anything else does."""
+    def add_where_idle(self, entry: Entry, wanted: int = 0) -> None:
+        """Queue an entry that uses its rig's cameras and `wanted` bytes of the disk.
+
+        Raises RigBusyError while anything else uses them, and NoRoomError.
+        """
         with self._one_at_a_time:
             busy = self._engine.active(entry.queue or "")
             if busy is not None:
                 raise RigBusyError(f"found rig {entry.rig} busy with {busy}", "it idle", "wait for that to end")
-            self._queue.add(entry)
+            with self._space.promised(wanted):
+                self._queue.add(entry)
 
 
 class CaptureService:

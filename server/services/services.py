@@ -16,6 +16,7 @@ from server.services.previews import PreviewService
 from server.services.queue import Queue
 from server.services.retention import Retention
 from server.services.rig_jobs import RigJobService
+from server.services.space import Space
 from server.services.uploads import UploadService
 from server.services.watchdog import Watchdog
 from server.services.webhooks import WebhookService
@@ -28,20 +29,20 @@ class Services:
     """Built once from the settings. Raises RigError for a rig that cannot be loaded, and DatabaseError."""
 
     def __init__(self, settings: ServiceSettings, keeper: Keeper | None = None) -> None:
-        for source in settings.rigs.values():
-            source.load()  # before anything is written
+        rigs = {rig_id: source.load() for rig_id, source in settings.rigs.items()}  # before anything is written
         self.settings = settings
         self.store = Store(settings)
         self.engine = Engine(settings)
-        queue = Queue(self.store, self.engine)
-        self.rigs = RigService(self.store, self.engine, queue, settings.rigs)
+        self.store.disk.keep_reserve()
+        queue, space = Queue(self.store, self.engine), Space(self.store, rigs)
+        self.rigs = RigService(self.store, self.engine, queue, space, settings.rigs)
         self.captures = CaptureService(self.store, self.engine, queue)
         self.jobs = JobService(self.store, self.engine, queue, Admission(self.store, self.engine, self.rigs))
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
         self.health = HealthService(self.store, self.engine, keeper)
         self.watchdog = Watchdog(keeper)
-        self.uploads = UploadService(self.store, queue, settings.max_upload_bytes, settings.keep_free_bytes)
+        self.uploads = UploadService(self.store, queue, space, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
         self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs)

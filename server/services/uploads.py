@@ -1,16 +1,16 @@
 """Files that clients send, piece by piece: a connection that breaks loses the piece under way and no more."""
 
 import asyncio
-import shutil
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
-from server.errors import DigestError, OffsetError, StateError, UploadDiskError, UploadSizeError
+from server.errors import DigestError, OffsetError, StateError, UploadSizeError
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 from server.services.queue import Queue
+from server.services.space import Space
 from server.store.store import Store
 from server.store.tables import StoredUpload
 from server.store.upload_file import Appender, digest_of, held
@@ -22,25 +22,24 @@ _IDLE_S = 30.0  # a client that is silent for so long is gone, and another reque
 class UploadService:
     """The uploads of a service, each at most `most_bytes` long; `keep_free` bytes of the disk are left free."""
 
-    def __init__(self, store: Store, queue: Queue, most_bytes: int, keep_free: int) -> None:
+    def __init__(self, store: Store, queue: Queue, space: Space, most_bytes: int, keep_free: int) -> None:
         self._store = store
         self._queue = queue
+        self._space = space
         self._most_bytes = most_bytes
         self._keep_free = keep_free
 
     def create(self, request: UploadRequest) -> Upload:
-        """Begin an upload; raises UploadSizeError where it is too long, UploadDiskError where it has no room."""
+        """Begin an upload; raises UploadSizeError where it is too long, NoRoomError."""
         if request.bytes > self._most_bytes:
             raise UploadSizeError(f"found {request.bytes} bytes", f"at most {self._most_bytes} of an upload")
-        free = shutil.disk_usage(self._store.folder.path).free - self._keep_free
-        if request.bytes > free:
-            raise UploadDiskError(f"{request.bytes} bytes asked for, {max(0, free)} free", 0)
         uploads = self._store.uploads
         upload = StoredUpload(uploads.dated_id("u"), uploads.now(), request.name, request.bytes, request.sha256)
         path = self.path(upload.id)
-        path.parent.mkdir()
-        path.touch()
-        uploads.insert(upload)
+        with self._space.promised(upload.bytes):
+            path.parent.mkdir()
+            path.touch()
+            uploads.insert(upload)
         return self._shown(upload)
 
     def get(self, upload_id: str) -> Upload:
@@ -81,7 +80,7 @@ class UploadService:
         upload = self._store.uploads.get(upload_id)
         if upload.state == "open":
             with held(self.path(upload_id)) as descriptor:
-                size = self._size(upload_id)
+                size = self._store.folder.received(upload_id)
                 if size != upload.bytes:
                     raise OffsetError(upload.bytes, size)
                 sha256 = digest_of(descriptor)
@@ -110,14 +109,8 @@ class UploadService:
             raise StateError(f"found {upload_id} committed", "it open", "begin another upload")
         return upload
 
-    def _size(self, upload_id: str) -> int:
-        try:
-            return self.path(upload_id).stat().st_size
-        except FileNotFoundError:  # it is being deleted
-            return 0
-
     def _shown(self, upload: StoredUpload) -> Upload:
-        return Upload(offset=self._size(upload.id), **vars(upload))
+        return Upload(offset=self._store.folder.received(upload.id), **vars(upload))
 
 
 async def _until_gone(chunks: AsyncIterator[bytes]) -> AsyncIterator[bytes]:

@@ -6,6 +6,7 @@ DATA/jobs/JID/run/, DATA/jobs/JID/out/    the run folder of a reconstruction; wh
 DATA/entries/ID/log.txt                   what the stages of a capture or job wrote; its flock is held while one runs
 DATA/rigs/RIG/                            held by flock while the rig records; its calibrations as files
 DATA/uploads/UID/                         what was uploaded so far
+DATA/reserve                              room that is given up where the disk is full, so that it can be emptied
 """
 
 import fcntl
@@ -65,6 +66,13 @@ class DataFolder:
     def upload(self, upload_id: str) -> Path:
         """Return the folder of an upload."""
         return self.path / "uploads" / upload_id
+
+    def received(self, upload_id: str) -> int:
+        """Return how many bytes of an upload have come."""
+        try:
+            return (self.upload(upload_id) / "data").stat().st_size
+        except FileNotFoundError:  # it is being deleted
+            return 0
 
     def remove(self, folder: Path) -> None:
         """Delete a folder, which leaves its place at once, whatever its size."""

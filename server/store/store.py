@@ -7,6 +7,7 @@ from server.settings import ServiceSettings
 from server.store.artefacts import Artefacts
 from server.store.calibrations import Calibrations
 from server.store.database import prepare_database
+from server.store.disk import Disk
 from server.store.entries import Entries
 from server.store.events import Events
 from server.store.files import DataFolder
@@ -27,6 +28,7 @@ class Store:
     def __init__(self, settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> None:
         self.database = prepare_database(settings, pause)
         self.folder = DataFolder(settings.data)
+        self.disk = Disk(settings.data, settings.keep_free_bytes)
         self.entries = Entries(self.database)
         self.events = Events(self.database)
         self.artefacts = Artefacts(self.database)

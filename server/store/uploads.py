@@ -34,6 +34,10 @@ class Uploads(Records[StoredUpload]):
         older = () if before is None else (uploads.c.id < before,)
         return self.select(*older, order=uploads.c.id.desc(), limit=limit)
 
+    def open(self) -> list[StoredUpload]:
+        """Return those that are still being sent."""
+        return self.select(uploads.c.state == "open")
+
     def commit(self, upload_id: str, sha256: str) -> None:
         """Note that the upload is whole, and its digest."""
         self.update(uploads.c.id == upload_id, state="committed", sha256=sha256)

@@ -16,6 +16,7 @@ from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import ReconstructRequest
 from server.schemas.jobs import Job
+from server.schemas.uploads import UploadRequest
 
 pytestmark = pytest.mark.slow
 DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
@@ -114,3 +115,40 @@ def settled(client: ServiceClient, job: Job) -> bool:
         assert "space left" in job.error
         client.resume(job.id)
     return job.status in ("done", "failed")
+
+
+def test_a_full_disk_is_emptied_from_the_service(deployment: Deployment, disk: Path) -> None:
+    for name in ("api", "a"):
+        deployment.start(name)
+    with ServiceClient.at(deployment.address) as client:
+        wait_for(lambda: ready(client))
+        capture = client.start_capture("lab3x3", CaptureRequest(ticks=5)).id
+        wait_for(lambda: client.capture(capture).status == "done")
+        job = client.submit(ReconstructRequest(capture=capture)).id
+        waiting = client.submit(ReconstructRequest(capture=capture)).id
+        trace = deployment.data / "jobs" / job / "trace.txt"
+        wait_for(lambda: trace.exists() and "begin train" in trace.read_text())
+        upload = client.begin_upload(UploadRequest(name="a", bytes=1000)).id
+        fill(disk, 0)
+        with pytest.raises(RefusedError) as refused:
+            client.begin_upload(UploadRequest(name="b", bytes=1000))
+        assert refused.value.status == 507
+        for one in (waiting, job):
+            assert client.cancel(one).status == "cancelled"
+        client.delete_upload(upload)
+        for one in (waiting, job):
+            wait_for(lambda one=one: deleted(client, one))
+        client.delete_capture(capture)
+        assert client.captures() == client.jobs() == []
+        assert list((deployment.data / "captures").iterdir()) == []
+
+
+def deleted(client: ServiceClient, job_id: str) -> bool:
+    """Return whether the job could be deleted: its process may take a moment to end."""
+    try:
+        client.delete_job(job_id)
+    except RefusedError as error:
+        if error.status != 409:
+            raise
+        return False
+    return True

@@ -1,0 +1,107 @@
+"""Tests that what begins fits the disk beside what has begun, and that a full disk can be emptied."""
+
+import shutil
+import threading
+from collections import namedtuple
+
+import pytest
+from fastapi.testclient import TestClient
+
+from rigs.toml import catalog_rig
+from server.app import create_app
+from server.settings import ServiceSettings
+from server.store.disk import Disk
+
+RIG = catalog_rig("lab3x3")
+TICK_BYTES = sum(camera.width * camera.height // 8 for camera in RIG.cameras)
+KEEP_FREE = 5_000
+Usage = namedtuple("Usage", "total used free")
+
+
+@pytest.fixture
+def free(monkeypatch):
+    """Let the disk seem to have this many free bytes, a dictionary's `bytes`."""
+    seeming = {"bytes": 10**9}
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(10**9, 0, seeming["bytes"]))
+    return seeming
+
+
+@pytest.fixture
+def http(tmp_path, free):
+    settings = ServiceSettings(data=tmp_path, keep_free_bytes=KEEP_FREE)
+    with TestClient(create_app(settings), base_url="http://127.0.0.1") as client:
+        yield client
+
+
+def begin(http, size: int) -> int:
+    return http.post("/v1/uploads", json={"name": "a", "bytes": size}).status_code
+
+
+def test_two_uploads_that_do_not_fit_together_are_not_both_accepted(http, free) -> None:
+    free["bytes"] = KEEP_FREE + 1000
+    assert begin(http, 600) == 201
+    refused = http.post("/v1/uploads", json={"name": "b", "bytes": 401})
+    assert (refused.status_code, refused.json()["detail"]) == (
+        507,
+        "found 400 bytes free, expected the 401 that are asked for; delete something",
+    )
+    assert begin(http, 400) == 201
+
+
+def test_of_many_uploads_at_once_those_begin_that_fit(http, free) -> None:
+    free["bytes"] = KEEP_FREE + 1000
+    answers: list[int] = []
+    threads = [threading.Thread(target=lambda: answers.append(begin(http, 300))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers) == [201] * 3 + [507] * 5
+
+
+def test_what_an_upload_has_received_is_counted_once(http, free) -> None:
+    free["bytes"] = KEEP_FREE + 1000
+    upload = http.post("/v1/uploads", json={"name": "a", "bytes": 600}).json()["id"]
+    http.patch(f"/v1/uploads/{upload}", content=bytes(500), headers={"Upload-Offset": "0"})
+    free["bytes"] -= 500
+    assert begin(http, 401) == 507
+    assert begin(http, 400) == 201
+
+
+def test_a_capture_that_cannot_fit_is_refused_before_it_begins(http, free) -> None:
+    free["bytes"] = KEEP_FREE + 100 * TICK_BYTES
+    assert http.post("/v1/rigs/lab3x3/captures", json={"ticks": 101}).status_code == 507
+    assert http.get("/v1/captures").json()["items"] == []
+    assert http.post("/v1/rigs/lab3x3/captures", json={"until_stopped": True}).status_code == 507
+    assert http.post("/v1/rigs/lab3x3/captures", json={"ticks": 60}).status_code == 202
+    assert begin(http, 40 * TICK_BYTES + 1) == 507
+    assert begin(http, 40 * TICK_BYTES) == 201
+
+
+def test_a_busy_rig_is_told_before_the_disk(http, free) -> None:
+    free["bytes"] = KEEP_FREE + 100 * TICK_BYTES
+    assert http.post("/v1/rigs/lab3x3/captures", json={"ticks": 60}).status_code == 202
+    assert http.post("/v1/rigs/lab3x3/captures", json={"ticks": 60}).status_code == 409
+
+
+def test_the_reserve_is_given_up_for_what_makes_room_and_taken_again(tmp_path, free) -> None:
+    disk = Disk(tmp_path, 0)
+    disk.keep_reserve()
+    reserve = tmp_path / "reserve"
+    assert reserve.stat().st_blocks * 512 >= 16 << 20
+    with disk.making_room():
+        assert reserve.exists()
+    free["bytes"] = 0
+    with disk.making_room():
+        assert not reserve.exists()
+    assert reserve.exists()
+
+
+def test_a_disk_without_room_for_the_reserve_goes_without(tmp_path, monkeypatch) -> None:
+    def refuse(*args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    disk = Disk(tmp_path, 0)
+    monkeypatch.setattr("os.posix_fallocate", refuse)
+    disk.keep_reserve()
+    assert list(tmp_path.iterdir()) == []
