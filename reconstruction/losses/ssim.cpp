@@ -18,18 +18,6 @@ struct Window {
         for (int k = 0; k < kTaps; ++k) sum += weight[k] = std::exp(-0.5 * (k - kReach) * (k - kReach) / (1.5 * 1.5));
         for (int k = 0; k < kTaps; ++k) tap[k] = float(weight[k] / sum);
     }
-    // One over the sum of the taps around `at` that fall inside 0 .. size - 1.
-    float inverse_mass(int at, int size) const {
-        float mass = 0;
-        for (int k = 0; k < kTaps; ++k)
-            if (at + k - kReach >= 0 && at + k - kReach < size) mass += tap[k];
-        return 1 / mass;
-    }
-};
-
-struct Size {
-    int32_t width, height;
-    int64_t pixels() const { return int64_t(width) * height; }
 };
 
 // Filters along a row: `padded` holds the row between kReach zeros on either side.
@@ -43,28 +31,33 @@ void along_row(const Window &window, const float *padded, int width, float *out)
 }
 
 // Filters `plane` down the columns, for row j; taps beyond the image weigh nothing.
-void down_columns(const Window &window, const float *plane, Size size, int j, float *out) {
+void down_columns(const Window &window, const float *plane, int width, int height, int j, float *out) {
     const float *row[kTaps];
     float tap[kTaps];
     for (int k = 0; k < kTaps; ++k) {
         const int at = j + k - kReach;
-        tap[k] = at >= 0 && at < size.height ? window.tap[k] : 0.f;
-        row[k] = plane + int64_t(std::clamp(at, 0, size.height - 1)) * size.width;
+        tap[k] = at >= 0 && at < height ? window.tap[k] : 0.f;
+        row[k] = plane + int64_t(std::clamp(at, 0, height - 1)) * width;
     }
 #pragma omp simd
-    for (int i = 0; i < size.width; ++i) {
+    for (int i = 0; i < width; ++i) {
         float sum = 0;
         for (int k = 0; k < kTaps; ++k) sum += tap[k] * row[k][i];
         out[i] = sum;
     }
 }
 
+// Return one over the sum of the taps that fall inside 0 .. size - 1, around each place.
 std::vector<float> inverse_masses(const Window &window, int size) {
     std::vector<float> out(size);
-    for (int i = 0; i < size; ++i) out[i] = window.inverse_mass(i, size);
+    for (int i = 0; i < size; ++i) {
+        float mass = 0;
+        for (int k = 0; k < kTaps; ++k)
+            if (i + k - kReach >= 0 && i + k - kReach < size) mass += window.tap[k];
+        out[i] = 1 / mass;
+    }
     return out;
 }
-
 
 }  // namespace
 
@@ -72,8 +65,7 @@ std::vector<float> inverse_masses(const Window &window, int size) {
 S4_API void ssim_forward(const float *x, const float *y, int32_t width, int32_t height, float c1, float c2,
                          float *similarity, float *slopes, float *scratch, int32_t threads) {
     const Window window;
-    const Size size{width, height};
-    const int64_t n = size.pixels();
+    const int64_t n = int64_t(width) * height;
     const std::vector<float> inverse_x = inverse_masses(window, width), inverse_y = inverse_masses(window, height);
 #pragma omp parallel num_threads(threads)
     {
@@ -96,7 +88,7 @@ S4_API void ssim_forward(const float *x, const float *y, int32_t width, int32_t 
 #pragma omp for schedule(static)
         for (int j = 0; j < height; ++j) {
             for (int k = 0; k < 4; ++k)
-                down_columns(window, scratch + k * n, size, j, lines.data() + size_t(k) * padded);
+                down_columns(window, scratch + k * n, width, height, j, lines.data() + size_t(k) * padded);
             const float *la = lines.data(), *lb = la + padded, *le = lb + padded, *lc = le + padded;
             float *s = similarity + int64_t(j) * width, *sa = slopes + int64_t(j) * width, *se = sa + n, *sc = se + n;
 #pragma omp simd
@@ -121,8 +113,7 @@ S4_API void ssim_forward(const float *x, const float *y, int32_t width, int32_t 
 S4_API void ssim_backward(const float *x, const float *y, const float *gradient, const float *slopes, int32_t width,
                           int32_t height, float *out, float *scratch, int32_t threads) {
     const Window window;
-    const Size size{width, height};
-    const int64_t n = size.pixels();
+    const int64_t n = int64_t(width) * height;
     const std::vector<float> inverse_x = inverse_masses(window, width), inverse_y = inverse_masses(window, height);
 #pragma omp parallel num_threads(threads)
     {
@@ -142,7 +133,7 @@ S4_API void ssim_backward(const float *x, const float *y, const float *gradient,
 #pragma omp for schedule(static)
         for (int j = 0; j < height; ++j) {
             for (int k = 0; k < 3; ++k)
-                down_columns(window, scratch + k * n, size, j, lines.data() + size_t(k) * padded);
+                down_columns(window, scratch + k * n, width, height, j, lines.data() + size_t(k) * padded);
             const float *a = lines.data(), *e = a + padded, *c = e + padded;
             const float *xs = x + int64_t(j) * width, *ys = y + int64_t(j) * width;
             float *to = out + int64_t(j) * width;

@@ -80,6 +80,10 @@ def evaluated(module: nn.Module, seen: Tensor, level: Tensor) -> tuple[Tensor, T
     return light[..., :height, :width], sigma[..., :height, :width]
 
 
+def _interval(seen: Tensor) -> Tensor:
+    return seen[:, BINS // 2, None]
+
+
 def _mean_rate(seen: Tensor) -> Tensor:
     longest = window_means()[-1, None].to(seen)
     return _mean(functional.conv2d(seen[:, :BINS], longest))
@@ -92,12 +96,5 @@ def _mean(seen: Tensor) -> Tensor:
 IMAGE_NETWORKS: Mapping[str, ImageNetwork] = {
     "small": ImageNetwork(rates, _mean_rate, SmallSpk2ImgNet),
     "published": ImageNetwork(partial(planes_around, reach=RAW_REACH), _mean, PublishedSpk2ImgNet, reach=RAW_REACH),
-    "blindspot": ImageNetwork(
-        blind_rates,
-        _mean_rate,
-        BlindSpotNet,
-        reversed_blind_rates,
-        lambda seen: seen[:, BINS // 2, None],
-        NOISE_BEND,
-    ),
+    "blindspot": ImageNetwork(blind_rates, _mean_rate, BlindSpotNet, reversed_blind_rates, _interval, NOISE_BEND),
 }

@@ -12,7 +12,6 @@ import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeGuard
 
 import torch
 from torch import Tensor
@@ -71,15 +70,12 @@ def _read(path: Path) -> dict:
     return stored
 
 
-def _dense(tensor: object) -> TypeGuard[Tensor]:
-    return isinstance(tensor, Tensor) and tensor.is_floating_point() and tensor.layout == torch.strided
-
-
 def _state(stored: Mapping[object, object]) -> dict[str, Tensor]:
     """Return the tensors by our names, without those that are there twice; a missing second decoder is the first."""
     state: dict[str, Tensor] = {}
     for name, tensor in stored.items():
-        if not isinstance(name, str) or not _dense(tensor):
+        dense = isinstance(tensor, Tensor) and tensor.is_floating_point() and tensor.layout == torch.strided
+        if not (isinstance(name, str) and isinstance(tensor, Tensor) and dense):
             raise BadRunError(f"found {str(name)[:60]!r} in the model", "names of floating point tensors")
         name = re.sub(r"\.scratch\.layer_rn\.([0-3])\.", lambda m: f".scratch.layer{int(m[1]) + 1}_rn.", name)
         if not name.startswith("prediction_head."):  # of the pretraining

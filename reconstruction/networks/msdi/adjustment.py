@@ -111,7 +111,8 @@ def _step(
     firm = (views.distance / DEPTH_SD) ** 2
     depth_normal = (along * slopes.along).sum(dim=(2, 3)) + firm
     depth_right = (along * residual).sum(dim=(2, 3)) + (1 / views.distance - inverse_depth) * firm
-    prior = _prior(len(views), stage).to(normal)
+    view = [stage.turn_sd_rad**-2] * 3 + [stage.shift_sd_m**-2] * 3
+    prior = torch.tensor(view * len(views) + [stage.focal_sd**-2], dtype=torch.float64).to(normal)
     normal = normal + torch.diag(prior + DAMPING * normal.diagonal().detach())
     right = right - prior * parameters
     scaled = (mixed / depth_normal[..., None]).flatten(0, 1)
@@ -164,11 +165,6 @@ def derivatives(views: Views, pixels: Tensor, inverse_depth: Tensor, seen: Tenso
         lens=(project @ refocus[..., None])[..., 0] + slope * views.focal,
         along=(project @ baseline[:, None, :, :, None])[..., 0],
     )
-
-
-def _prior(count: int, stage: Stage) -> Tensor:
-    view = [stage.turn_sd_rad**-2] * 3 + [stage.shift_sd_m**-2] * 3
-    return torch.tensor(view * count + [stage.focal_sd**-2], dtype=torch.float64)
 
 
 def _square(residual: Tensor, information: Tensor) -> Tensor:
