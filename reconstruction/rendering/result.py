@@ -1,4 +1,4 @@
-"""What every renderer takes and returns."""
+"""Names what every renderer takes and returns."""
 
 from typing import NamedTuple
 

@@ -44,7 +44,7 @@ class Announcer:
                     self._tell(latest, entry.told, now)
             if now not in ACTIVE:
                 self._store.events.thin(entry.id)
-        self._queue.requeue(lost, _is_old)
+        self._queue.requeue(lost, self._is_old)
 
     def _tell(self, entry: Entry, before: str, now: Status) -> None:
         """Announce, and look again after an end: the entry may have been queued again while it was announced."""
@@ -61,6 +61,5 @@ class Announcer:
             self._retention.tidy()
         return False
 
-
-def _is_old(entry: Entry) -> bool:
-    return time.time() - datetime.fromisoformat(entry.created).timestamp() > _LOST_S
+    def _is_old(self, entry: Entry) -> bool:
+        return self._store.clock() - datetime.fromisoformat(entry.created).timestamp() > _LOST_S

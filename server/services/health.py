@@ -1,7 +1,6 @@
 """Checks whether the service would do work that it is given."""
 
 import shutil
-import time
 
 from server.engine import Engine
 from server.schemas.system import Check, WorkerInfo, Workers
@@ -21,7 +20,7 @@ class HealthService:
 
     def workers(self) -> Workers:
         """Return the workers that are alive."""
-        now = time.time()
+        now = self._store.clock()
         alive = self._store.workers.alive()
         return Workers(
             items=[WorkerInfo.model_validate(vars(one) | {"age_s": max(0.0, now - one.beat)}) for one in alive]

@@ -1,8 +1,5 @@
 """Deletes what is old: reports of progress, keys, deliveries, the engine's own memory and, if asked for, old jobs."""
 
-import time
-from collections.abc import Callable
-
 from server.engine import Engine
 from server.errors import ServiceError
 from server.services.jobs import JobService
@@ -16,27 +13,19 @@ _PAGE = 500
 class Retention:
     """Deletes what is old; the announcer calls it once an hour."""
 
-    def __init__(
-        self,
-        store: Store,
-        engine: Engine,
-        jobs: JobService,
-        keep_days: float | None,
-        clock: Callable[[], float] = time.time,
-    ) -> None:
+    def __init__(self, store: Store, engine: Engine, jobs: JobService, keep_days: float | None) -> None:
         self._store = store
         self._engine = engine
         self._jobs = jobs
         self._keep_days = keep_days
-        self._clock = clock
 
     def tidy(self) -> None:
         """Delete everything that is due."""
-        self._store.events.prune_progress(self._clock() - _PROGRESS_S)
+        self._store.events.prune_progress(self._store.clock() - _PROGRESS_S)
         self._store.idempotency.prune()
         self._store.deliveries.prune()
         if self._keep_days is not None:
-            self._delete_jobs(self._clock() - self._keep_days * _DAY_S)
+            self._delete_jobs(self._store.clock() - self._keep_days * _DAY_S)
         self._forget_deleted()
 
     def _delete_jobs(self, before: float) -> None:

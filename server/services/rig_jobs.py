@@ -4,7 +4,6 @@ import contextlib
 import json
 import shutil
 import time
-from collections.abc import Callable
 from datetime import datetime
 
 from acquisition.spikes.layout import PlaneLayout
@@ -34,14 +33,12 @@ class RigJobService:
         queue: Queue,
         rigs: RigService,
         jobs: JobService,
-        clock: Callable[[], float] = time.time,
     ) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
         self._rigs = rigs
         self._jobs = jobs
-        self._clock = clock
 
     def start(self, rig_id: str, request: PreflightRequest | LookRequest, key: Key = None) -> str:
         """Queue a look at a rig; return its id. Raises RigBusyError while the rig is busy."""
@@ -109,7 +106,7 @@ class RigJobService:
         for entry in self._store.entries.page(Filter("job", "preflight", rig_id), _LATEST):
             with contextlib.suppress(OSError, ValueError, KeyError):  # under way, or failed
                 result = json.loads((self._store.folder.out(entry.id) / "result.json").read_text())
-                age_s = max(0.0, self._clock() - datetime.fromisoformat(entry.created).timestamp())
+                age_s = max(0.0, self._store.clock() - datetime.fromisoformat(entry.created).timestamp())
                 known = {"job": entry.id, "created": entry.created, "age_s": age_s}
                 return Preflight.model_validate(result | known), {camera["id"]: camera for camera in result["cameras"]}
         return None, {}
@@ -118,7 +115,7 @@ class RigJobService:
         path = self._store.folder.rig(rig_id) / "look.png"
         if not path.exists():
             return None
-        return Look(age_s=max(0.0, self._clock() - path.stat().st_mtime), etag=self.picture(rig_id).etag)
+        return Look(age_s=max(0.0, time.time() - path.stat().st_mtime), etag=self.picture(rig_id).etag)
 
     def _forget_older_looks(self, rig_id: str, job_id: str) -> None:
         """Delete the older looks that ended: a page that looks every few seconds leaves one job, not thousands."""

@@ -86,7 +86,7 @@ class WebhookService:
         return len(due)
 
     def _delivery(self, owed: Owed) -> Delivery:
-        due_in_s = max(0.0, owed.next - self._clock()) if owed.status == "waiting" else None
+        due_in_s = max(0.0, owed.next - self._store.clock()) if owed.status == "waiting" else None
         return Delivery.model_validate(vars(owed) | {"due_in_s": due_in_s})
 
     async def _deliver(self, due: list[Owed]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from server.settings import ServiceSettings
 from server.store.artefacts import Artefacts
 from server.store.calibrations import Calibrations
+from server.store.clock import DatabaseClock
 from server.store.database import prepare_database
 from server.store.disk import Disk
 from server.store.entries import Entries
@@ -27,19 +28,20 @@ class Store:
 
     def __init__(self, settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> None:
         self.database = prepare_database(settings, pause)
+        self.clock = DatabaseClock(self.database)
         self.folder = DataFolder(settings.data)
         self.disk = Disk(settings.data, settings.keep_free_bytes)
-        self.entries = Entries(self.database)
-        self.events = Events(self.database)
-        self.artefacts = Artefacts(self.database)
-        self.idempotency = Idempotency(self.database)
-        self.workers = Workers(self.database, dead_s=settings.dead_s)
-        self.calibrations = Calibrations(self.database)
+        self.entries = Entries(self.database, self.clock)
+        self.events = Events(self.database, self.clock)
+        self.artefacts = Artefacts(self.database, self.clock)
+        self.idempotency = Idempotency(self.database, self.clock)
+        self.workers = Workers(self.database, self.clock, settings.dead_s)
+        self.calibrations = Calibrations(self.database, self.clock)
         self.rig_files = RigFiles(self.folder, self.calibrations)
-        self.uploads = Uploads(self.database)
-        self.tokens = Tokens(self.database)
-        self.webhooks = Webhooks(self.database)
-        self.deliveries = Deliveries(self.database)
+        self.uploads = Uploads(self.database, self.clock)
+        self.tokens = Tokens(self.database, self.clock)
+        self.webhooks = Webhooks(self.database, self.clock)
+        self.deliveries = Deliveries(self.database, self.clock)
 
     def close(self) -> None:
         """Let go of the database."""

@@ -187,7 +187,8 @@ def test_what_is_old_is_let_go(http: TestClient, services: Services, imported: s
     store.events.tell(kept.id, "cancelled", "failed", {})
 
     def tidy(days: float | None, now: float) -> None:
-        Retention(store, services.engine, services.jobs, days, lambda: now).tidy()
+        store.clock = lambda: now
+        Retention(store, services.engine, services.jobs, days).tidy()
 
     tidy(None, time.time())
     assert [event.kind for event in store.events.after(0, kept.id)].count("progress") == 1

@@ -181,3 +181,26 @@ def test_a_killed_stage_is_resumed_where_it_stopped(client: ServiceClient, deplo
     wait_for(lambda: client.job(job).status == "done")
     count = read_trace(folder)
     assert (count["begun"], count["completed"], count["repeated"]) == (len(STAGES) + 1, 1, 0)
+
+
+@pytest.mark.postgres
+def test_a_worker_whose_clock_is_a_minute_off_is_told_so_and_works(tmp_path: Path) -> None:
+    try:
+        deployment = Deployment(tmp_path / "data", postgresql=True, dead_s=4.0)
+    except PostgresqlMissingError as error:
+        pytest.skip(str(error))
+    try:
+        deployment.start("api")
+        deployment.start("late", late_s=60)
+        deployment.start("early", late_s=-60)
+        with ServiceClient.at(deployment.address) as client:
+            wait_for(lambda: answers(client) and {one.id for one in client.workers()} == {"late", "early"})
+            jobs = [client.submit(ReconstructRequest(capture=captured(client))).id for _ in range(3)]
+            wait_for(lambda: all(client.job(job).status == "done" for job in jobs))
+            assert {one.id for one in client.workers()} == {"late", "early"}
+            assert all(one.age_s < 4.0 for one in client.workers())
+        for name, way in (("late", "60 s behind"), ("early", "60 s ahead of")):
+            assert f"this machine's clock is {way}" in (deployment.data / f"{name}.log").read_text()
+        assert deployment.dead() == []
+    finally:
+        deployment.close()

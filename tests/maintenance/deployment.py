@@ -50,12 +50,12 @@ class Deployment:
         if self.database is not None:
             self._environment["SPIKE4DGS_DATABASE"] = self.database.url
 
-    def start(self, name: str) -> None:
-        """Start the web process, `api`, or a worker."""
+    def start(self, name: str, late_s: float = 0.0) -> None:
+        """Start the web process, `api`, or a worker, on a machine whose clock is `late_s` behind."""
         command = ["serve", "--port", str(self.port)] if name == "api" else ["worker", "--name", name]
         with (self.data / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(
-                [sys.executable, "-P", "-m", "server.cli", *command, "--data", str(self.data)],
+                [sys.executable, "-P", *_program(late_s), *command, "--data", str(self.data)],
                 env=self._environment,
                 stdout=log,
                 stderr=log,
@@ -108,6 +108,11 @@ class Deployment:
         """Folders whose flock somebody holds."""
         folders = [path for kind in ("entries", "rigs", "workers") for path in (self.data / kind).glob("*")]
         return [str(folder) for folder in folders if is_locked(folder)]
+
+
+def _program(late_s: float) -> list[str]:
+    late = f"import time; now = time.time; time.time = lambda: now() - {late_s}"
+    return ["-c", f"{late}; from server.cli.main import main; main()"] if late_s else ["-m", "server.cli"]
 
 
 def _command(pid: int) -> list[str]:

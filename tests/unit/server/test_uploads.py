@@ -176,7 +176,7 @@ def test_bytes_that_cannot_be_flushed_do_not_count(http: TestClient, monkeypatch
 def test_some_of_the_disk_is_left_free(tmp_path: Path) -> None:
     settings = ServiceSettings(data=tmp_path, keep_free_bytes=2**62)
     with TestClient(create_app(settings), base_url="http://127.0.0.1") as http:
-        refused(http.post("/v1/uploads", json={"name": "a", "bytes": 5}), 507, "0 free")
+        refused(http.post("/v1/uploads", json={"name": "a", "bytes": 5}), 507, "found 0 bytes free")
 
 
 def test_a_stale_upload_is_deleted_with_its_bytes(http: TestClient, tmp_path: Path) -> None:
