@@ -16,9 +16,8 @@ from acquisition.devices.registers import (
     State,
     TickRate,
 )
-from acquisition.devices.replay import ReplaySource
 from acquisition.errors import DeviceError
-from acquisition.scenes.source import SceneSource
+from acquisition.scenes.source import SceneSource, Source
 
 STRINGS = ("", "spike4dgs", "simulated spike camera")
 _IN, _KIND, _VENDOR = 0x80, 0x60, 0x40
@@ -61,17 +60,12 @@ class DeviceRegisters:
 class DeviceModel:
     """A camera whose light comes from `source`; armed, it waits for `trigger` (the shared line) or for START."""
 
-    def __init__(self, serial: str, source: SceneSource | ReplaySource, tick_rate_hz: float, profile: Profile = DIRECT):
+    def __init__(self, serial: str, source: Source, tick_rate_hz: float, profile: Profile = DIRECT):
         self.serial, self.profile = serial, profile
         self.run = DeviceRun(tick_rate_hz)
         self.stream = DeviceStream(self.run, source)
         self.registers = DeviceRegisters(self.run, self.stream, self.command)
         self.messages = MessageEnd(profile, self.registers.read, self.registers.write)
-
-    @property
-    def state(self) -> State:
-        """Return what the camera is doing."""
-        return self.run.state
 
     def power_up(self) -> None:
         """Begin anew, as after a reset or with the cable pulled: idle, all counters at zero; the light goes on."""

@@ -4,9 +4,8 @@ from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_run import DeviceRun
 from acquisition.devices.protocol import Block, BlockStatus, encode_block
 from acquisition.devices.registers import Geometry, LinkCounters, State
-from acquisition.devices.replay import ReplaySource
 from acquisition.recording.manifest import block_planes_of
-from acquisition.scenes.source import SceneSource
+from acquisition.scenes.source import Source
 
 
 class DeviceStream:
@@ -15,7 +14,7 @@ class DeviceStream:
     While `halted`, the pipe is stalled. Each block adds `link_per_block` to the LINK register.
     """
 
-    def __init__(self, run: DeviceRun, source: SceneSource | ReplaySource):
+    def __init__(self, run: DeviceRun, source: Source):
         self.source, self.geometry = source, Geometry(source.layout, block_planes_of(source.layout))
         self.halted, self.link_per_block = False, LinkCounters()
         self._run = run

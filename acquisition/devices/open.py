@@ -21,7 +21,6 @@ from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.faults import give_fault, parse_fault
 from acquisition.devices.mock import MockBackend
 from acquisition.devices.profile import profiles
-from acquisition.devices.replay import ReplaySource
 from acquisition.devices.trigger_box import TriggerBox, find_box
 from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
@@ -29,7 +28,7 @@ from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.misplaced import misplaced
 from acquisition.scenes.scene import Scene
-from acquisition.scenes.source import SceneSource
+from acquisition.scenes.source import ReplaySource, SceneSource
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
 from rigs.rig import Rig

@@ -36,11 +36,3 @@ class Profile:
 def profiles() -> Mapping[str, Profile]:
     """Return every profile by its name."""
     return members("acquisition.devices.profiles", Profile)
-
-
-def profile_of(vendor_id: int, product_id: int) -> Profile | None:
-    """Return the profile of a device by its identifiers, or None for one that is no camera."""
-    for profile in profiles().values():
-        if (profile.vendor_id, profile.product_id) == (vendor_id, product_id):
-            return profile
-    return None

@@ -2,7 +2,6 @@
 
 import enum
 import struct
-from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,7 +19,6 @@ TRAILER = struct.Struct("<4sIQQII")
 MAX_PAYLOAD_BYTES = 1 << 26
 NO_PULSE = 0xFFFF_FFFF  # the age of a sync pulse that never came, or is older than 4.29 s
 _CRC = struct.Struct("<I")
-_REMEMBERED_BLOCKS = 16
 Data = bytes | bytearray | memoryview
 
 
@@ -152,23 +150,6 @@ class BlockParser:
         self._in_damage |= count > 0
         self.skipped_bytes += count
         del self._buffer[:count]
-
-
-class RepeatFilter:
-    """Tells a block that came twice from the next one; a camera that begins again at plane 0 is no repeat."""
-
-    def __init__(self) -> None:
-        self.repeats = 0
-        self._seen: deque[tuple[int, int, int]] = deque(maxlen=_REMEMBERED_BLOCKS)
-
-    def is_repeat(self, block: Block) -> bool:
-        """Return whether this very block was among the last 16."""
-        key = block.block_id, block.first_plane, block.device_time_ns
-        if key in self._seen:
-            self.repeats += 1
-            return True
-        self._seen.append(key)
-        return False
 
 
 def _is_sound(leader: _Leader, data: Data) -> bool:

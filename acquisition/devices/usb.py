@@ -11,7 +11,7 @@ from typing import TypeVar
 from usb.backend import IBackend
 
 from acquisition.devices.profile import Profile
-from acquisition.devices.protocol import Block, BlockParser, RepeatFilter
+from acquisition.devices.protocol import Block, BlockParser
 from acquisition.devices.registers import (
     PROTOCOL_VERSION,
     ClockRegister,
@@ -92,14 +92,10 @@ class CameraRegisters:
 
 
 class BlockStream:
-    """Finds blocks in a camera's stream.
-
-    Since `ensure_ready`, `parser` counts the damaged stretches and `repeated` the blocks that came twice.
-    """
+    """Finds blocks in a camera's stream; since `ensure_ready`, `parser` counts the damaged stretches."""
 
     layout: PlaneLayout
     parser: BlockParser
-    repeated: RepeatFilter
 
     def __init__(self, link: UsbLink, registers: CameraRegisters):
         self._link, self._registers = link, registers
@@ -125,21 +121,16 @@ class BlockStream:
 
     def next_block(self, timeout_s: float) -> Block | None:
         """Return the next whole block, or None when `timeout_s` passed without new bytes."""
-        while True:
-            found = self.parser.next()
-            if found and not self.repeated.is_repeat(found):
-                return found
-            if not found and not self._receive(timeout_s):
+        while not (found := self.parser.next()):
+            with self._link.named():
+                data = self._link.transfers.read(timeout_s)
+            if not data:
                 return None
-
-    def _receive(self, timeout_s: float) -> bool:
-        with self._link.named():
-            data = self._link.transfers.read(timeout_s)
-        self.parser.feed(data)
-        return len(data) > 0
+            self.parser.feed(data)
+        return found
 
     def _forget(self) -> None:
-        self.parser, self.repeated = BlockParser(self._block_bytes), RepeatFilter()
+        self.parser = BlockParser(self._block_bytes)
 
 
 class UsbCamera:

@@ -12,7 +12,7 @@ from usb.backend import IBackend
 from acquisition.devices import sysfs
 from acquisition.devices.control_channel import MessageChannel, RequestChannel
 from acquisition.devices.libusb_pipe import LibusbPipe
-from acquisition.devices.profile import Profile, profile_of
+from acquisition.devices.profile import Profile, profiles
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.stream import BulkStream, StreamingBackend
 from acquisition.errors import DeviceError
@@ -125,4 +125,5 @@ def serial_of(device: usb.core.Device) -> str:
 def device_profile(device: usb.core.Device) -> Profile | None:
     """Return the profile of a device on the bus; None for one that is no camera."""
     found = cast(Any, device)  # pyusb sets the fields of its descriptor at run time
-    return profile_of(found.idVendor, found.idProduct)
+    known = {(profile.vendor_id, profile.product_id): profile for profile in profiles().values()}
+    return known.get((found.idVendor, found.idProduct))

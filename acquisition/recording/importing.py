@@ -55,11 +55,6 @@ class ImportOptions:
         if self.format == "m1k40" and (self.bit_order or self.row_order):
             raise BadRecordingError("found a bit or row order for m1k40", "none: the format fixes them")
 
-    @property
-    def camera_size(self) -> tuple[int, int] | None:
-        """The size (width, height) that all cameras must have, where it is known before their file is read."""
-        return (m1k40.SIDE, m1k40.SIDE) if self.format == "m1k40" and not self.size else self.size
-
 
 Stream = SpikeStream | m1k40.M1K40Stream
 Align = Callable[[Mapping[str, Stream]], Mapping[str, tuple[float, float]]]  # to skew and standard deviation, s
@@ -85,7 +80,8 @@ def import_recording(
     named = _named(dats)
     grid = named is None or all(GRID_ID.fullmatch(camera_id) for camera_id in named)
     ids = None if grid or named is None else list(named)
-    rig = load_cameras(cameras, options.tick_rate_hz, size=options.camera_size, ids=ids)
+    size = (m1k40.SIDE, m1k40.SIDE) if options.format == "m1k40" and not options.size else options.size
+    rig = load_cameras(cameras, options.tick_rate_hz, size=size, ids=ids)
     if options.poses:
         rig = dataclasses.replace(rig, poses=options.poses)
     streams = {camera_id: _open(camera_id, path, rig, options) for camera_id, path in _match(dats, named, rig).items()}

@@ -8,12 +8,13 @@ Every other list of scene names, as of the command line and the benches, is made
 from collections.abc import Callable
 
 from acquisition.errors import BadRecordingError
-from acquisition.scenes import calibration, stress
+from acquisition.scenes import calibration
 from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
 from acquisition.scenes.runner import runner
 from acquisition.scenes.scene import Scene
+from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, static, stiff
 from acquisition.scenes.traffic import traffic
 from acquisition.scenes.turntable import turntable
 
@@ -30,17 +31,7 @@ def _listed(*builders: Callable[[int], Scene]) -> tuple[str, ...]:
 
 DEVELOPMENT = _listed(fan_and_ball)
 EVALUATION = _listed(traffic, runner, turntable, collision, fan)
-STRESS = _listed(
-    stress.static,
-    stress.stiff,
-    stress.flicker,
-    stress.outdoor,
-    stress.dim,
-    stress.bright,
-    stress.burst,
-    stress.deforming,
-    stress.faint,
-)
+STRESS = _listed(static, stiff, flicker, outdoor, dim, bright, burst, deforming, faint)
 CALIBRATION = _listed(
     calibration.flat,
     calibration.dark,

@@ -1,4 +1,4 @@
-"""Simulates a camera: renders a scene and fires its sensor, a few planes ahead of the reader."""
+"""Sources of a simulated camera's planes: a scene that is rendered a few planes ahead of the reader, or a recording."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,7 @@ from acquisition.scenes.scene import Scene
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
 from rigs.camera import Camera
 from rigs.clock import RigClock
 
@@ -64,3 +65,22 @@ class SceneSource:
         light = self._raycaster.intensity(*self._scene.placements(instants_s))
         light = light if self.sensitivity == 1 else light * np.float32(self.sensitivity)
         return pack(self._sensor.expose(light), self.layout)
+
+
+class ReplaySource:
+    """The planes of one recorded camera, in order, as they lie in its file."""
+
+    def __init__(self, stream: SpikeStream):
+        self.layout = stream.layout
+        self._stream = stream
+        self._given = 0
+
+    def next_planes(self, count: int) -> NDArray[np.uint8]:
+        """Return the next packed planes [n, B], n < count only where the recording ends."""
+        last = min(self._given + count, len(self._stream))
+        planes = self._stream.window(self._given, last)
+        self._given = last
+        return planes
+
+
+Source = SceneSource | ReplaySource

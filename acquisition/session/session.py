@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -14,9 +15,9 @@ from acquisition.progress import Progress, silent
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
 from acquisition.session.capture import Capture, CaptureRules
-from acquisition.session.health import describe
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
+_BUSY = 0.4  # share of the ring in use from which a pause of the disk will lose planes
 _STOP_MARGIN_S = 0.05  # seconds recorded beyond the furthest camera, so that all end at the same plane
 
 
@@ -152,7 +153,7 @@ class _Run:
             capture.end_at(last)
 
     def _so_far(self) -> tuple[float, str]:
-        health = describe(self._captures)
+        health = _health(self._captures)
         if not self._began:
             seen = min(capture.position for capture in self._captures)
             return 0.0, f"waiting to be told to save, {health}, {seen} planes seen"
@@ -162,3 +163,25 @@ class _Run:
             return 0.0, f"{each} planes, {health}"
         fraction = written / (self._planes * len(self._captures))
         return fraction, f"{each} of {self._planes} planes, {health}"
+
+
+def _health(captures: Sequence[Capture]) -> str:
+    """Return all cameras in a few words: how many are well, and what is wrong with each other one."""
+    unwell = [f"{capture.camera.id} {trouble}" for capture in captures if (trouble := _trouble(capture))]
+    return ", ".join([f"{len(captures) - len(unwell)} of {len(captures)} cameras good", *unwell])
+
+
+def _trouble(capture: Capture) -> str:
+    """Return what is wrong with one camera, empty where nothing is."""
+    if capture.failure:
+        return f"failed after {capture.position} planes"
+    if capture.contact.away:
+        return f"lost after {capture.position} planes, looked for"
+    lost: Counter[str] = Counter()
+    for gap in capture.writer.gaps:
+        lost[gap.layer] += gap.planes
+    errors, ring = capture.contact.link.errors, capture.writer.ring.fullness
+    if not lost and not errors and ring < _BUSY:
+        return ""
+    told = [f"{planes} lost ({layer})" for layer, planes in lost.items()]
+    return ", ".join([*told, *([f"{errors} link errors"] if errors else []), f"ring {ring:.0%} full"])

@@ -9,6 +9,7 @@ Letters: N segments, S = 2000 segments of a plane.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ class M1K40Stream:
     segments that are lost or unreadable, by plane: their pixels are zero.
     """
 
+    layout: ClassVar = LAYOUT  # of the planes that come out
     data: NDArray[np.uint8]
     segments: NDArray[np.uint8]
     index: NDArray[np.int64]
@@ -41,11 +43,6 @@ class M1K40Stream:
     skipped_bytes: int
     partial_bytes: int
     missing: dict[int, int]
-
-    @property
-    def layout(self) -> PlaneLayout:
-        """The layout of the planes that come out."""
-        return LAYOUT
 
     def __len__(self) -> int:
         return int(self.plane[-1]) + 1

@@ -105,7 +105,7 @@ def test_one_pulse_starts_every_armed_camera_and_more_follow(bench):
     box = bench.open()
     bench.cameras[0].command(Request.ARM)
     box.fire()
-    assert [camera.state for camera in bench.cameras] == [State.RUNNING, State.IDLE]
+    assert [camera.run.state for camera in bench.cameras] == [State.RUNNING, State.IDLE]
     bench.now_s += 0.0101
     assert box.status() == BoxStatus(BoxState.PULSING, 2000, 6)
     parser = BlockParser()

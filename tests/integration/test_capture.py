@@ -107,7 +107,7 @@ class Bench:
                 camera.close()
 
     def states(self) -> set[str]:
-        return {model.state.name for model in self.models}
+        return {model.run.state.name for model in self.models}
 
 
 def test_nine_cameras_are_on_the_disk_bit_for_bit(tmp_path):
@@ -273,7 +273,7 @@ def test_an_unplugged_camera_costs_the_others_nothing(tmp_path):
         assert 0 < planes < PLANES if camera_id == "cam12" else planes == PLANES
         assert (tmp_path / f"rec/{camera_id}.dat").read_bytes() == source.all[:planes].tobytes(), camera_id
     assert verify(tmp_path / "rec") == []
-    assert [m.serial for m in bench.models if m.state.name == "RUNNING"] == ["S-cam12"]
+    assert [m.serial for m in bench.models if m.run.state.name == "RUNNING"] == ["S-cam12"]
 
 
 def test_a_camera_that_stays_silent_costs_the_others_nothing(tmp_path, monkeypatch):

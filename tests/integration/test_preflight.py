@@ -99,7 +99,7 @@ class Bench:
         surroundings = Surroundings(self.open_rig, self.folder, self.sysfs, disk_seconds=0.05)
         found = preflight(rig, dataclasses.replace(surroundings, **around))
         assert sorted(self.folder.rglob("*")) == before
-        assert {model.state.name for model in self.models} == {"IDLE"}
+        assert {model.run.state.name for model in self.models} == {"IDLE"}
         return {check.name: check for check in found}
 
 

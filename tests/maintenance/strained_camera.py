@@ -9,8 +9,7 @@ from acquisition.devices.control_channel import MessageEnd
 from acquisition.devices.device_model import DeviceModel, DeviceRegisters
 from acquisition.devices.device_run import DeviceRun
 from acquisition.devices.device_stream import DeviceStream
-from acquisition.devices.mock import MockBackend
-from acquisition.devices.mock_pipe import Port
+from acquisition.devices.mock import MockBackend, Port
 from acquisition.devices.profile import Profile
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.protocol import BlockParser, BlockStatus, encode_block

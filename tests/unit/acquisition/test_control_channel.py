@@ -1,6 +1,7 @@
 """Registers through a pair of bulk pipes: what is asked is answered, whatever else lies in the pipe."""
 
 import errno
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -15,10 +16,10 @@ from acquisition.devices.control_channel import (
     MessageEnd,
     StallError,
 )
-from acquisition.devices.profile import profile_of
 from acquisition.devices.profiles.direct import DIRECT
 from acquisition.devices.profiles.ft60x import FT60X
 from acquisition.devices.registers import ClockRegister, LinkCounters, Request, Sensitivity
+from acquisition.devices.usb_link import device_profile
 from acquisition.errors import DeviceError
 
 messages = st.builds(
@@ -104,9 +105,9 @@ def test_a_pipe_full_of_nonsense_ends():
 
 
 def test_profiles_are_told_by_their_identifiers():
-    assert profile_of(0x0403, 0x601F) is FT60X
-    assert profile_of(0x1209, 0x0001) is DIRECT
-    assert profile_of(0x1209, 0x0002) is None  # the trigger box
+    found = [device_profile(SimpleNamespace(idVendor=v, idProduct=p)) for v, p in ((0x0403, 0x601F), (0x1209, 0x0001))]
+    assert found == [FT60X, DIRECT]
+    assert device_profile(SimpleNamespace(idVendor=0x1209, idProduct=0x0002)) is None  # the trigger box
     assert (DIRECT.queued_mb, FT60X.queued_mb) == (8, 4)
 
 
