@@ -32,8 +32,7 @@ from reconstruction.bench.scores import (
     spikedata_folder,
 )
 from reconstruction.bench.streams import LitScene, Slowing, simulate_lights, slow_instant, slowed
-from reconstruction.images.catalogue import ImageMethod, methods
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, ImageMethod, methods
 from rigs.errors import Spike4dgsError
 from rigs.toml import catalog_rig
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.images.estimate import shrunk
+from reconstruction.images.composite import shrunk
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.images.estimate import shrunk
+from reconstruction.images.composite import shrunk
 from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.transform import Transform

@@ -54,25 +54,18 @@ def check_target(path: Path, *, folder: bool, overwrite: bool) -> None:
 
 
 def export_scene(
-    scene: Scene,
-    name: str,
-    path: Path,
-    choices: Choices | None = None,
-    *,
-    overwrite: bool = False,
-    progress: Progress = silent,
+    scene: Scene, name: str, path: Path, choices: Choices, *, overwrite: bool = False, progress: Progress = silent
 ) -> None:
     """Write `scene` in the format called `name` at `path`.
 
     Raises BadRunError for a format, choices or a path that cannot be used, RigError for an unknown camera.
     """
-    chosen = choices or Choices()
-    found = checked_format(name, chosen)
+    found = checked_format(name, choices)
     check_target(path, folder=found.folder, overwrite=overwrite)
-    scene.instant_s(chosen)
-    scene.camera(chosen)
+    scene.instant_s(choices)
+    scene.camera(choices)
     with made_aside(path) as aside:
-        extra = found.write(aside, scene, chosen, progress)
+        extra = found.write(aside, scene, choices, progress)
         if found.folder:
             clip = scene.cloud.clip
             manifest = {"version": VERSION, "format": name, "clip_s": [clip.first_s, clip.last_s], **extra}

@@ -1,9 +1,7 @@
 """The sources of target images by the name an operator gives: methods that turn spikes into images, and given images.
 
 A method is one file of `reconstruction.images.methods` that defines an `ImageMethod`; a new one takes that file and a
-line in the README, and every list follows. `methods()` maps names to methods, `names()` lists them, `sources()` adds
-the given images. `method(name, weights)` and `method_for(name, layout, pixels)` return what makes the images. Listing
-imports no torch.
+line in the README, and every list follows. Listing imports no torch.
 """
 
 import functools
@@ -19,9 +17,21 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.estimate import Estimate
 
 GIVEN = ("clean", "blurred")  # the true light of an instant, and its mean over the exposure of an ordinary camera
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Linear intensity [H, W] float32 in spikes per tick, always finite; `valid` [H, W] where it is no mere bound.
+
+    `sigma` [H, W] float32: one standard deviation of the intensity in spikes per tick under constant light, from the
+    quantisation to whole spikes and ticks and from shot noise (`noise`); finite. It knows nothing of motion blur.
+    """
+
+    intensity: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+    sigma: NDArray[np.float32]
 
 
 @dataclass(frozen=True)

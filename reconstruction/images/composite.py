@@ -11,6 +11,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import Background, mended
 from reconstruction.images.catalogue import ImageMethod
 from reconstruction.images.flicker import Light
+from rigs.camera import Camera
 
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
@@ -73,3 +74,9 @@ class GivenSource(CompositeSource):
     def instants(self, stride: int) -> NDArray[np.int64]:
         """Return the planes that have an image, whatever the stride."""
         return np.array(sorted(self.frames), dtype=np.int64)
+
+
+def shrunk(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Average an image down to the size of `camera`."""
+    small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)

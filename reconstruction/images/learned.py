@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate
 
 
 def learned(name: str, stream: SpikeStream, plane: int, weights: Path | None = None) -> Estimate:

@@ -7,8 +7,7 @@ import numpy as np
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
-from reconstruction.images.composite import CompositeSource
-from reconstruction.images.estimate import shrunk
+from reconstruction.images.composite import CompositeSource, shrunk
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.sweep import (
     DepthMap,

@@ -14,8 +14,7 @@ from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import mended, stuck_pixels
-from reconstruction.images.catalogue import methods
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, methods
 from reconstruction.images.pixels import estimate_pixels
 from reconstruction.stability.case import Case, Observation
 

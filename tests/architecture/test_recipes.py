@@ -64,8 +64,7 @@ def test_an_image_method_is_one_file(copy):
         from dataclasses import replace
 
         from acquisition.spikes.stream import SpikeStream
-        from reconstruction.images.catalogue import ImageMethod
-        from reconstruction.images.estimate import Estimate
+        from reconstruction.images.catalogue import Estimate, ImageMethod
         from reconstruction.images.methods.tfp import tfp
 
 

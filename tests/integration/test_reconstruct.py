@@ -14,6 +14,7 @@ from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.catalogue import export_scene
+from reconstruction.export.scene import Choices
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.pipeline.trained_scene import trained_scene
@@ -118,7 +119,7 @@ def test_a_radiance_field_trains_resumes_is_scored_and_exports_what_it_can(model
     assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"]
     assert not (whole.path / "viewer.json").exists()
     with pytest.raises(BadRunError, match="expected Gaussians"):
-        export_scene(trained_scene(whole), "ply", tmp_path / "scene.ply")
+        export_scene(trained_scene(whole), "ply", tmp_path / "scene.ply", Choices())
 
 
 @pytest.mark.parametrize("choice", [{"refine": "on"}, {"supervision": "counts"}])

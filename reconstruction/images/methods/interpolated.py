@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.intervals import Intervals, intervals
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, ImageMethod
 from reconstruction.images.noise import interpolated_sigma
 
 HALF_WINDOW = 4

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.intervals import weighted_counts
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, ImageMethod
 from reconstruction.images.noise import slope_sigma
 
 HALF_WINDOW = 16

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.packing import window_means
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, ImageMethod
 from reconstruction.images.noise import window_sigma
 
 HALF_WINDOW = 16

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, ImageMethod
 from reconstruction.images.noise import interval_sigma
 from reconstruction.images.replay import HISTORY, Replay
 

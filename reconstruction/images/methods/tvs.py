@@ -14,8 +14,7 @@ for which there is no public code. Ours: the form of each layer, and all constan
 import numpy as np
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.catalogue import ImageMethod
-from reconstruction.images.estimate import Estimate
+from reconstruction.images.catalogue import Estimate, ImageMethod
 from reconstruction.images.noise import interval_sigma
 from reconstruction.images.replay import Replay
 

@@ -53,10 +53,6 @@ class ClipSet:
         """Return the file of the clip with `seed`."""
         return folder / f"{seed:07d}.npz"
 
-    def arrays(self, seed: int) -> Mapping[str, NDArray]:
-        """Make the clip with `seed` and return what its file holds."""
-        raise NotImplementedError
-
 
 Kind = TypeVar("Kind", bound=ClipSet)
 
@@ -173,7 +169,7 @@ def exposed(scene: Scene, camera: Camera, clock: RigClock, planes: int, sensor: 
     return SpikeStream(packed, layout, clock.tick_rate_hz)
 
 
-def write_clips(folder: Path, wanted: ClipSet, progress: Progress = silent) -> None:
+def write_clips(folder: Path, wanted: CameraClips | MultiviewClips, progress: Progress = silent) -> None:
     """Fill `folder` with the clips it lacks; raises BadRunError where it was begun for another set."""
     folder.mkdir(parents=True, exist_ok=True)
     document = json.loads(json.dumps({"schema": SCHEMA, **asdict(wanted)}))

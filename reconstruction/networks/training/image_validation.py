@@ -31,13 +31,11 @@ class Scored:
 
 def validation_clips(progress: Progress = silent) -> list[Scored]:
     """Make all clips a network is scored on: the `RANDOM` ones, then the centre camera's of the development seeds."""
-    scored = []
-    for seed in RANDOM.seeds:
-        progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"validation clip {seed}")
-        scored.append(Scored(RANDOM.make(seed), random_scene(seed).white))
-    for seed in DEVELOPMENT_SEEDS:
-        progress(len(scored) / (RANDOM.count + len(DEVELOPMENT_SEEDS)), f"fan_and_ball {seed}")
-        scored.append(_development_clip(seed))
+    scored, seeds = [], (*RANDOM.seeds, *DEVELOPMENT_SEEDS)
+    for seed in seeds:
+        progress(len(scored) / len(seeds), f"validation clip {seed}")
+        random = seed in RANDOM.seeds
+        scored.append(Scored(RANDOM.make(seed), random_scene(seed).white) if random else _development_clip(seed))
     return scored
 
 

@@ -60,7 +60,7 @@ class Loop(Generic[Network]):
 
     `loss_of(module, number)` is the loss of batch `number`. Raises BadRunError where the folder was begun with another
     configuration. More `steps` than before are a longer training, whose learning rate is that of the longer one from
-    here on. `described` goes into the document. Of several processes (see `ranks`) each takes its own batches.
+    here on. `described` goes into the document. Of several processes (see `processes`) each takes its own batches.
     """
 
     def __init__(

@@ -15,12 +15,11 @@ def start(device: str) -> str:
     """Join the other processes, if there are any, and return the device of this one."""
     if int(os.environ.get("WORLD_SIZE", "1")) < 2:
         return device
-    local = int(os.environ.get("LOCAL_RANK", "0"))
-    own = f"cuda:{local}" if device == "cuda" else device
     if device == "cuda":
-        torch.cuda.set_device(local)
-    distributed.init_process_group("nccl" if device == "cuda" else "gloo")
-    return own
+        device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
+        torch.cuda.set_device(device)
+    distributed.init_process_group("gloo" if device == "cpu" else "nccl")
+    return device
 
 
 def stop() -> None:

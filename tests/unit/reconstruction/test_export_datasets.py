@@ -44,7 +44,7 @@ def test_pycolmap_reads_the_model_and_projects_its_points_where_the_pictures_sho
 
 def test_the_colmap_model_has_the_rigs_cameras_without_a_lens_where_there_is_none(scene_with, tmp_path):
     scene = scene_with("linear")
-    export_scene(scene, "colmap", tmp_path / "model")
+    export_scene(scene, "colmap", tmp_path / "model", Choices())
     assert "PINHOLE" in (tmp_path / "model" / "sparse" / "0" / "cameras.txt").read_text()
     for own, camera in zip(scene.rig.cameras, load_model(tmp_path / "model" / "sparse" / "0"), strict=True):
         assert own.id == camera.id

@@ -44,17 +44,17 @@ def test_a_folder_that_no_export_made_is_never_replaced(one_scene, tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.tex").write_text("x")
     with pytest.raises(BadRunError, match="no export made"):
-        export_scene(one_scene, "colmap", tmp_path / "home", overwrite=True)
+        export_scene(one_scene, "colmap", tmp_path / "home", Choices(), overwrite=True)
     (tmp_path / "home" / "manifest.json").write_text('{"name": "a web page"}')
     with pytest.raises(BadRunError, match="no export made"):
-        export_scene(one_scene, "colmap", tmp_path / "home", overwrite=True)
+        export_scene(one_scene, "colmap", tmp_path / "home", Choices(), overwrite=True)
     assert (tmp_path / "home" / "thesis.tex").read_text() == "x"
 
 
 def test_an_empty_folder_may_be_filled_and_parents_are_made(one_scene, tmp_path):
     (tmp_path / "empty").mkdir()
-    export_scene(one_scene, "colmap", tmp_path / "empty")
-    export_scene(one_scene, "ply", tmp_path / "a" / "b" / "scene.ply")
+    export_scene(one_scene, "colmap", tmp_path / "empty", Choices())
+    export_scene(one_scene, "ply", tmp_path / "a" / "b" / "scene.ply", Choices())
     assert json.loads((tmp_path / "empty" / "manifest.json").read_text())["format"] == "colmap"
     assert (tmp_path / "a" / "b" / "scene.ply").exists()
 
@@ -62,7 +62,7 @@ def test_an_empty_folder_may_be_filled_and_parents_are_made(one_scene, tmp_path)
 def test_the_folder_one_stands_in_may_be_filled(one_scene, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path / "empty")
-    export_scene(one_scene, "viewer", Path())
+    export_scene(one_scene, "viewer", Path(), Choices())
     assert "viewer.bin" in names(tmp_path / "empty")
     assert names(tmp_path) == ["empty"]
 
@@ -70,15 +70,15 @@ def test_the_folder_one_stands_in_may_be_filled(one_scene, tmp_path, monkeypatch
 def test_a_parent_that_is_a_file_is_one_line(one_scene, tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(DiskError, match="cannot be written"):
-        export_scene(one_scene, "ply", tmp_path / "file" / "scene.ply")
+        export_scene(one_scene, "ply", tmp_path / "file" / "scene.ply", Choices())
 
 
 def test_files_and_folders_do_not_take_each_others_place(one_scene, tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(BadRunError, match="found a file, expected the name of a folder"):
-        export_scene(one_scene, "depth", tmp_path / "file", overwrite=True)
+        export_scene(one_scene, "depth", tmp_path / "file", Choices(), overwrite=True)
     with pytest.raises(BadRunError, match="found a folder, expected the name of a file"):
-        export_scene(one_scene, "ply", tmp_path, overwrite=True)
+        export_scene(one_scene, "ply", tmp_path, Choices(), overwrite=True)
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_an_unknown_camera_is_named(one_scene, tmp_path):
 @pytest.mark.parametrize("folder", [False, True])
 def test_a_writer_that_fails_leaves_what_was_there(folder, one_scene, tmp_path, monkeypatch):
     name = "depth" if folder else "ply"
-    export_scene(one_scene, name, tmp_path / "out", Choices(frames=2) if folder else None)
+    export_scene(one_scene, name, tmp_path / "out", Choices(frames=2) if folder else Choices())
     before = names(tmp_path / "out") if folder else (tmp_path / "out").read_bytes()
 
     def breaks(path, scene, choices, progress):
@@ -119,7 +119,7 @@ def test_a_writer_that_fails_leaves_what_was_there(folder, one_scene, tmp_path, 
 
     monkeypatch.setattr(catalogue, "FORMATS", MappingProxyType({name: replace(FORMATS[name], write=breaks)}))
     with pytest.raises(DiskError, match="No space left"):
-        export_scene(one_scene, name, tmp_path / "out", overwrite=True)
+        export_scene(one_scene, name, tmp_path / "out", Choices(), overwrite=True)
     assert (names(tmp_path / "out") if folder else (tmp_path / "out").read_bytes()) == before
     assert names(tmp_path) == ["out"]
 

@@ -177,7 +177,7 @@ def test_trimesh_reads_the_glb_as_points(scene_with, tmp_path):
 
 
 def test_the_most_important_splat_comes_first(scene_with, tmp_path):
-    export_scene(scene_with(), "splat", tmp_path / "scene.splat")
+    export_scene(scene_with(), "splat", tmp_path / "scene.splat", Choices())
     _, _, scales, opacities, _ = decoded_splat(tmp_path / "scene.splat")
     importance = scales.astype(float).prod(axis=1) * opacities
     assert (np.diff(importance) <= 0.01 * importance[0]).all()
@@ -194,22 +194,22 @@ def test_what_is_too_faint_to_be_drawn_is_left_out(scene_with):
 
 def test_an_opaque_gaussian_has_a_finite_logit(one_scene, tmp_path):
     one_scene.cloud.still.opacity_logits[:] = 200
-    export_scene(one_scene, "ply", tmp_path / "scene.ply")
+    export_scene(one_scene, "ply", tmp_path / "scene.ply", Choices())
     logit = trimesh.load(tmp_path / "scene.ply").metadata["_ply_raw"]["vertex"]["data"]["opacity"]
     assert 10 < logit[0] < 20
 
 
 @pytest.mark.parametrize("name", ["splat", "spz"])
 def test_no_gaussians_make_an_empty_file(name, empty_scene, tmp_path):
-    export_scene(empty_scene, name, tmp_path / "file")
+    export_scene(empty_scene, name, tmp_path / "file", Choices())
     assert len(READERS[name][0](tmp_path / "file")[0]) == 0
 
 
 def test_no_gaussians_make_a_ply_without_rows_and_a_glb_without_a_mesh(empty_scene, tmp_path):
-    export_scene(empty_scene, "ply", tmp_path / "scene.ply")
+    export_scene(empty_scene, "ply", tmp_path / "scene.ply", Choices())
     assert b"element vertex 0\n" in (tmp_path / "scene.ply").read_bytes()
     assert (tmp_path / "scene.ply").read_bytes().endswith(b"end_header\n")
-    export_scene(empty_scene, "glb", tmp_path / "scene.glb")
+    export_scene(empty_scene, "glb", tmp_path / "scene.glb", Choices())
     document, data = gltf_of(tmp_path / "scene.glb")
     assert "meshes" not in document
     assert "accessors" not in document

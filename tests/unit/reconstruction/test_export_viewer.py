@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from reconstruction.export.catalogue import export_scene
+from reconstruction.export.scene import Choices
 from reconstruction.export.viewer import KEYFRAMES, viewer_of
 from reconstruction.rendering.render import render
 from rigs.camera import Camera
@@ -163,7 +164,7 @@ def test_an_empty_scene_has_empty_arrays(empty_scene):
 
 
 def test_one_gaussian_is_what_the_viewer_looks_at(one_scene, tmp_path):
-    export_scene(one_scene, "viewer", tmp_path / "viewer")
+    export_scene(one_scene, "viewer", tmp_path / "viewer", Choices())
     assert {f.name for f in (tmp_path / "viewer").iterdir()} == {"viewer.json", "viewer.bin", "manifest.json"}
     document = json.loads((tmp_path / "viewer" / "viewer.json").read_text())
     arrays = arrays_of(document, (tmp_path / "viewer" / "viewer.bin").read_bytes())
