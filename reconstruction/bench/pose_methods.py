@@ -5,24 +5,19 @@ A method takes the recording, the views' ids, and the number of planes to look a
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.scenes.boards import charuco
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
-from reconstruction.calibration.features import MOST_PLANES, long_images
-from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.images.catalogue import method
 from reconstruction.initialization.geometry import Geometry
-from reconstruction.initialization.initialisers import InitOptions, initialise, msdi_alone
+from reconstruction.initialization.initialisers import INITIALISERS, InitOptions, msdi_alone
 from reconstruction.initialization.sfm import sfm
 
 DATE = "2026-01-01"  # date written into the rigs found, which nobody keeps
 BOARD = "board"  # the method that sees another recording
 BOARD_SCENE, BOARD_TICKS = "board_charuco_moving", 2000
-Images = dict[str, NDArray[np.float32]]
 Run = Callable[[Recording, Sequence[str], int | None], Geometry]
 
 
@@ -33,9 +28,9 @@ def _colmap(name: str) -> Run:
     )
 
 
-def _natural(recording: Recording, views: Sequence[str], planes: int | None) -> Geometry:
-    found = calibrate_natural(recording.rig, long_images(recording, views, planes or MOST_PLANES), DATE)
-    return Geometry(found.rig, report=found.report)
+def _by(name: str) -> Run:
+    """Return one of the initialisers that a run may choose."""
+    return lambda recording, views, planes: INITIALISERS[name](recording, views, InitOptions(planes=planes), silent)
 
 
 def _board(recording: Recording, views: Sequence[str], planes: int | None) -> Geometry:
@@ -44,14 +39,12 @@ def _board(recording: Recording, views: Sequence[str], planes: int | None) -> Ge
 
 
 METHODS: dict[str, Run] = {
-    "nominal": lambda recording, *_: Geometry(recording.rig),
+    "nominal": _by("sweep"),
     "tfi+colmap": _colmap("tfi"),
     "msdi-image+colmap": _colmap("msdi"),
-    "long+colmap": lambda recording, views, planes: sfm(
-        recording.rig, long_images(recording, views, planes or MOST_PLANES)
-    ),
-    "natural": _natural,
+    "long+colmap": _by("sfm"),
+    "natural": _by("natural"),
     "msdi": lambda recording, views, _: msdi_alone(recording, views),
-    "msdi+ba": lambda recording, views, _: initialise("msdi", recording, views, InitOptions()),
+    "msdi+ba": _by("msdi"),
     BOARD: _board,
 }

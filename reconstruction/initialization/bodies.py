@@ -111,7 +111,8 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
     positions, intensities = points.positions.astype(np.float32), points.intensities.astype(np.float32)
     single = replace(points, positions=positions, intensities=intensities)
     whole = _tracked(single, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
-    for body in _by_size([part for one in whole for part in _torn(one, single, instants)]):
+    parts = [part for one in whole for part in _torn(one, single, instants)]
+    for body in sorted(parts, key=lambda body: -body.size):
         reason = _fault(body, instants)
         for members in body.members.values():
             reasons[members], owners[members] = reason, -1 if reason else len(bodies)
@@ -148,25 +149,17 @@ def _tracked(points: Points, swept: Sequence[NDArray[np.int64]], link: float) ->
     apart = [len(clusters(points, which, gap)) for which, gap in zip(swept, gaps, strict=True)]
     first = int(np.argmax(apart)) if apart else 0
     bodies: list[Body] = []
-    for i, before in _outwards(first, len(swept)):
+    later, earlier = range(first, len(swept)), range(first - 1, -1, -1)
+    for i, before in (*((i, i - 1) for i in later), *((i, i + 1) for i in earlier)):
         unclaimed = swept[i]
         for body in bodies:
             unclaimed = _follow(body, points, (i, before), unclaimed)
-        bodies = _by_size([*bodies, *(_begin(points, i, cluster) for cluster in clusters(points, unclaimed, gaps[i]))])
+        bodies += [_begin(points, i, cluster) for cluster in clusters(points, unclaimed, gaps[i])]
+        bodies.sort(key=lambda body: -body.size)
     for body in bodies:
         if len(body.members) > 1:
             _settle(body, points)
     return bodies
-
-
-def _by_size(bodies: list[Body]) -> list[Body]:
-    return sorted(bodies, key=lambda b: -b.size)
-
-
-def _outwards(first: int, instants: int) -> list[tuple[int, int]]:
-    """Return every instant with the one it is followed from: from the first to the end, then back to the beginning."""
-    later = [(i, i - 1) for i in range(first, instants)]
-    return later + [(i, i + 1) for i in range(first - 1, -1, -1)]
 
 
 def _fault(body: Body, instants: int) -> str:

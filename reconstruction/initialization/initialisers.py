@@ -11,33 +11,24 @@ from types import MappingProxyType
 
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.reader import Recording
-from reconstruction.errors import BadRunError, GeometryError
-from reconstruction.initialization.geometry import Geometry
+from reconstruction.errors import GeometryError
+from reconstruction.initialization.geometry import Geometry, Images
 
 MSDI_SHARE = 0.7  # share of MSDI itself in the time that MSDI with bundle adjustment takes
 
 
 @dataclass(frozen=True)
 class InitOptions:
-    """`seed` of all draws; `checkpoint`: the user's DUSt3R weights."""
+    """`seed` of all draws; `checkpoint`: the user's DUSt3R weights; `planes` to look at in a long image at most."""
 
     seed: int = 0
     checkpoint: str | None = None
+    planes: int | None = None
 
 
+# Returns the geometry that `views` of a recording show; no other view is read. Raises GeometryError where the cameras
+# found cannot be trusted.
 Initialiser = Callable[[Recording, Sequence[str], InitOptions, Progress], Geometry]
-
-
-def initialise(
-    name: str, recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress = silent
-) -> Geometry:
-    """Return the geometry that `views` of a recording show, by the initialiser `name`; no other view is read.
-
-    Raises BadRunError for an unknown name, GeometryError where the cameras found cannot be trusted.
-    """
-    if name not in INITIALISERS:
-        raise BadRunError(f"found the initialiser {name!r}", f"one of {', '.join(INITIALISERS)}")
-    return INITIALISERS[name](recording, views, options, progress)
 
 
 def msdi_alone(recording: Recording, views: Sequence[str], progress: Progress = silent) -> Geometry:
@@ -58,42 +49,41 @@ def _sweep(recording: Recording, views: Sequence[str], options: InitOptions, pro
 
 
 def _natural(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
-    from reconstruction.calibration.features import long_images
     from reconstruction.calibration.natural import calibrate_natural
 
-    images = long_images(recording, views)
-    found = calibrate_natural(recording.rig, images, _today(), progress, seed=options.seed)
+    images, today = _long_images(recording, views, options), datetime.date.today().isoformat()
+    found = calibrate_natural(recording.rig, images, today, progress, seed=options.seed)
     return Geometry(found.rig, report=found.report)
 
 
 def _sfm(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
-    from reconstruction.calibration.features import long_images
     from reconstruction.initialization.sfm import sfm
 
-    return sfm(recording.rig, long_images(recording, views), progress=progress)
+    return sfm(recording.rig, _long_images(recording, views, options), progress=progress)
 
 
 def _dust3r(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
-    from reconstruction.calibration.features import long_images
     from reconstruction.initialization.dust3r.initialiser import dust3r
 
     checkpoint = Path(options.checkpoint) if options.checkpoint else None
-    return dust3r(recording.rig, long_images(recording, views), checkpoint, progress=progress)
+    return dust3r(recording.rig, _long_images(recording, views, options), checkpoint, progress=progress)
 
 
 def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
     """Find the cameras by MSDI, then adjust them by the bundle from where it leaves them."""
-    from reconstruction.calibration.features import long_images
     from reconstruction.calibration.natural import AFTER_MSDI, calibrate_natural
 
     found = msdi_alone(recording, views, part(progress, 0, MSDI_SHARE))
-    images, rest = long_images(recording, views), part(progress, MSDI_SHARE, 1)
-    fine = calibrate_natural(found.rig, images, _today(), rest, gate=AFTER_MSDI, seed=options.seed)
+    images, today = _long_images(recording, views, options), datetime.date.today().isoformat()
+    rest = part(progress, MSDI_SHARE, 1)
+    fine = calibrate_natural(found.rig, images, today, rest, gate=AFTER_MSDI, seed=options.seed)
     return Geometry(fine.rig, found.points, found.confidence, found.images, {**fine.report, "msdi": found.report})
 
 
-def _today() -> str:
-    return datetime.date.today().isoformat()
+def _long_images(recording: Recording, views: Sequence[str], options: InitOptions) -> Images:
+    from reconstruction.calibration.features import MOST_PLANES, long_images
+
+    return long_images(recording, views, options.planes or MOST_PLANES)
 
 
 INITIALISERS: Mapping[str, Initialiser] = MappingProxyType(

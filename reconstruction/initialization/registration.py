@@ -66,7 +66,9 @@ def register(model: Points, target: Points, guess: Transform, width: float, floo
         if matches.total < LEAST_MATCHED:
             break
         found = rigid_fit(matches)
-        still = _apart(found, pose, lever) < 1e-3 * floor
+        turned = float(np.linalg.norm(found.rotation - pose.rotation))
+        moved = float(np.linalg.norm(found.translation - pose.translation)) + lever * turned  # of the farthest point
+        still = moved < 1e-3 * floor
         pose = found
         residual = (matches.squared / (3 * matches.total)) ** 0.5
         narrowed = max(floor / 2, min(width * 0.8, residual))
@@ -97,9 +99,3 @@ def rigid_fit(matches: Matches) -> Transform:
     mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     turn = left @ (mirror[:, None] * right)
     return Transform(turn, middle_target - turn @ middle_model)
-
-
-def _apart(one: Transform, other: Transform, lever: float) -> float:
-    """Return how far, in metres, a point at the end of the lever lies at most from where the other pose puts it."""
-    turn = float(np.linalg.norm(one.rotation - other.rotation))
-    return float(np.linalg.norm(one.translation - other.translation)) + lever * turn

@@ -8,7 +8,7 @@ import numpy as np
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import GeometryError
-from reconstruction.initialization.initialisers import InitOptions, initialise
+from reconstruction.initialization.initialisers import INITIALISERS, InitOptions
 from reconstruction.pipeline.artefacts import FOUND_RIG, write_rig
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
@@ -26,7 +26,7 @@ def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> Non
     init = run.plan.init
     options = InitOptions(run.config.seed, run.config.dust3r_checkpoint)
     try:
-        found = initialise(init, recording, run.plan.views, options, progress)
+        found = INITIALISERS[init](recording, run.plan.views, options, progress)
     except GeometryError as error:
         if run.config.init != "auto":
             raise

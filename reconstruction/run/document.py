@@ -79,11 +79,6 @@ class RunDocument:
             plan = plan and plan.amended(amendment)
         return plan
 
-    def amend(self, amendment: Amendment) -> None:
-        """Append an amendment; one that is there already, about the same thing, gives way to it."""
-        about = amendment.decision.about
-        self.amendments = [a for a in self.amendments if a.decision.about != about] + [amendment]
-
     def to_json(self) -> dict[str, Any]:
         """Return plain values; `plan` is the amended one, beside `planned` and `amendments`, which make it."""
         plain = {key: value for key, value in asdict(self).items() if value is not None}

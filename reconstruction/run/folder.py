@@ -78,8 +78,9 @@ class RunFolder:
         return plan
 
     def amend(self, stage: Literal["poses", "train"], decision: Decision, **changes: str | bool) -> None:
-        """Add a decision of a later stage to the plan, and what it changes in it."""
-        self.document.amend(Amendment(stage, decision, changes))
+        """Add a decision of a later stage to the plan, with what it changes; an older one about the same gives way."""
+        others = [a for a in self.document.amendments if a.decision.about != decision.about]
+        self.document.amendments = [*others, Amendment(stage, decision, changes)]
         self.save()
 
     @property

@@ -17,7 +17,7 @@ from reconstruction.bench.pose_methods import BOARD, METHODS
 from reconstruction.bench.poses import Sight, bench_poses, measured
 from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.evaluation.evaluate import held_out_camera
-from reconstruction.initialization.initialisers import InitOptions, initialise
+from reconstruction.initialization.initialisers import INITIALISERS, InitOptions
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.artefacts import posed
 from reconstruction.pipeline.budget import StoppedError
@@ -100,7 +100,7 @@ def test_the_commands_calibrate_and_check(whole, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", ["sfm", pytest.param("msdi", marks=pytest.mark.long)])
 def test_other_initialisers_find_it_too(whole, name):
     recording, true = Recording.open(whole), true_rig(whole)
-    found = initialise(name, recording, recording.camera_ids, InitOptions())
+    found = INITIALISERS[name](recording, recording.camera_ids, InitOptions(), silent)
     assert off(found.rig, true).rotation_deg < 0.15
     assert len(found.points) == len(found.confidence) > 200
 
@@ -108,7 +108,7 @@ def test_other_initialisers_find_it_too(whole, name):
 def test_without_a_checkpoint_dust3r_says_what_to_give(whole):
     recording = Recording.open(whole)
     with pytest.raises(BadRunError, match="--dust3r-checkpoint"):
-        initialise("dust3r", recording, recording.camera_ids, InitOptions())
+        INITIALISERS["dust3r"](recording, recording.camera_ids, InitOptions(), silent)
 
 
 def test_what_cannot_be_trusted_is_refused_and_the_nominal_rig_refined(small, tmp_path):
