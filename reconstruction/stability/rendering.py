@@ -7,15 +7,7 @@ import torch
 
 from reconstruction.rendering.result import Instantaneous
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import (
-    Apart,
-    against_reference,
-    apart,
-    gaussians_of,
-    probe,
-    renderers,
-    worst,
-)
+from reconstruction.stability.probe import Apart, against_reference, apart, gaussians_of, probe, renderers, worst
 
 
 def _worst(cases: list[Instantaneous], renderer: str, **options: float) -> Observation:

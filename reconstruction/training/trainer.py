@@ -59,12 +59,7 @@ class Trainer:
     """One optimisation; `state` and `restore` carry it over a kill exactly (same steps, same draws)."""
 
     def __init__(
-        self,
-        cloud: SceneModel,
-        views: Sequence[TrainingView],
-        settings: TrainerSettings,
-        clock: RigClock,
-        seed: int,
+        self, cloud: SceneModel, views: Sequence[TrainingView], settings: TrainerSettings, clock: RigClock, seed: int
     ):
         self.cloud = cloud
         self.settings = settings
@@ -178,11 +173,7 @@ def _terms(
     return image, supervisions()[settings.supervision].term(image, settings.training.spikes)
 
 
-def train(
-    trainer: Trainer,
-    done: Callable[[], float],
-    on_step: Callable[[float, float], None],
-) -> None:
+def train(trainer: Trainer, done: Callable[[], float], on_step: Callable[[float, float], None]) -> None:
     """Step until `done()` reaches 1, at least once; `on_step(done, loss)` may raise to stop early."""
     fraction = done()
     while True:
