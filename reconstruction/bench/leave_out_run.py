@@ -83,7 +83,6 @@ def _run(job: Job) -> RunFolder:
 
 
 def _scores(run: RunFolder, cloud: SceneModel) -> dict[str, float]:
-    """Score the held-out camera against the truth."""
     recording = posed(run, Recording.open(run.recording), refined=True)
     return score_against_truth(cloud, *held_out_with_truth(recording, run.plan.views))
 

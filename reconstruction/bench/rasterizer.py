@@ -126,7 +126,6 @@ def _limits_s(work: Work, count: int, camera: Camera, threads: int) -> tuple[flo
 
 
 def _step_rows(cloud: Instantaneous, camera: Camera, threads: int) -> list[dict]:
-    """Return the least seconds of a whole step, and of each part."""
     step, taken = Step(cloud, camera), []
     for _ in range(REPEATS):
         started = time.perf_counter()

@@ -149,7 +149,6 @@ def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
 
 
 def _write_curve(trained: Trained, metrics: dict) -> None:
-    """Score the snapshots, and draw error against run time."""
     run, truth, rows = trained.run, trained.truth, []
     for path in run.snapshots():
         state = load_checkpoint(path)

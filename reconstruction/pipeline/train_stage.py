@@ -172,7 +172,6 @@ class _Saver:
 
 
 def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
-    """Record in the run folder what came of the training."""
     cloud = trainer.cloud
     if trainer.exposure and trainer.exposure.passed_px is not None and len(cloud.moving):
         passed_px, planes = trainer.exposure.passed_px, trainer.exposure.planes

@@ -74,14 +74,12 @@ def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStr
 
 
 def _share(masks: Mapping[str, NDArray[np.bool_]]) -> float:
-    """Return the share of all pixels that move."""
     return float(np.mean([mask.mean() for mask in masks.values()]))
 
 
 def _choose_targets(
     config: ReconstructionConfig, work: Work, share: float, method: Method, decisions: list[Decision]
 ) -> tuple[str, str]:
-    """Return the names of the image source and of the supervision."""
     images, supervision = config.images, config.supervision
     if images == "auto":
         images, count = "interpolated", work.images(config.tick_stride)
@@ -128,7 +126,6 @@ def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
 
 
 def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
-    """Return the initialiser; the poses stage says what came of it."""
     if config.init != "auto":
         return config.init
     init = "natural" if rig.poses == "nominal" else "sweep"

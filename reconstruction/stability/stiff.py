@@ -98,16 +98,12 @@ class StiffScene:
 
     def _train(self, seed: int, model: str, *, exact: bool) -> Trained:
         run = self.run(seed, model)
-        trainer = _trainer(run, self.recording, exact=exact)
+        how = ("reference", torch.float64) if exact else ("native", torch.float32)
+        trainer = trainer_of(run, self.recording, *how)
         losses = _stepped(trainer, 0, self.extent.steps, self.extent.steps)
         cloud = trainer.cloud.to(torch.float32) if isinstance(trainer.cloud, DynamicCloud) else trainer.cloud
         scored = score_against_truth(cloud, *held_out_with_truth(self.recording, run.plan.views))
         return Trained(losses, scored["psnr_db"])
-
-
-def _trainer(run: RunFolder, recording: Recording, *, exact: bool = False) -> Trainer:
-    """Return the trainer that the train stage would begin with."""
-    return trainer_of(run, recording, *(("reference", torch.float64) if exact else ("native", torch.float32)))
 
 
 def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float, ...]:
@@ -115,7 +111,6 @@ def _stepped(trainer: Trainer, first: int, last: int, steps: int) -> tuple[float
 
 
 def _seeds(scene: StiffScene) -> Observation:
-    """Measure the gap between the best and the worst seed."""
     scores = [scene.trained(seed).psnr_db for seed in scene.extent.seeds]
     said = f"{', '.join(f'{s:.2f}' for s in scores)} dB, standard deviation {np.std(scores):.2f}"
     return Observation(said, max(scores) - min(scores))
@@ -135,7 +130,7 @@ def _resumed(scene: StiffScene) -> Observation:
     """Train half, keep it on disk, load it into a new trainer, and train the other half."""
     seed, steps = scene.extent.seeds[0], scene.extent.steps
     run, kept = scene.run(seed, "auto"), scene.folder / f"{scene.name}.pt"
-    first, second = (_trainer(run, scene.recording) for _ in range(2))
+    first, second = (trainer_of(run, scene.recording) for _ in range(2))
     losses = _stepped(first, 0, steps // 2, steps)
     write_tensors(kept, first.state())
     second.restore(load_checkpoint(kept))
@@ -145,7 +140,6 @@ def _resumed(scene: StiffScene) -> Observation:
 
 
 def _baseline(scene: StiffScene, model: str) -> Observation:
-    """Check that a model learns and stays finite."""
     found = scene.trained(scene.extent.seeds[0], model)
     ends = np.mean(found.losses[:ENDS]), np.mean(found.losses[-ENDS:])
     said = f"loss {ends[0]:.3f} to {ends[1]:.3f}, {found.psnr_db:.2f} dB"

@@ -77,7 +77,6 @@ class Trainer:
         self.views = self._corrected(views)
 
     def _corrected(self, views: Sequence[TrainingView]) -> Sequence[TrainingView]:
-        """Return the views with their corrections, where there are any."""
         if not self.refinement:
             return views
         return [replace(v, corrected=partial(self.refinement.seen, view=i)) for i, v in enumerate(views)]

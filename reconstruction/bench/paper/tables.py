@@ -175,7 +175,6 @@ def _disturbed(rows: Sequence[dict]) -> str:
 
 
 def _scene_table(rows: Sequence[dict]) -> str:
-    """Return each stress scene by itself."""
     scores = (("psnr_db", ".2f"), ("dynamic_psnr_db", ".2f"), ("ssim", ".3f"), ("abs_rel", ".4f"), ("seconds", ".1f"))
     lines = [[r["scene"], r["model"], *(_mean([r], *score) for score in scores)] for r in rows]
     columns = ("scene", "model chosen", "PSNR / dB", "movers / dB", "SSIM", "Abs Rel", "seconds")
@@ -183,7 +182,6 @@ def _scene_table(rows: Sequence[dict]) -> str:
 
 
 def _time_table(rows: Sequence[dict]) -> str:
-    """Return the seconds to levels, and the steps a second, of the methods with true poses."""
     lines = []
     for method in (m.AUTO, *m.TFI.values(), *m.SPIKES.values()):
         if own := [r for r in rows if r["method"] == method.name]:
