@@ -1,12 +1,18 @@
-"""Tensors on disk: files that are whole or absent, and are read without running anything that they say."""
+"""Tensors on disk: states, and weights in half precision as .npz.
+
+Files are whole or absent, and are read without running anything that they say.
+"""
 
 import io
 import pickle
 import struct
+import zlib
 from pathlib import Path
 from zipfile import BadZipFile
 
+import numpy as np
 import torch
+from torch import Tensor, nn
 
 from acquisition.durable import write_durably
 from reconstruction.errors import BadRunError
@@ -32,5 +38,33 @@ def read_tensors(path: Path, expected: str, do: str) -> dict:
     except FileNotFoundError:
         raise BadRunError("found no such file", expected, do, where=path) from None
     except _UNREADABLE as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise BadRunError(f"found no readable checkpoint ({reason})", expected, do, where=path) from error
+        raise BadRunError(f"found no readable checkpoint ({_reason(error)})", expected, do, where=path) from error
+
+
+def write_weights(path: Path, state: dict[str, Tensor]) -> None:
+    """Write the tensors of a module to `path` in half precision; raises BadRunError for one it cannot hold."""
+    arrays = {name: tensor.detach().half().cpu().numpy() for name, tensor in state.items()}
+    spoilt = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+    if spoilt:
+        raise BadRunError(f"found weights that are not finite in half precision: {', '.join(spoilt)}", do="train again")
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
+    write_durably(path, buffer.getvalue())
+
+
+def read_weights(path: Path, module: nn.Module) -> None:
+    """Fill `module` from what `write_weights` wrote; raises BadRunError for a missing, damaged or other file."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            state = {name: torch.from_numpy(archive[name].astype(np.float32)) for name in archive.files}
+        module.load_state_dict(state)
+    except OSError as error:
+        raise BadRunError(f"found no weights ({error.strerror})", do="train this network first", where=path) from error
+    except (*_UNREADABLE, zlib.error) as error:
+        found = f"found other or damaged weights ({_reason(error)})"
+        raise BadRunError(found, do="train this network again", where=path) from error
+
+
+def _reason(error: Exception) -> str:
+    """Return the first line of what an error says, else its kind."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]

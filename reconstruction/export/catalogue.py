@@ -13,8 +13,7 @@ from acquisition.durable import made_aside, write_json
 from acquisition.members import members
 from acquisition.progress import Progress, silent
 from reconstruction.errors import BadRunError
-from reconstruction.export.format import Format
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 
 MANIFEST = "manifest.json"
 VERSION = 1

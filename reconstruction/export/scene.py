@@ -1,13 +1,15 @@
-"""The source of every export: a trained model, the cameras of its rig, and the intensity that counts as white."""
+"""What an export is made of: the scene that it reads, what an operator chooses, and its format; it needs no torch."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.progress import Progress
 from reconstruction.errors import BadRunError
+from reconstruction.export.splats import Splats, splats_at
 from rigs.camera import Camera
 from rigs.rig import Rig
 
@@ -74,3 +76,40 @@ class Scene:
         """Return the camera chosen, by default the held-out one, else the rig's middle one; raises RigError."""
         wanted = choices.camera or self.holdout or self.rig.ids[len(self.rig.ids) // 2]
         return self.rig.camera(wanted)
+
+
+Writer = Callable[[Path, Scene, Choices, Progress], dict]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A form in which other tools read a run; a file of `reconstruction.export.formats` defines one.
+
+    `about` says in a line what it is. `file` names what an export job writes into its own folder: a file, or where the
+    name has no suffix a folder with a manifest. `write(path, scene, choices, progress)` makes it and returns what a
+    manifest adds. `takes` lists the fields of `Choices` that matter to it. `served`: whether the service offers it.
+    """
+
+    name: str
+    about: str
+    file: str
+    write: Writer
+    takes: tuple[str, ...]
+    served: bool = True
+
+    @property
+    def folder(self) -> bool:
+        """Return whether it is a folder."""
+        return not Path(self.file).suffix
+
+
+def splat_format(name: str, about: str, encode: Callable[[Splats], bytes]) -> Format:
+    """Return the format of a single file: the bytes that `encode` makes of the Gaussians at the instant chosen."""
+
+    def write(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
+        splats = splats_at(scene, scene.instant_s(choices))
+        path.write_bytes(encode(splats))
+        progress(1.0, f"{len(splats)} Gaussians")
+        return {}
+
+    return Format(name, about, f"scene.{name}", write, ("at_s",))

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.export.scene import Scene
 from reconstruction.report.display import GAMMA
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from reconstruction.export.scene import Scene
 
 Floats = NDArray[np.float32]
 SH_0 = 0.28209479177387814  # spherical harmonic of degree 0, 1 / (2 sqrt(pi))

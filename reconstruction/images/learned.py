@@ -16,8 +16,7 @@ def learned(name: str, stream: SpikeStream, plane: int, weights: Path | None = N
     """
     import cv2
 
-    from reconstruction.networks.image_inference import gathered, infer, trained
-    from reconstruction.networks.image_networks import image_network
+    from reconstruction.networks.image_networks import gathered, image_network, infer, trained
     from reconstruction.networks.msdi.network import trained_msdi
 
     network = image_network("small" if name == "msdi" else name)

@@ -19,7 +19,7 @@ from reconstruction.calibration.calibrated import displacement
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.geometry import FEWEST_VIEWS, Geometry
 from reconstruction.initialization.sweep import DepthMap, agreed, back_project
-from reconstruction.networks.image_inference import MOST_GROUP
+from reconstruction.networks.image_networks import MOST_GROUP
 from reconstruction.networks.msdi.inference import Inferred, infer_views
 from reconstruction.networks.msdi.network import trained_msdi
 from reconstruction.networks.rates import REACH

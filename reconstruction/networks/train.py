@@ -16,8 +16,7 @@ import torch
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
-from reconstruction.networks.image_inference import infer
-from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, loss
+from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, infer, loss
 from reconstruction.networks.training import msdi_validation, processes
 from reconstruction.networks.training.clips import CameraClips, MultiviewClips, write_clips
 from reconstruction.networks.training.curve import plot_curves

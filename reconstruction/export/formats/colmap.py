@@ -9,8 +9,7 @@ from pathlib import Path
 
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
-from reconstruction.export.format import Format
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 from reconstruction.export.splats import splats_at, to_bytes
 from reconstruction.report.display import grey
 from rigs.exchange.colmap import dump_model, dump_points

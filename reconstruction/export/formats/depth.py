@@ -4,8 +4,7 @@ from pathlib import Path
 
 from acquisition.durable import write_array
 from acquisition.progress import Progress
-from reconstruction.export.format import Format
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 from reconstruction.report.display import depth_span_m
 
 

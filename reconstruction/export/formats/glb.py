@@ -13,7 +13,7 @@ import struct
 
 import numpy as np
 
-from reconstruction.export.format import splat_format
+from reconstruction.export.scene import splat_format
 from reconstruction.export.splats import SH_0, Splats, to_bytes
 
 EXTENSION = "KHR_gaussian_splatting"

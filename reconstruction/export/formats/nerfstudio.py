@@ -9,9 +9,8 @@ from pathlib import Path
 
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
-from reconstruction.export.format import Format
 from reconstruction.export.formats.ply import ply_bytes
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 from reconstruction.export.splats import splats_at
 from reconstruction.report.display import grey
 from rigs.exchange.nerfstudio import Frame, dump_frames

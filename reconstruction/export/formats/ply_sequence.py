@@ -4,9 +4,8 @@ from pathlib import Path
 
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
-from reconstruction.export.format import Format
 from reconstruction.export.formats.ply import ply_bytes
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 from reconstruction.export.splats import splats_at
 
 

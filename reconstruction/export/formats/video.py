@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from acquisition.progress import Progress
-from reconstruction.export.format import Format
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 from reconstruction.report.display import Pixels, grey
 
 

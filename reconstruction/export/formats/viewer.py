@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from acquisition.progress import Progress
-from reconstruction.export.format import Format
-from reconstruction.export.scene import Choices, Scene
+from reconstruction.export.scene import Choices, Format, Scene
 
 
 def export_viewer(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:

@@ -11,8 +11,7 @@ from torch.nn import functional
 
 from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.networks.image_inference import gathered, infer
-from reconstruction.networks.image_networks import image_network
+from reconstruction.networks.image_networks import gathered, image_network, infer
 from reconstruction.networks.msdi.features import channels, working_factor
 from reconstruction.networks.msdi.network import Msdi, Solved
 from reconstruction.networks.msdi.views import Views

@@ -21,7 +21,7 @@ from reconstruction.networks.msdi.features import keypoints, patch_centers
 from reconstruction.networks.msdi.matching import Matcher, Matches
 from reconstruction.networks.msdi.views import GATE, Views, gate
 from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet
-from reconstruction.networks.weights import read_weights
+from reconstruction.tensors import read_weights
 
 SHIPPED = Path(__file__).parent / "weights"
 IMAGE_SHARE = 0.1  # share of the learning rate that the image network learns with

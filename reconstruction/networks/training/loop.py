@@ -22,8 +22,7 @@ from acquisition.progress import Progress, silent
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training import processes
-from reconstruction.networks.weights import write_weights
-from reconstruction.tensors import read_tensors, write_tensors
+from reconstruction.tensors import read_tensors, write_tensors, write_weights
 
 WARM_UP = 200  # steps
 LAST_RATE = 0.02  # share of the learning rate at the last step

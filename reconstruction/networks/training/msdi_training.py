@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import BadRunError
-from reconstruction.networks.image_networks import light_loss
+from reconstruction.networks.image_networks import SHIPPED, light_loss
 from reconstruction.networks.msdi.features import channels, keypoints
 from reconstruction.networks.msdi.large import large_msdi
 from reconstruction.networks.msdi.network import Msdi, patch_gate, small_msdi
 from reconstruction.networks.training.loop import Loop, LoopConfig
 from reconstruction.networks.training.msdi_losses import correspondences, depth_loss, fine_loss, pose_loss, token_loss
 from reconstruction.networks.training.msdi_samples import Sample, Samples
-from reconstruction.networks.weights import SHIPPED, read_weights
+from reconstruction.tensors import read_weights
 
 TIERS = ("small", "large")
 IMAGE_EVERY, POSE_EVERY, DEPTH_EVERY = 4, 4, 3  # steps

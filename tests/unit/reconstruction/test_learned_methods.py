@@ -12,10 +12,9 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import method
 from reconstruction.images.learned import learned
-from reconstruction.networks import image_inference as inference
-from reconstruction.networks.image_inference import gathered, infer
-from reconstruction.networks.image_networks import image_network
-from reconstruction.networks.weights import SHIPPED, write_weights
+from reconstruction.networks import image_networks
+from reconstruction.networks.image_networks import SHIPPED, gathered, image_network, infer
+from reconstruction.tensors import write_weights
 
 SHIPPED_NAMES = ["small", "blindspot"]
 LEARNED = ["spk2imgnet", "blindspot"]
@@ -44,7 +43,7 @@ def awake(name):
 def test_tiles_leave_no_seams(name, monkeypatch):
     spikes = np.random.default_rng(0).integers(0, 2, (140, 51, 44)).astype(np.uint8)
     whole = infer(image_network(name), awake(name), stream_of(spikes), 70)
-    monkeypatch.setattr(inference, "TILE", 16)
+    monkeypatch.setattr(image_networks, "TILE", 16)
     for a, b in zip(whole, infer(image_network(name), awake(name), stream_of(spikes), 70), strict=True):
         assert np.abs(a - b).max() < 1e-6
 

@@ -9,7 +9,7 @@ from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network
 from reconstruction.networks.rates import BINS, EDGES
 from reconstruction.networks.spk2imgnet_published import PublishedSpk2ImgNet, deformed
 from reconstruction.networks.spk2imgnet_small import SmallSpk2ImgNet, window_means
-from reconstruction.networks.weights import read_weights, write_weights
+from reconstruction.tensors import read_weights, write_weights
 
 CHANNELS = {"small": BINS, "published": 41, "blindspot": BINS + 4}
 
