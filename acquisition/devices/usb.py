@@ -1,4 +1,4 @@
-"""The driver of one spike camera, composed of small logics over its USB link; the same on every backend."""
+"""The driver of one spike camera over its USB link; the same on every backend."""
 
 from __future__ import annotations
 
@@ -91,56 +91,20 @@ class CameraRegisters:
             raise DeviceError(f"found {found} after setting it", str(wanted), "update its firmware", where=where)
 
 
-class BlockStream:
-    """Finds blocks in a camera's stream; since `ensure_ready`, `parser` counts the damaged stretches."""
+class UsbCamera:
+    """A connected camera that is the rig's `camera`. Every error is a DeviceError that names it. Build with `open`.
+
+    `layout` is how a plane lies in bytes. Since `ensure_ready`, `parser` counts the damaged stretches of the stream.
+    """
 
     layout: PlaneLayout
     parser: BlockParser
-
-    def __init__(self, link: UsbLink, registers: CameraRegisters):
-        self._link, self._registers = link, registers
-        self.learn_geometry()
-
-    def learn_geometry(self) -> None:
-        """Ask the camera how its planes and blocks lie in bytes."""
-        geometry = self._registers.read(Geometry)
-        self.layout = geometry.layout
-        self._block_bytes = geometry.planes_per_block * geometry.layout.plane_bytes
-        self._forget()
-
-    def ensure_ready(self) -> None:
-        """End transfers of an earlier run, and forget what they brought."""
-        self._forget()
-        with self._link.named():
-            self._link.transfers.stop()
-
-    def start_acquiring(self) -> None:
-        """Queue transfers, which wait for what the camera sends."""
-        with self._link.named():
-            self._link.transfers.start()
-
-    def next_block(self, timeout_s: float) -> Block | None:
-        """Return the next whole block, or None when `timeout_s` passed without new bytes."""
-        while not (found := self.parser.next()):
-            with self._link.named():
-                data = self._link.transfers.read(timeout_s)
-            if not data:
-                return None
-            self.parser.feed(data)
-        return found
-
-    def _forget(self) -> None:
-        self.parser = BlockParser(self._block_bytes)
-
-
-class UsbCamera:
-    """A connected camera that is the rig's `camera`. Every error is a DeviceError that names it. Build with `open`."""
 
     def __init__(self, link: UsbLink):
         self.id, self.serial = link.camera.id, link.camera.serial
         self._link = link
         self.registers = CameraRegisters(link)
-        self.stream = BlockStream(link, self.registers)
+        self._learn_geometry()
 
     @classmethod
     def open(cls, camera: Camera, tick_rate_hz: float, backend: IBackend) -> UsbCamera:
@@ -162,19 +126,17 @@ class UsbCamera:
         """Return the kind of device that the camera is."""
         return self._link.profile
 
-    @property
-    def layout(self) -> PlaneLayout:
-        """Return how a plane lies in bytes."""
-        return self.stream.layout
-
     def ensure_ready(self, *, joins: bool = False) -> None:
         """Arm the camera and confirm it; `joins`: the trigger may have come already, from a line that pulses."""
-        self.stream.ensure_ready()
+        self.parser = BlockParser(self._block_bytes)
+        with self._link.named():
+            self._link.transfers.stop()  # those of an earlier run
         self.registers.command(Request.ARM)
         state = self.registers.read(Status).state
         if state is not State.ARMED and not (joins and state is State.RUNNING):
             raise DeviceError(f"found it {state.name.lower()} after arming", "armed", "reconnect it", where=self.id)
-        self.stream.start_acquiring()
+        with self._link.named():
+            self._link.transfers.start()
 
     def start_acquiring(self) -> None:
         """Start an armed camera without a trigger line."""
@@ -182,7 +144,13 @@ class UsbCamera:
 
     def read_block(self, timeout_s: float) -> Block | None:
         """Return the next whole block, or None when `timeout_s` passed without new bytes."""
-        return self.stream.next_block(timeout_s)
+        while not (found := self.parser.next()):
+            with self._link.named():
+                data = self._link.transfers.read(timeout_s)
+            if not data:
+                return None
+            self.parser.feed(data)
+        return found
 
     def ensure_stopped(self) -> None:
         """Stop sending, whatever the camera was doing; one that is gone has stopped."""
@@ -202,7 +170,7 @@ class UsbCamera:
         before = self.layout
         self._link.attach()
         try:
-            self.stream.learn_geometry()
+            self._learn_geometry()
             if self.layout != before:
                 found = f"found planes of {self.layout}"
                 raise DeviceError(found, f"{before} as before", "reconnect it", where=self.id)
@@ -213,6 +181,13 @@ class UsbCamera:
     def close(self) -> None:
         """Give the device back."""
         self._link.close()
+
+    def _learn_geometry(self) -> None:
+        """Ask the camera how its planes and blocks lie in bytes."""
+        geometry = self.registers.read(Geometry)
+        self.layout = geometry.layout
+        self._block_bytes = geometry.planes_per_block * geometry.layout.plane_bytes
+        self.parser = BlockParser(self._block_bytes)
 
     def _check(self, camera: Camera, tick_rate_hz: float) -> None:
         version = self.registers.read(Identity).protocol_version

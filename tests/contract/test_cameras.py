@@ -187,7 +187,7 @@ def test_all_planes_arrive_bit_for_bit(bench, camera):
     assert camera.registers.read(Status).state is State.ARMED
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES)
-    assert camera.stream.parser.damages == 0
+    assert camera.parser.damages == 0
     assert camera.registers.read(Status).emitted_planes == len(PLANES)
 
 
@@ -220,10 +220,10 @@ def test_what_came_before_the_time_was_over_is_a_short_read(bench, camera):
     bench.fire()
     assert camera.read_block(0.2).first_plane == 0
     assert camera.read_block(0.2) is None
-    assert len(camera.stream.parser._buffer) == 512
+    assert len(camera.parser._buffer) == 512
     release(bench.model)
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
-    assert camera.stream.parser.damages == 0
+    assert camera.parser.damages == 0
 
 
 @pytest.mark.parametrize("sent", [0, 512, 576 + 512])
@@ -236,7 +236,7 @@ def test_a_stall_is_cleared_and_costs_nothing(bench, camera, sent):
     first = camera.read_block(0.2)
     assert first is None or sent > 576
     np.testing.assert_array_equal(np.concatenate([*([first.packed] if first else []), read_all(camera)]), PLANES)
-    assert camera.stream.parser.damages == 0
+    assert camera.parser.damages == 0
 
 
 def test_a_damaged_block_is_dropped_and_counted(bench, camera):
@@ -244,7 +244,7 @@ def test_a_damaged_block_is_dropped_and_counted(bench, camera):
     camera.ensure_ready()
     bench.fire()
     np.testing.assert_array_equal(read_all(camera), PLANES[80:])
-    assert camera.stream.parser.damages == 1
+    assert camera.parser.damages == 1
 
 
 def test_an_unplugged_camera_is_named_at_once_and_ever_after(bench, camera):
@@ -344,7 +344,7 @@ def test_a_repeated_block_is_no_damage(bench, camera, monkeypatch):
     camera.ensure_ready()
     bench.fire()
     assert [block.first_plane for block in read_blocks(camera)] == [0, 0, 80, 80, 160, 160]  # a session takes one
-    assert camera.stream.parser.damages == 0
+    assert camera.parser.damages == 0
 
 
 def test_every_block_tells_a_pulse_and_its_time(bench):
