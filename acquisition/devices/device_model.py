@@ -1,7 +1,5 @@
 """One simulated camera below the driver, composed of its run, its registers, its stream and its faults."""
 
-from collections.abc import Callable
-
 from acquisition.devices import descriptors
 from acquisition.devices.control_channel import MessageEnd, StallError
 from acquisition.devices.device_run import DeviceRun
@@ -24,39 +22,6 @@ _IN, _KIND, _VENDOR = 0x80, 0x60, 0x40
 _GET_DESCRIPTOR = 0x06
 
 
-class DeviceRegisters:
-    """The registers of a simulated camera; `command` obeys a request without data."""
-
-    def __init__(self, run: DeviceRun, stream: DeviceStream, command: Callable[[int], None]):
-        self.sensitivity, self.firmware_version = Sensitivity(), 1
-        self._run, self._stream, self._command = run, stream, command
-
-    def read(self, request: int) -> bytes:
-        """Return the bytes of a register; raises StallError for an unknown one."""
-        run, identity = self._run, Identity(PROTOCOL_VERSION, self.firmware_version)
-        rate = TickRate(run.tick_rate_hz)
-        known = identity, self._stream.geometry, rate, run.status(), self.sensitivity, run.clock_register(), run.link
-        for register in known:
-            if request == register.REQUEST:
-                return register.encode()
-        raise StallError
-
-    def write(self, request: int, data: bytes) -> None:
-        """Do what is asked; raises StallError for an unknown request, or one that does not fit the camera's state."""
-        if request != Request.SET_SENSITIVITY:
-            self._command(request)
-            return
-        try:
-            wanted = Sensitivity.decode(data)
-        except DeviceError as error:
-            raise StallError from error
-        if self._run.state is not State.IDLE:
-            raise StallError
-        self.sensitivity = wanted
-        if isinstance(self._stream.source, SceneSource):
-            self._stream.source.sensitivity = wanted.gain
-
-
 class DeviceModel:
     """A camera whose light comes from `source`; armed, it waits for `trigger` (the shared line) or for START."""
 
@@ -64,8 +29,8 @@ class DeviceModel:
         self.serial, self.profile = serial, profile
         self.run = DeviceRun(tick_rate_hz)
         self.stream = DeviceStream(self.run, source)
-        self.registers = DeviceRegisters(self.run, self.stream, self.command)
-        self.messages = MessageEnd(profile, self.registers.read, self.registers.write)
+        self.messages = MessageEnd(profile, self.read, self.write)
+        self.sensitivity, self.firmware_version = Sensitivity(), 1
 
     def power_up(self) -> None:
         """Begin anew, as after a reset or with the cable pulled: idle, all counters at zero; the light goes on."""
@@ -74,8 +39,21 @@ class DeviceModel:
             self.run.power_up()
             self.stream.forget()
 
-    def command(self, request: int) -> None:
-        """Obey a request without data; raises StallError for an unknown one, or START when not armed."""
+    def read(self, request: int) -> bytes:
+        """Return the bytes of a register; raises StallError for an unknown one."""
+        run, identity = self.run, Identity(PROTOCOL_VERSION, self.firmware_version)
+        rate = TickRate(run.tick_rate_hz)
+        known = identity, self.stream.geometry, rate, run.status(), self.sensitivity, run.clock_register(), run.link
+        for register in known:
+            if request == register.REQUEST:
+                return register.encode()
+        raise StallError
+
+    def write(self, request: int, data: bytes = b"") -> None:
+        """Do what is asked; raises StallError for an unknown request, or one that does not fit the camera's state."""
+        if request == Request.SET_SENSITIVITY:
+            self._set_sensitivity(data)
+            return
         with self.run.changed:
             self.run.obey(request)
             if request != Request.START:
@@ -90,10 +68,21 @@ class DeviceModel:
         """Answer a request by the fields of its setup packet; raises StallError for one it does not know."""
         if kind & _KIND == _VENDOR and not self.profile.command_endpoint:
             if kind & _IN:
-                return self.registers.read(request)
-            self.registers.write(request, data)
+                return self.read(request)
+            self.write(request, data)
             return b""
         strings, number = (*STRINGS, self.serial), value & 0xFF
         if (kind, request, value >> 8) == (_IN, _GET_DESCRIPTOR, descriptors.STRING) and number < len(strings):
             return descriptors.encode_string(number, strings)
         raise StallError
+
+    def _set_sensitivity(self, data: bytes) -> None:
+        try:
+            wanted = Sensitivity.decode(data)
+        except DeviceError as error:
+            raise StallError from error
+        if self.run.state is not State.IDLE:
+            raise StallError
+        self.sensitivity = wanted
+        if isinstance(self.stream.source, SceneSource):
+            self.stream.source.sensitivity = wanted.gain

@@ -15,7 +15,7 @@ def _missing(model: DeviceModel, backend: MockBackend) -> None:
 
 
 def _firmware(model: DeviceModel, backend: MockBackend) -> None:
-    model.registers.firmware_version += 1
+    model.firmware_version += 1
 
 
 def _deaf(model: DeviceModel, backend: MockBackend) -> None:

@@ -398,9 +398,9 @@ def test_a_camera_that_does_not_fit_the_rig_is_refused(bench, change, rate, mess
 
 
 def test_an_answer_that_is_no_register_names_the_camera(bench, camera):
-    read = bench.model.registers.read
+    read = bench.model.read
     answers = {Request.STATUS: b"short"}
-    bench.model.messages._read = bench.model.registers.read = lambda request: answers.get(request) or read(request)
+    bench.model.messages._read = bench.model.read = lambda request: answers.get(request) or read(request)
     with pytest.raises(DeviceError, match=r"^cam12: found 5 B in the status register, expected 32"):
         camera.registers.read(Status)
 
@@ -422,7 +422,7 @@ def test_a_device_that_may_not_be_opened_does_not_hide_the_others(bench, monkeyp
 def test_threshold_and_exposure_are_set_while_idle_only(bench, camera):
     assert camera.registers.read(Sensitivity) == Sensitivity(1000, 1000)
     camera.registers.set_sensitivity(Sensitivity(2000, 500))
-    assert bench.model.registers.sensitivity.gain == 0.25
+    assert bench.model.sensitivity.gain == 0.25
     with pytest.raises(CameraSetupError, match="cam12: found the threshold 4001, expected 250 to 4000"):
         camera.registers.set_sensitivity(Sensitivity(4001))
     camera.ensure_ready()

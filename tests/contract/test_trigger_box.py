@@ -103,7 +103,7 @@ def bench(request):
 
 def test_one_pulse_starts_every_armed_camera_and_more_follow(bench):
     box = bench.open()
-    bench.cameras[0].command(Request.ARM)
+    bench.cameras[0].write(Request.ARM)
     box.fire()
     assert [camera.run.state for camera in bench.cameras] == [State.RUNNING, State.IDLE]
     bench.now_s += 0.0101

@@ -74,9 +74,9 @@ class DeafModel(DeviceModel):
 class StubbornModel(DeviceModel):
     """Does not arm."""
 
-    def command(self, request: int) -> None:
+    def write(self, request: int, data: bytes = b"") -> None:
         if request != Request.ARM:
-            super().command(request)
+            super().write(request, data)
 
 
 class Bench:

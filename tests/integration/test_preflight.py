@@ -155,7 +155,7 @@ def test_a_rig_that_is_not_this_one_fails_for_every_camera(bench, change, found)
 
 def test_firmware_that_differs_is_named(bench):
     for camera, model in zip(RIG.cameras, bench.models, strict=True):
-        model.registers.firmware_version = 7 if camera.id == "cam11" else 1
+        model.firmware_version = 7 if camera.id == "cam11" else 1
     checks = bench.checks()
     assert failed(checks) == ["firmware"]
     assert checks["firmware"].found.endswith("; 7 in cam11")

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 from maintenance.device_clock import DeviceClock, Pace
 
-from acquisition.devices.control_channel import MessageEnd
-from acquisition.devices.device_model import DeviceModel, DeviceRegisters
+from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.device_run import DeviceRun
 from acquisition.devices.device_stream import DeviceStream
 from acquisition.devices.mock import MockBackend, Port
@@ -132,8 +131,6 @@ class StrainedModel(DeviceModel):
         super().__init__(serial, source, tick_rate_hz, profile)
         self.run = StrainedRun(tick_rate_hz, clock or DeviceClock(), pace)
         self.stream = StrainedStream(self.run, source)
-        self.registers = DeviceRegisters(self.run, self.stream, self.command)
-        self.messages = MessageEnd(profile, self.registers.read, self.registers.write)
 
     def power_up(self) -> None:
         with self.run.changed:

@@ -72,6 +72,6 @@ def test_an_unplugged_device_is_gone_for_ever(device, backend):
 
 
 def test_one_pulse_starts_every_armed_camera(models):
-    models[0].command(Request.ARM)
+    models[0].write(Request.ARM)
     TriggerWire(models).fire()
     assert [m.run.state.name for m in models] == ["RUNNING", "IDLE"]
