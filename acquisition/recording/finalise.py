@@ -30,11 +30,10 @@ _REASON = "the recorder was killed; its journal proves what is kept"
 
 
 class Finalised(NamedTuple):
-    """A finished recording: where it lies, its manifest, and whether anything had to be changed."""
+    """A finished recording: where it lies, and its manifest."""
 
     path: Path
     manifest: Manifest
-    changed: bool
 
 
 def finalise(path: Path, progress: Progress = silent) -> Finalised:
@@ -61,7 +60,7 @@ def finalise(path: Path, progress: Progress = silent) -> Finalised:
     finally:
         os.close(lock)
     progress(1.0, f"{len(manifest.cameras)} files")
-    return Finalised(path, manifest, changed=True)
+    return Finalised(path, manifest)
 
 
 def left_planes(path: Path) -> int | None:
@@ -88,7 +87,7 @@ def _complete(path: Path, progress: Progress) -> Finalised:
         raise BadRecordingError(f"found it {manifest.status}", expected, "move it there", where=path)
     bare = [camera for camera in manifest.cameras if camera.sha256 is None]
     if not bare:
-        return Finalised(path, manifest, changed=False)
+        return Finalised(path, manifest)
     cameras = []
     for number, camera in enumerate(manifest.cameras):
         progress(number / len(manifest.cameras), camera.file)
@@ -101,7 +100,7 @@ def _complete(path: Path, progress: Progress) -> Finalised:
         cameras.append(camera)
     manifest = dataclasses.replace(manifest, cameras=tuple(cameras))
     write_durably(path / MANIFEST_FILE, dump_manifest(manifest))
-    return Finalised(path, manifest, changed=True)
+    return Finalised(path, manifest)
 
 
 def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:

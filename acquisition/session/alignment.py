@@ -8,8 +8,6 @@ Letters: T planes of a camera; rates are its spikes per tick, averaged over all 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +27,6 @@ _LEAST_CORRELATION = 0.7
 _NEXT_BEST = 0.98  # share of the peak from which a second peak makes the lag a guess
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """The delay of each camera's plane 0 behind the reference's, in planes, and its standard deviation."""
-
-    reference: str
-    method: Literal["flash", "correlation"]
-    skew_planes: dict[str, float]
-    skew_sd_planes: dict[str, float]
-
-
 def firing_rate(stream: Stream) -> Rates:
     """Return the mean spikes per pixel of every plane [T]."""
     bits, sums = pack(np.ones((1, stream.layout.height, stream.layout.width), np.uint8), stream.layout), []
@@ -48,31 +36,26 @@ def firing_rate(stream: Stream) -> Rates:
     return np.concatenate(sums) / (stream.layout.width * stream.layout.height)
 
 
-def align_by_light(rates: Mapping[str, Rates], reference: str | None = None) -> Alignment:
-    """Align cameras to `reference`, by default the first: by a flash where all see one, else by correlation.
+def align_by_light(rates: Mapping[str, Rates]) -> dict[str, tuple[float, float]]:
+    """Return how many planes after the first camera's each camera's plane 0 began, and the standard deviation.
 
-    `rates` are each camera's spikes per tick and pixel [T], T its own.
-    Raises TimingError naming the camera whose light does not change, or fits more than one lag.
+    They are aligned by a flash where all see one, else by correlation. `rates` are each camera's spikes per tick and
+    pixel [T], T its own. Raises TimingError naming the camera whose light does not change, or fits more than one lag.
     """
-    reference = reference or next(iter(rates))
     for camera_id, rate in rates.items():
         if len(rate) < LEAST_OVERLAP:
             raise TimingError(f"found {len(rate)} planes", f"at least {LEAST_OVERLAP}", where=camera_id)
-    flashes = {camera_id: flash(rate) for camera_id, rate in rates.items()}
-    seen = {camera_id: found for camera_id, found in flashes.items() if found}
+    seen = {camera_id: found for camera_id, rate in rates.items() if (found := flash(rate))}
+    reference, *others = rates
     lags = {reference: (0.0, 0.0)}
-    for camera_id in [each for each in rates if each != reference]:
+    for camera_id in others:
         if len(seen) == len(rates):
             (at, sd), (instant, own_sd) = seen[reference], seen[camera_id]
             lags[camera_id] = at - instant, float(np.hypot(sd, own_sd))
-            continue
-        try:
-            lags[camera_id] = correlation_lag(rates[reference], rates[camera_id])
-        except TimingError as error:
-            raise TimingError.at(camera_id, error) from error
-    skews = {camera_id: lags[camera_id][0] for camera_id in rates}
-    sds = {camera_id: lags[camera_id][1] for camera_id in rates}
-    return Alignment(reference, "flash" if len(seen) == len(rates) else "correlation", skews, sds)
+        else:
+            with TimingError.located(camera_id):
+                lags[camera_id] = correlation_lag(rates[reference], rates[camera_id])
+    return lags
 
 
 def flash(rate: Rates) -> tuple[float, float] | None:

@@ -244,9 +244,8 @@ def _skews(streams: Mapping[str, Stream], tick_rate_hz: float) -> dict[str, tupl
     """Return the seconds by which each camera began after the first one, and their standard deviations."""
     found = align_by_light({camera_id: firing_rate(stream) for camera_id, stream in streams.items()})
     skews = {}
-    for camera_id, planes in found.skew_planes.items():
-        sd = found.skew_sd_planes[camera_id]
-        click.echo(f"{camera_id}: began {planes:+.2f} planes (sd {sd:.2f}) after {found.reference}", err=True)
+    for camera_id, (planes, sd) in found.items():
+        click.echo(f"{camera_id}: began {planes:+.2f} planes (sd {sd:.2f}) after {next(iter(found))}", err=True)
         skews[camera_id] = (planes / tick_rate_hz, sd / tick_rate_hz)
     return skews
 
