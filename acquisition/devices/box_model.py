@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from acquisition.devices.control_channel import StallError
 from acquisition.devices.device_model import DeviceModel
 from acquisition.devices.trigger_box import (
+    COMMAND,
     COMMAND_BYTES,
     COMMAND_REPORT,
     DEFAULT_PERIOD_S,
@@ -14,7 +15,6 @@ from acquisition.devices.trigger_box import (
     BoxCommand,
     BoxState,
     BoxStatus,
-    decode_command,
 )
 
 
@@ -38,7 +38,7 @@ class BoxModel:
         """Obey report 2; raises StallError for another report, or a command that does not fit the state."""
         if len(report) != COMMAND_BYTES or report[0] != COMMAND_REPORT:
             raise StallError
-        command, value = decode_command(report)
+        _, command, value = COMMAND.unpack(report)
         if command == BoxCommand.ARM:
             self._state, self._sent = BoxState.ARMED, 0
         elif command == BoxCommand.FIRE and self._state is BoxState.ARMED:

@@ -1,5 +1,6 @@
 """Keeps transfers of one camera in flight over a narrow pipe, which both libusb and the mock implement."""
 
+import contextlib
 import enum
 import errno
 import time
@@ -139,12 +140,9 @@ class BulkStream:
     def close(self) -> None:
         """Give the device back."""
         self._running = False
-        try:
+        with contextlib.suppress(USBError):  # it is gone, and its transfers with it
             self._collect()
-        except USBError:  # it is gone, and its transfers with it
-            pass
-        finally:
-            self._pipe.close()
+        self._pipe.close()
 
     def _fill(self) -> None:
         try:

@@ -5,6 +5,7 @@ Its two feature reports are in PROTOCOL.md.
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import struct
 from typing import NamedTuple
@@ -20,8 +21,8 @@ STATUS_REPORT, COMMAND_REPORT = 1, 2
 DEFAULT_PERIOD_S = 1e-3
 _MAGIC = b"S4TB"
 _STATUS = struct.Struct("<B4sHHIQ")
-_COMMAND = struct.Struct("<BBI")
-STATUS_BYTES, COMMAND_BYTES = _STATUS.size, _COMMAND.size
+COMMAND = struct.Struct("<BBI")  # report 2: its number, the command, its value
+STATUS_BYTES, COMMAND_BYTES = _STATUS.size, COMMAND.size
 BOX_VERSION = 1
 
 
@@ -66,16 +67,6 @@ class BoxStatus(NamedTuple):
         return cls(BoxState(state), period_us, pulses)
 
 
-def encode_command(command: BoxCommand, value: int = 0) -> bytes:
-    """Return report 2."""
-    return _COMMAND.pack(COMMAND_REPORT, command, value)
-
-
-def decode_command(data: bytes) -> tuple[int, int]:
-    """Return the command and its value."""
-    return _COMMAND.unpack(data)[1:]
-
-
 class TriggerBox:
     """A connected trigger box, hidapi's `device`; the line it drives pulses every `period_s` from the trigger on."""
 
@@ -96,13 +87,10 @@ class TriggerBox:
 
     def fire(self) -> None:
         """Send the trigger, and the pulses after it; raises DeviceError where no pulse was sent."""
-        for command, value in (
-            (BoxCommand.STOP, 0),
-            (BoxCommand.PERIOD, self._period_us),
-            (BoxCommand.ARM, 0),
-            (BoxCommand.FIRE, 0),
-        ):
-            self._command(command, value)
+        self._command(BoxCommand.STOP)
+        self._command(BoxCommand.PERIOD, self._period_us)
+        self._command(BoxCommand.ARM)
+        self._command(BoxCommand.FIRE)
         found = self.status()
         if found.state is not BoxState.PULSING or not found.pulses or found.period_us != self._period_us:
             expected = f"pulses every {self._period_us} us"
@@ -110,16 +98,13 @@ class TriggerBox:
 
     def close(self) -> None:
         """End the pulses and give the box back; one that is gone has ended them."""
-        try:
-            self._command(BoxCommand.STOP, 0)
-        except DeviceError:
-            pass
-        finally:
-            self._device.close()
+        with contextlib.suppress(DeviceError):
+            self._command(BoxCommand.STOP)
+        self._device.close()
 
-    def _command(self, command: BoxCommand, value: int) -> None:
+    def _command(self, command: BoxCommand, value: int = 0) -> None:
         try:
-            sent = self._device.send_feature_report(encode_command(command, value))
+            sent = self._device.send_feature_report(COMMAND.pack(COMMAND_REPORT, command, value))
         except OSError as error:
             raise _gone() from error
         if sent != COMMAND_BYTES:

@@ -15,11 +15,12 @@ from acquisition.devices.protocol import BlockParser
 from acquisition.devices.registers import Request, State
 from acquisition.devices.trigger_box import (
     BOX_PRODUCT_ID,
+    COMMAND,
+    COMMAND_REPORT,
     BoxCommand,
     BoxState,
     BoxStatus,
     TriggerBox,
-    encode_command,
     find_box,
 )
 from acquisition.errors import DeviceError
@@ -126,7 +127,7 @@ def test_a_box_can_be_fired_again(bench):
 
 def test_a_command_that_does_not_fit_is_refused(bench):
     bench.open()
-    for command in (encode_command(BoxCommand.FIRE), encode_command(BoxCommand.PERIOD, 0)):
+    for command in (COMMAND.pack(COMMAND_REPORT, kind, 0) for kind in (BoxCommand.FIRE, BoxCommand.PERIOD)):
         assert bench.hid.send_feature_report(command) == -1
     assert bench.model.status() == BoxStatus(BoxState.IDLE, 1000, 0)
 
