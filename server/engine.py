@@ -8,7 +8,7 @@ from dbos import error as engine_errors
 from reconstruction.run.configuration import STAGES
 from server.errors import StateError
 from server.pickles import refuse_pickles
-from server.schemas.progress import Status
+from server.schemas.progress import ENDED, Status
 from server.settings import ServiceSettings
 from server.store.engine_tables import EngineTables
 from server.store.entries import Listed, Open
@@ -82,8 +82,13 @@ class Engine:
         return self.statuses([entry])[entry.id]
 
     def statuses(self, entries: Sequence[Queued]) -> dict[str, Status]:
-        """Return the status of each entry; one without work is done, one that is yet to be queued is queued."""
-        return {entry_id: status or "queued" for entry_id, status in self.known(entries).items()}
+        """Return the status of each entry; one without work is done, one that is yet to be queued is queued.
+
+        One that has ended keeps its end where the engine has lost its memory of it.
+        """
+        known = self.known(entries)
+        ends: dict[str, Status] = {entry.id: word for entry in entries for word in ENDED if word == entry.told}
+        return {entry_id: status or ends.get(entry_id, "queued") for entry_id, status in known.items()}
 
     def known(self, entries: Sequence[Queued]) -> dict[str, Status | None]:
         """Return the same, but None for an entry with a queue that the engine does not know, or no longer."""

@@ -29,6 +29,8 @@ COMMANDS = {  # name: (module, its line of the help)
     "stability": ("server.cli.stability", "Run the stress catalogue on every backend of this machine."),
     "demo": ("server.cli.demo", "Record and reconstruct the simulated rig through the service."),
     "serve": ("server.cli.serve", "Run the web service."),
+    "backup": ("server.cli.backup", "Copy what a service knows, while it runs."),
+    "restore": ("server.cli.backup", "Put a backup back."),
     "token": ("server.cli.token", "Decide who may use a service that others reach."),
     "worker": ("server.cli.serve", "Run queued jobs."),
 }

@@ -4,6 +4,8 @@ import shutil
 
 from server.engine import Engine
 from server.schemas.system import Check, WorkerInfo, Workers
+from server.settings import ServiceSettings
+from server.store.soundness import DatabaseError, expect_present
 from server.store.store import Store
 from server.work.keeper import Keeper
 
@@ -13,7 +15,8 @@ _FREE_BYTES = 2**30
 class HealthService:
     """The conditions of being ready; `keeper` runs the worker of this process, if it has one."""
 
-    def __init__(self, store: Store, engine: Engine, keeper: Keeper | None = None) -> None:
+    def __init__(self, settings: ServiceSettings, store: Store, engine: Engine, keeper: Keeper | None = None) -> None:
+        self._settings = settings
         self._store = store
         self._engine = engine
         self._keeper = keeper
@@ -28,13 +31,20 @@ class HealthService:
 
     def checks(self) -> dict[str, Check]:
         """Check database, disk and worker."""
-        self._engine.check()
         free = shutil.disk_usage(self._store.folder.path).free
         return {
-            "database": Check(ok=True, found="answers"),
+            "database": self._database(),
             "disk": Check(ok=free >= _FREE_BYTES, found=f"{free / 2**30:.1f} GiB free"),
             "worker": self._worker(),
         }
+
+    def _database(self) -> Check:
+        try:
+            expect_present(self._settings)
+            self._engine.check()
+        except DatabaseError as error:
+            return Check(ok=False, found=str(error))
+        return Check(ok=True, found="answers")
 
     def _worker(self) -> Check:
         """Check that a worker lives and, where it is this process's own, that it stays so."""

@@ -94,7 +94,10 @@ class Queue:
     def again(self, entry: Entry, stage: str | None = None) -> None:
         """Queue an ended entry again, from `stage` on or from the one it stopped in; raises StateError."""
         self._tell_queued(entry)  # first, so that the announcer looks at it even if this process dies on the way
-        self._engine.rewind(entry, stage)
+        if self._engine.known([entry])[entry.id] is None:  # its memory was lost: finished stages are found finished
+            self._engine.enqueue(entry)
+        else:
+            self._engine.rewind(entry, stage)
         self._tell_queued(entry)  # again, where the announcer has looked too early
 
     def remove(self, entry: Entry, *made: Path) -> None:

@@ -40,7 +40,7 @@ class Services:
         self.jobs = JobService(self.store, self.engine, queue, Admission(self.store, self.engine, self.rigs))
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
-        self.health = HealthService(self.store, self.engine, keeper)
+        self.health = HealthService(settings, self.store, self.engine, keeper)
         self.watchdog = Watchdog(keeper)
         self.uploads = UploadService(self.store, queue, space, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)

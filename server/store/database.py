@@ -12,8 +12,8 @@ from sqlalchemy import event
 from sqlalchemy.exc import OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
-from server.errors import ServiceError
 from server.settings import ServiceSettings
+from server.store.soundness import DatabaseError, expect_sound
 from server.store.tables import metadata
 
 _BUSY_S = 30
@@ -26,12 +26,6 @@ _FULL = ("disk is full", "No space left")
 _LOG = logging.getLogger(__name__)
 
 
-class DatabaseError(ServiceError):
-    """A database that cannot be opened."""
-
-    exit_code = 2
-
-
 def prepare_database(settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> sa.Engine:
     """Create or bring up to date all tables; a client of the engine never does, and processes start in any order.
 
@@ -39,7 +33,7 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
     and ends the wait where it returns something true. Returns a pool of connections to the service's own tables.
     Raises DatabaseError naming the database.
     """
-    settings.data.mkdir(parents=True, exist_ok=True)
+    expect_sound(settings)
     engine = open_database(settings)
     deadline, waits = time.monotonic() + _START_S, False
     while True:
@@ -92,7 +86,7 @@ def open_database(settings: ServiceSettings) -> sa.Engine:
         @event.listens_for(engine, "connect")
         def configure(connection: Any, record: Any) -> None:
             connection.execute("PRAGMA journal_mode=WAL")  # a reader does not wait for a writer
-            connection.execute("PRAGMA synchronous=NORMAL")
+            connection.execute("PRAGMA synchronous=FULL")  # what was accepted outlives a power cut
 
     return engine
 

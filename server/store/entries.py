@@ -27,6 +27,7 @@ class Listed(NamedTuple):
     priority: int
     request: str
     progress: str
+    told: str
 
 
 class Open(NamedTuple):

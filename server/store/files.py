@@ -97,6 +97,17 @@ def locked(path: Path, flags: int = os.O_RDONLY, *, wait: bool = False) -> Itera
         os.close(descriptor)
 
 
+@contextmanager
+def shared(path: Path) -> Iterator[None]:
+    """Hold the flock of a folder beside others who share it; raises BlockingIOError where one process has it alone."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def is_locked(folder: Path) -> bool:
     """Return whether some process holds the folder's flock."""
     try:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from server.settings import ServiceSettings
 from server.store.artefacts import Artefacts
@@ -11,9 +12,10 @@ from server.store.database import prepare_database
 from server.store.disk import Disk
 from server.store.entries import Entries
 from server.store.events import Events
-from server.store.files import DataFolder
+from server.store.files import DataFolder, shared
 from server.store.idempotency import Idempotency
 from server.store.rig_files import RigFiles
+from server.store.soundness import DatabaseError
 from server.store.tokens import Tokens
 from server.store.uploads import Uploads
 from server.store.webhooks import Deliveries, Webhooks
@@ -27,6 +29,12 @@ class Store:
     """
 
     def __init__(self, settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> None:
+        settings.data.mkdir(parents=True, exist_ok=True)
+        self._in_use = ExitStack()
+        try:
+            self._in_use.enter_context(shared(settings.data))
+        except BlockingIOError as error:
+            raise DatabaseError("found it being restored", "that done", where=settings.data) from error
         self.database = prepare_database(settings, pause)
         self.clock = DatabaseClock(self.database)
         self.folder = DataFolder(settings.data)
@@ -46,3 +54,4 @@ class Store:
     def close(self) -> None:
         """Let go of the database."""
         self.database.dispose()
+        self._in_use.close()

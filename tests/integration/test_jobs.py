@@ -349,3 +349,14 @@ def _refused(call: Callable[[], None]) -> bool:
     except RefusedError:
         return True
     return False
+
+
+def test_a_job_that_the_engine_has_forgotten_is_resumed(http: TestClient, services: Services, imported: str) -> None:
+    client = ServiceClient(http)
+    job = client.submit(verify(imported))
+    client.cancel(job.id)
+    wait_for(lambda: services.store.entries.get("job", job.id).told == "cancelled")
+    services.engine.forget(job.id)
+    assert client.job(job.id).status == "cancelled"
+    assert client.resume(job.id).status == "queued"
+    assert client.cancel(job.id).status == "cancelled"

@@ -296,7 +296,7 @@ def test_a_data_folder_that_cannot_be_used_is_one_line(tmp_path: Path, command: 
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (2, "")
     assert err.count("\n") == 1
-    assert f"{tmp_path}: found file is not a database" in err
+    assert f"{tmp_path}: found dbos.sqlite damaged (file is not a database)" in err
 
 
 def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
