@@ -19,7 +19,7 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench.conventions import RATE_HZ
 from reconstruction.bench.streams import TrueImage
-from reconstruction.metrics.image import edge_sharpness, psnr_db, ssim
+from reconstruction.metrics.image import edge_sharpness, psnr_db, ssim_map
 from reconstruction.metrics.lpips import Lpips
 from reconstruction.metrics.natural import Niqe, brisque
 from reconstruction.report.display import grey
@@ -60,7 +60,7 @@ class Scorer:
         """Return the errors of an image [H, W] in spikes per tick, and its naturalness."""
         found = {
             "psnr_db": psnr_db(image, truth.light, truth.white),
-            "ssim": ssim(image, truth.light, truth.white),
+            "ssim": float(ssim_map(image, truth.light, truth.white).mean()),
             "dynamic_psnr_db": psnr_db(image, truth.light, truth.white, truth.moves),
             "static_psnr_db": psnr_db(image, truth.light, truth.white, ~truth.moves),
             "edge_sharpness": edge_sharpness(image, truth.light, truth.moves),
@@ -102,4 +102,5 @@ def score_recording(scorer: Scorer, image: Image, truth: Path | None) -> dict[st
     wanted = np.asarray(cv2.imread(str(truth), cv2.IMREAD_GRAYSCALE), dtype=np.float32) / np.float32(255)
     gain = float((image * wanted).sum() / max(float(np.square(image).sum()), 1e-12))
     fitted = (image * np.float32(gain)).astype(np.float32)
-    return found | {"gain": gain, "psnr_db": psnr_db(fitted, wanted, 1.0), "ssim": ssim(fitted, wanted, 1.0)}
+    alike = float(ssim_map(fitted, wanted, 1.0).mean())
+    return found | {"gain": gain, "psnr_db": psnr_db(fitted, wanted, 1.0), "ssim": alike}

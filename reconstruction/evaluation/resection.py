@@ -34,14 +34,6 @@ class Counted(NamedTuple):
     light: Image
 
 
-class Pull(NamedTuple):
-    """The twist [6] (turn in rad, shift in m) that a comparison asks for, what it moves pixels by, and the error."""
-
-    twist: NDArray[np.float64]
-    moved_px: float
-    error: float
-
-
 def resected(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> Camera:
     """Return `camera` turned and shifted to where the renders of `model` explain best what it counted."""
     for level in LEVELS:
@@ -56,18 +48,18 @@ def _settled(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> C
     """Return the camera where steps no longer lower the error, or no longer move it."""
     best, least = camera, np.inf
     for _ in range(STEPS):
-        pull = _pull(model, camera, counted)
-        if not pull.error < least:
+        twist, moved_px, error = _pull(model, camera, counted)
+        if not error < least:
             return best
-        best, least = camera, pull.error
-        if pull.moved_px < SETTLED_PX:
+        best, least = camera, error
+        if moved_px < SETTLED_PX:
             return best
-        camera = replace(camera, cam_from_rig=Transform.from_rotvec(*np.split(pull.twist, 2)) @ camera.cam_from_rig)
+        camera = replace(camera, cam_from_rig=Transform.from_rotvec(*np.split(twist, 2)) @ camera.cam_from_rig)
     return best
 
 
-def _pull(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> Pull:
-    """Compare renders with what was counted, and solve for the twist that makes them alike."""
+def _pull(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> tuple[NDArray[np.float64], float, float]:
+    """Return the twist [6] (turn in rad, shift in m) to what was counted, what it moves pixels by, and the error."""
     flows, slopes, gaps, errors = [], [], [], []
     for instant_s, light in counted:
         view = model.look(camera, instant_s)
@@ -85,7 +77,7 @@ def _pull(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> Pull
     normal[np.diag_indices(6)] *= 1 + DAMPING
     twist = np.linalg.lstsq(normal, weighted.T @ gap, rcond=None)[0]
     moved_px = float(np.linalg.norm(flow @ twist, axis=1).mean()) if len(gap) else 0.0
-    return Pull(twist, moved_px, float(np.mean(errors)))
+    return twist, moved_px, float(np.mean(errors))
 
 
 def _flow(camera: Camera, depth: Image, known: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -22,11 +22,6 @@ def psnr_db(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | 
     return math.inf if mean == 0 else -10 * math.log10(mean / white**2)
 
 
-def ssim(image: Image, truth: Image, white: float, mask: NDArray[np.bool_] | None = None) -> float:
-    """Return the mean of `ssim_map` over all pixels or a mask [H, W]; NaN for an empty one."""
-    return mean_over(ssim_map(image, truth, white), mask)
-
-
 def ssim_map(image: Image, truth: Image, white: float) -> NDArray[np.float64]:
     """Return the structural similarity [H, W] of images [H, W] with data range `white`.
 

@@ -71,10 +71,3 @@ def patch_centers(size: tuple[int, int]) -> Tensor:
     x = (torch.arange(size[0] // PATCH) + 0.5) * PATCH
     y = (torch.arange(size[1] // PATCH) + 0.5) * PATCH
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).reshape(-1, 2)
-
-
-def sampled(maps: Tensor, pixels: Tensor, cell: int) -> Tensor:
-    """Sample `maps` [V, C, h, w] of cells of `cell` px at `pixels` [V, N, 2], bilinearly, to [V, N, C]; 0 outside."""
-    extent = torch.tensor([maps.shape[3], maps.shape[2]], dtype=maps.dtype) * cell
-    grid = (2 * pixels.to(maps.dtype) / extent - 1)[:, :, None]
-    return functional.grid_sample(maps, grid, align_corners=False)[..., 0].transpose(1, 2)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from acquisition.scenes.misplaced import misplaced
 from reconstruction.metrics.depth import abs_rel
@@ -60,11 +59,10 @@ def recorded_views(folder: Path) -> ScoredViews:
     return ScoredViews("development", clip, recording.rig.only(ids))
 
 
-def scores(network: Msdi, scored: Sequence[ScoredViews], progress: Progress = silent) -> dict[str, float]:
+def scores(network: Msdi, scored: Sequence[ScoredViews]) -> dict[str, float]:
     """Return means over each kind of view: see `score`; the keys begin with the kind."""
     found: dict[str, list[float]] = {}
-    for number, one in enumerate(scored):
-        progress(number / len(scored), f"scoring {one.name}")
+    for one in scored:
         for name, value in score(network, one.clip, one.nominal).items():
             found.setdefault(f"{one.name}_{name}", []).append(value)
     return {name: float(np.mean(values)) for name, values in found.items()}

@@ -6,7 +6,7 @@ import torch
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from reconstruction.metrics.depth import abs_rel, delta_1_25
-from reconstruction.metrics.image import psnr_db, ssim, ssim_map
+from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 
 
 def image(seed=0, shape=(40, 56)):
@@ -20,7 +20,7 @@ def test_psnr_of_a_known_error():
 
 def test_equal_images_have_infinite_psnr_and_ssim_one():
     assert psnr_db(image(), image(), 0.6) == math.inf
-    assert ssim(image(), image(), 0.6) == pytest.approx(1.0, abs=1e-6)
+    assert mean_over(ssim_map(image(), image(), 0.6), None) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_mask_leaves_the_rest_out():
@@ -51,7 +51,7 @@ def test_ssim_is_the_published_one_away_from_the_border():
     a, b = image(1, (24, 30)), image(2, (24, 30))
     mask = np.zeros((24, 30), bool)
     mask[5:-5, 5:-5] = True
-    assert ssim(a, b, 0.6, mask) == pytest.approx(ssim_by_definition(a, b, 0.6), abs=1e-9)
+    assert mean_over(ssim_map(a, b, 0.6), mask) == pytest.approx(ssim_by_definition(a, b, 0.6), abs=1e-9)
 
 
 def test_ssim_is_that_of_torchmetrics_up_to_the_border():

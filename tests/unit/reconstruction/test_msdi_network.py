@@ -4,7 +4,7 @@ import torch
 
 from acquisition.scenes.multiview import random_rig
 from reconstruction.networks.msdi.depth import STEPS, likeliest
-from reconstruction.networks.msdi.features import channels, evened, keypoints, patch_centers, sampled
+from reconstruction.networks.msdi.features import channels, evened, keypoints, patch_centers
 from reconstruction.networks.msdi.inference import full_size
 from reconstruction.networks.msdi.matching import FLOOR_PX, moments, window_cells
 from reconstruction.networks.msdi.network import small_msdi
@@ -121,13 +121,6 @@ def test_keypoints_lie_in_their_patches_and_on_corners():
     centers = patch_centers((48, 32))
     assert (found - centers).abs().max() <= 4
     assert torch.allclose(found[1 * 6 + 2], torch.tensor([20.0, 12.0]), atol=2)
-
-
-def test_samples_are_taken_at_continuous_pixels():
-    ramp = torch.arange(12.0)[None, None, None].expand(1, 1, 8, 12) + 0.5  # the value at x is x
-    at = torch.tensor([[[3.0, 2.0], [7.25, 5.5]]])
-    assert torch.allclose(sampled(ramp, at, 1)[0, :, 0], at[0, :, 0], atol=1e-5)
-    assert torch.allclose(sampled(ramp, 2 * at, 2)[0, :, 0], at[0, :, 0], atol=1e-5)
 
 
 def test_windows_lie_about_the_middle_of_their_token():

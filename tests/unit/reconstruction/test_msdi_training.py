@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from reconstruction.errors import BadRunError
 from reconstruction.networks.msdi.depth import STEPS, Swept
-from reconstruction.networks.msdi.features import keypoints, sampled
+from reconstruction.networks.msdi.features import keypoints
 from reconstruction.networks.msdi.network import small_msdi
 from reconstruction.networks.msdi.views import Views, inverse_depths
 from reconstruction.networks.train import main
@@ -47,6 +47,12 @@ def folder(tmp_path_factory):
 def training(out, folder, **settings):
     wanted = {"name": "small", "steps": 4, "score_every": 2, "image_from": 0, "pose_from": 0} | settings
     return MsdiTraining(out, MsdiConfig(**wanted), folder, "cpu", {})
+
+
+def sampled(maps, pixels):
+    """Sample `maps` [V, C, H, W] at `pixels` [V, N, 2], bilinearly, to [V, N, C]; 0 outside."""
+    grid = (2 * pixels.to(maps.dtype) / torch.tensor([maps.shape[3], maps.shape[2]]) - 1)[:, :, None]
+    return torch.nn.functional.grid_sample(maps, grid, align_corners=False)[..., 0].transpose(1, 2)
 
 
 def no_score(module):
@@ -99,12 +105,12 @@ def test_true_correspondences_look_alike_however_the_sample_was_turned(folder):
         pixels = keypoints(sample.maps)
         seen, tokens = correspondences(sample.depth, sample.true, pixels)
         light = sample.light / sample.light.mean()
-        here = sampled(light, pixels, 1)[..., 0]
+        here = sampled(light, pixels)[..., 0]
         for v in range(len(pixels)):
             for w in range(len(pixels)):
                 kept = tokens[v, :, w] >= 0
                 if v != w and kept.sum() > 5:
-                    there = sampled(light[w : w + 1], seen[None, v, :, w], 1)[0, :, 0]
+                    there = sampled(light[w : w + 1], seen[None, v, :, w])[0, :, 0]
                     alike.append(float(torch.corrcoef(torch.stack([here[v][kept], there[kept]]))[0, 1]))
                 assert v != w or (tokens[v, :, w] == IGNORED).all()
     assert np.mean(alike) > 0.8
