@@ -11,7 +11,6 @@ from types import MappingProxyType
 
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.reader import Recording
-from reconstruction.errors import GeometryError
 from reconstruction.initialization.geometry import Geometry, Images
 
 MSDI_SHARE = 0.7  # share of MSDI itself in the time that MSDI with bundle adjustment takes
@@ -36,10 +35,7 @@ def msdi_alone(recording: Recording, views: Sequence[str], progress: Progress = 
     from reconstruction.initialization.msdi import initialise as look
 
     middle = recording.rig.clock.instant_s(recording.planes // 2)
-    found = look({view: recording.stream(view) for view in views}, recording.rig, middle, progress)
-    if "refused" in found.report:
-        raise GeometryError(f"msdi: {found.report['refused']}")
-    return found
+    return look({view: recording.stream(view) for view in views}, recording.rig, middle, progress)
 
 
 def _sweep(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:

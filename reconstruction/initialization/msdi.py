@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.calibration.calibrated import displacement
-from reconstruction.errors import BadRunError
+from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.initialization.geometry import FEWEST_VIEWS, Geometry
 from reconstruction.initialization.sweep import DepthMap, agreed, back_project
 from reconstruction.networks.image_networks import MOST_GROUP
@@ -45,9 +45,9 @@ def initialise(
     """Find cameras, points and images of the views in `streams` (camera id to stream) at `instant_s` on the rig clock.
 
     `rig` is the nominal one; its cameras without a stream keep their nominal pose and get the focal factor found. A
-    dark view keeps its nominal pose, too, and has no points. Where the poses found cannot be trusted, the rig is the
-    nominal one, there are no points, and the report says why. Raises BadRunError for views that are not 3 to 9, not of
-    the rig or of several sizes, and BadRecordingError for an instant outside a clip.
+    dark view keeps its nominal pose, too, and has no points. Raises GeometryError where the poses found are not to be
+    trusted, BadRunError for views that are not 3 to 9, not of the rig or of several sizes, and BadRecordingError for an
+    instant outside a clip.
     """
     plane = rig.clock.plane(instant_s)
     _check(streams, rig)
@@ -55,8 +55,7 @@ def initialise(
     seeing = [name for name, count in spikes.items() if count >= FEWEST_SPIKES]
     report: dict[str, object] = {"method": "msdi", "plane": plane, "dark": [c for c in spikes if c not in seeing]}
     if len(seeing) < FEWEST_VIEWS:
-        reason = f"found {len(seeing)} views with light, expected {FEWEST_VIEWS}; the nominal rig stands"
-        return Geometry(rig, report=report | {"refused": reason})
+        raise GeometryError(f"found {len(seeing)} views with light", f"{FEWEST_VIEWS}", where="msdi")
     nominal = rig.only(seeing)
     inferred = infer_views(trained_msdi(weights), [streams[name] for name in seeing], nominal, plane, progress)
     images = dict(zip(seeing, inferred.light, strict=True))
@@ -66,9 +65,7 @@ def initialise(
     found = inferred.views.to_rig(nominal, inferred.factor)
     similarity = align(found, nominal)
     moved = similarity.carry_rig(found)
-    refused = _refused(matches, fits, moved, nominal)
-    if refused:
-        return Geometry(rig, images=images, report=report | {"refused": refused})
+    _refuse_unsure(matches, fits, moved, nominal)
     points, confidence = _points(inferred, moved, similarity.scale)
     return Geometry(_completed(rig, moved), points, confidence, images, report)
 
@@ -96,21 +93,20 @@ def _counted(inferred: Inferred) -> tuple[int, NDArray[np.int64]]:
     return int(used.sum()), inferred.solved.adjusted.fits.numpy().sum(axis=1)
 
 
-def _refused(matches: int, fits: NDArray[np.int64], moved: Rig, nominal: Rig) -> str | None:
-    """Return why the poses found are not to be trusted, if they are not."""
+def _refuse_unsure(matches: int, fits: NDArray[np.int64], moved: Rig, nominal: Rig) -> None:
     share = fits.sum() / max(1, matches)
     if share < FEWEST_SHARE:
-        return f"found {share:.0%} of the correspondences to agree, expected {FEWEST_SHARE:.0%}"
+        raise GeometryError(f"found {share:.0%} of the correspondences to agree", f"{FEWEST_SHARE:.0%}", where="msdi")
     counts = fits.sum(axis=1) + fits.sum(axis=0)
     for camera, before, count in zip(moved.cameras, nominal.cameras, counts, strict=True):
+        where = f"msdi, {camera.id}"
         if count < FEWEST_FITS:
-            return f"{camera.id}: found {count} correspondences that agree, expected {FEWEST_FITS}"
+            raise GeometryError(f"found {count} correspondences that agree", f"{FEWEST_FITS}", where=where)
         turn_deg = displacement(camera, before).turn_deg
         if turn_deg > MOST_TURN_DEG:
-            return f"{camera.id}: found a turn of {turn_deg:.1f} degrees from the nominal rig"
+            raise GeometryError(f"found a turn of {turn_deg:.1f} degrees from the nominal rig", where=where)
         if abs(camera.fx / before.fx - 1) > MOST_FOCAL:
-            return f"found the focal length {camera.fx:.1f} px, expected {before.fx:.1f} to 5 %"
-    return None
+            raise GeometryError(f"found the focal length {camera.fx:.1f} px", f"{before.fx:.1f} to 5 %", where=where)
 
 
 def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

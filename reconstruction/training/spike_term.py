@@ -46,25 +46,18 @@ class SpikeTerm:
         window = round(math.exp(rng.uniform(low, high)))
         first = begin + int(rng.integers(end - begin - window + 1))
         nodes = min(MOST_NODES, math.ceil(window / PLANES_A_NODE))
-        if self.loss is None:
-            return self._running_totals(cloud, view, part, (first, window // nodes, nodes))
-        seen = self.image.over(cloud, view, part.camera, (first, window, nodes))
-        rate = torch.from_numpy(part.counts(view, first, first + window) / np.float32(window))
-        good = torch.from_numpy(part.good)
-        spikes = self.loss(seen.intensity[..., 0][good], rate[good], window).mean()
-        return spikes / self.image.white + self.image.solid * (1 - seen.alpha).mean()
-
-    def _running_totals(
-        self, cloud: DynamicCloud, view: TrainingView, part: Part, span: tuple[int, int, int]
-    ) -> Tensor:
-        first, length, parts = span
+        parts = 1 if self.loss else nodes
+        length, good = window // parts, torch.from_numpy(part.good)
         starts = [first + i * length for i in range(parts)]
-        renders = [self.image.over(cloud, view, part.camera, (start, length, 1)) for start in starts]
-        counts = np.stack([part.counts(view, start, start + length) for start in starts])
-        light, good = torch.stack([r.intensity[..., 0] for r in renders]), torch.from_numpy(part.good)
-        loss = cumulative_loss(light[:, good], torch.from_numpy(counts)[:, good], length)
+        renders = [self.image.over(cloud, view, part.camera, (start, length, nodes // parts)) for start in starts]
+        light = torch.stack([r.intensity[..., 0] for r in renders])[:, good]
+        counts = torch.from_numpy(np.stack([part.counts(view, start, start + length) for start in starts]))[:, good]
+        if self.loss:
+            spikes = self.loss(light[0], counts[0] / length, length).mean()
+        else:
+            spikes = cumulative_loss(light, counts, length)
         alpha = torch.stack([r.alpha for r in renders])
-        return loss / self.image.white + self.image.solid * (1 - alpha).mean()
+        return spikes / self.image.white + self.image.solid * (1 - alpha).mean()
 
 
 @dataclass(frozen=True, eq=False)
