@@ -15,20 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
-from acquisition.progress import Progress
+from acquisition.progress import Progress, silent
+from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
+from acquisition.scenes.boards import charuco
 from acquisition.scenes.misplaced import misplaced
 from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, means, measure_parts, named
-from reconstruction.bench.pose_methods import BOARD, DATE, METHODS
+from reconstruction.calibration.board_spec import parse_board
+from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.natural import gather, solve
 from reconstruction.errors import ReconstructionError
+from reconstruction.images.catalogue import method
 from reconstruction.initialization.geometry import Geometry
+from reconstruction.initialization.initialisers import INITIALISERS, InitOptions, msdi_alone
+from reconstruction.initialization.sfm import sfm
 from reconstruction.initialization.sweep import SweepOptions, depth_range_m
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.points_stage import swept_maps
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 
+DATE = "2026-01-01"  # date written into the rigs found, which nobody keeps
+BOARD = "board"  # the method that sees another recording
+BOARD_SCENE, BOARD_TICKS = "board_charuco_moving", 2000
 ERROR = 2.0  # usual error of the nominal rig, in degrees, cm and percent of the focal length
 ERRORS = (0.0, 1.0, 3.0, 5.0)
 ORDER = (HOLDOUT, *VIEWS)
@@ -42,6 +51,36 @@ CLOSE = 0.01  # relative error up to which a depth counts as complete
 MOST_POINTS = 20000  # points of a method's own that are scored
 WRONG = 0.5  # relative error at most, of a point behind a camera, say
 Rows = Callable[[], list[dict]]
+Run = Callable[[Recording, Sequence[str], int | None], Geometry]  # of a recording, views, and most planes (None: all)
+
+
+def _colmap(name: str) -> Run:
+    """Return COLMAP from scratch on the images of the middle of the clip by the method `name`."""
+    return lambda recording, views, _: sfm(
+        recording.rig, {view: method(name)(recording.stream(view), recording.planes // 2).intensity for view in views}
+    )
+
+
+def _by(name: str) -> Run:
+    """Return one of the initialisers that a run may choose."""
+    return lambda recording, views, planes: INITIALISERS[name](recording, views, InitOptions(planes=planes), silent)
+
+
+def _board(recording: Recording, views: Sequence[str], planes: int | None) -> Geometry:
+    found = calibrate_board(recording, parse_board(charuco().spec), DATE)
+    return Geometry(found.rig, report=found.report)
+
+
+METHODS: dict[str, Run] = {
+    "nominal": _by("sweep"),
+    "tfi+colmap": _colmap("tfi"),
+    "msdi-image+colmap": _colmap("msdi"),
+    "long+colmap": _by("sfm"),
+    "natural": _by("natural"),
+    "msdi": lambda recording, views, _: msdi_alone(recording, views),
+    "msdi+ba": _by("msdi"),
+    BOARD: _board,
+}
 
 
 @dataclass(frozen=True)

@@ -54,10 +54,6 @@ class Plan:
     init: str = "sweep"
     refine: bool = False
 
-    def decision(self, about: str) -> Decision | None:
-        """Return the decision about something; None where there is none."""
-        return next((d for d in self.decisions if d.about == about), None)
-
     def amended(self, amendment: Amendment) -> Plan:
         """Return the plan with the amendment's decision in place of the one about the same thing, and its changes."""
         kept = tuple(d for d in self.decisions if d.about != amendment.decision.about)

@@ -81,8 +81,7 @@ def _pixels(asked: Asked) -> BenchDocument:
 
 def _poses(asked: Asked) -> BenchDocument:
     from reconstruction.bench.conventions import KnownRecording
-    from reconstruction.bench.pose_methods import BOARD_SCENE, BOARD_TICKS
-    from reconstruction.bench.poses import bench_poses
+    from reconstruction.bench.poses import BOARD_SCENE, BOARD_TICKS, bench_poses
 
     work, quick = asked.work, asked.quick
     clips = [KnownRecording(*found) for found in recorded(asked.named(EVALUATION), work)]

@@ -13,8 +13,7 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.bench.conventions import KnownRecording
-from reconstruction.bench.pose_methods import BOARD, METHODS
-from reconstruction.bench.poses import Sight, bench_poses, measured
+from reconstruction.bench.poses import BOARD, METHODS, Sight, bench_poses, measured
 from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.evaluation.evaluate import held_out_camera
 from reconstruction.initialization.initialisers import INITIALISERS, InitOptions

@@ -91,7 +91,7 @@ def test_what_moves_after_all_is_not_held_in_depth(small_recording, blind, whole
 def test_what_moves_is_found_and_the_plan_says_so(whole):
     plan = RunFolder.open(whole.path).plan
     assert plan.model == "linear"
-    watch = plan.decision("watch")
+    watch = next(d for d in plan.decisions if d.about == "watch")
     assert watch is not None
     assert watch.facts["pixels"] > 0
     assert "move after all" in watch.choice

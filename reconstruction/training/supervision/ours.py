@@ -27,7 +27,7 @@ def _count_term(image: ImageTerm, sampling: SpikeSampling, name: str) -> Term[Dy
 
 
 def _image_variation_term(image: ImageTerm, _: SpikeSampling) -> Term[DynamicCloud]:
-    from reconstruction.training.variation_term import ImageVariationTerm
+    from reconstruction.training.image_term import ImageVariationTerm
 
     return ImageVariationTerm(image)
 

@@ -23,10 +23,9 @@ from reconstruction.run.configuration import SUPERVISIONS
 from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.training import image_term, spike_term
 from reconstruction.training.exposure import FROM, Exposure
-from reconstruction.training.image_term import ImageTerm
+from reconstruction.training.image_term import ImageTerm, ImageVariationTerm
 from reconstruction.training.spike_term import SpikeTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
-from reconstruction.training.variation_term import ImageVariationTerm
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 from rigs.clock import RigClock
