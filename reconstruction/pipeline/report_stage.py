@@ -22,9 +22,9 @@ from reconstruction.pipeline.trained_scene import scene_of
 from reconstruction.report.curve import draw_curve
 from reconstruction.report.display import depth_span_m, grey
 from reconstruction.report.html import embed, report_html
-from reconstruction.report.orbit import write_orbit
 from reconstruction.report.pictures import depth_colours, difference, encode_png, write_png
 from reconstruction.report.table import score_table
+from reconstruction.report.video import write_orbit
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud, model_from_state

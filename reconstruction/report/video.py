@@ -1,16 +1,62 @@
-"""Writes pictures as an H.264 video, whole or not at all."""
+"""Videos in H.264, and the fly-through: the camera circles inside the array's opening while the clip plays."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import av
 import numpy as np
 
 from acquisition.durable import made_aside
-from reconstruction.report.display import Pixels
+from acquisition.progress import Progress
+from reconstruction.report.display import Pixels, depth_span_m, grey
+from reconstruction.report.pictures import depth_colours
+from reconstruction.scene_model import SceneModel
+from rigs.camera import Camera
+from rigs.rig import Rig
+from rigs.transform import Transform
 
 RATE_HZ = 24  # pictures a second
 VIDEO = {"preset": "veryfast", "crf": "18", "movflags": "+faststart"}  # half of the default preset's time, as good
+FRAMES = 120  # of the fly-through
+SHARE = 0.8  # share of the array's half width, so that the circle lies inside what the cameras saw
+
+
+def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRAMES) -> Iterator[Camera]:
+    """Yield cameras on an ellipse around `centre`, in its image plane, that look at a point `distance_m` ahead."""
+    world_from_centre = centre.cam_from_rig.inverse()
+    spots = centre.cam_from_rig.apply(np.stack([c.center for c in rig.cameras]))
+    radius = SHARE * np.abs(spots).max(axis=0)
+    target = world_from_centre.apply([0, 0, distance_m])
+    down = world_from_centre.rotation[:, 1]
+    for i in range(frames):
+        angle = 2 * math.pi * i / frames
+        spot = world_from_centre.apply([radius[0] * math.cos(angle), radius[1] * math.sin(angle), 0])
+        yield replace(centre, cam_from_rig=Transform.looking_at(spot, target, down))
+
+
+def write_orbit(
+    path: Path, cloud: SceneModel, rig: Rig, centre: Camera, white: float, progress: Progress, *, frames: int = FRAMES
+) -> None:
+    """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle."""
+    clip = cloud.clip
+    near, far = depth_span_m(cloud.look(centre, clip.middle_s).depth)
+    distance = 2 / (1 / near + 1 / far)
+
+    def pictures() -> Iterator[Pixels]:
+        for i, camera in enumerate(orbit_cameras(rig, centre, distance, frames)):
+            view = cloud.look(camera, clip.instant_s(i / max(1, frames - 1)))
+            yield side_by_side(grey(view.intensity, white), depth_colours(view.depth, near, far))
+            progress((i + 1) / frames, f"orbit frame {i + 1} of {frames}")
+
+    write_video(path, (4 * (centre.width // 2), centre.height), pictures())
+
+
+def side_by_side(left: Pixels, right: Pixels) -> Pixels:
+    """Return grey [H, W] beside BGR [H, W, 3], each of an even width, as BGR."""
+    width = 2 * (left.shape[1] // 2)
+    return np.hstack([np.repeat(left[:, :width, None], 3, axis=2), right[:, :width]])
 
 
 def write_video(path: Path, size: tuple[int, int], pictures: Iterable[Pixels]) -> None:

@@ -10,12 +10,12 @@ from reconstruction.report.display import Pixels, grey
 
 def write_video(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
     """Write grey pictures from the camera chosen; without one the report's orbit, with depth beside the picture."""
-    from reconstruction.report import orbit, video
+    from reconstruction.report import video
 
     camera = scene.camera(choices)
     if choices.camera is None:
-        frames = choices.frames or orbit.FRAMES
-        orbit.write_orbit(path, scene.cloud, scene.rig, camera, scene.white, progress, frames=frames)
+        frames = choices.frames or video.FRAMES
+        video.write_orbit(path, scene.cloud, scene.rig, camera, scene.white, progress, frames=frames)
         return {}
 
     def pictures() -> Iterator[Pixels]:
