@@ -93,25 +93,18 @@ class OpenCameras:
     scene: Scene | None = None
 
 
-@dataclass(frozen=True)
-class Replay:
-    """Cameras that send again what the recording in `path` holds."""
-
-    path: Path
-
-
-Devices = Simulation | Replay | None
+Devices = Simulation | Path | None  # simulated cameras, a recording that is sent again, or those on USB
 
 
 def parse_devices(uri: str) -> Devices:
-    """Return None for `usb:`, a Simulation for `mock:SCENE?field=value&...`, a Replay for `replay:REC`.
+    """Return None for `usb:`, a Simulation for `mock:SCENE?field=value&...`, the folder REC for `replay:REC`.
 
     Raises CameraSetupError for all else.
     """
     if uri == "usb:":
         return None
     if uri.startswith("replay:") and uri != "replay:":
-        return Replay(Path(uri.removeprefix("replay:")))
+        return Path(uri.removeprefix("replay:"))
     parts = urlsplit(uri)
     if parts.scheme != "mock":
         raise CameraSetupError(f"found the devices {uri!r}", "usb: or mock:SCENE, or replay:REC")
@@ -160,8 +153,8 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
             yield OpenCameras(cameras, box or SoftwareTrigger(cameras))
         return
     rig = replace(rig, cameras=tuple(replace(c, serial=c.serial or c.id) for c in rig.cameras))
-    if isinstance(devices, Replay):
-        scene, models = None, _replayed(rig, Recording.open(devices.path))
+    if isinstance(devices, Path):
+        scene, models = None, _replayed(rig, Recording.open(devices))
     else:
         scene = build_scene(devices.scene, devices.seed)
         models = _models(devices.built(rig), scene, devices, planes)

@@ -1,7 +1,7 @@
 """Notes which blocks of a stream are on the disk, a line a block, so that a crash leaves no doubt about the file.
 
 A line is JSON: `{"block": 3, "planes": 80, "xxh3": "..."}` once all bytes of the block were written,
-`{"gap": [first plane, planes, layer]}` before the block in which the gap ends, `{"skew_s": ...}` once.
+`{"gap": [first plane, planes, layer]}` before the block in which the gap ends; older ones have `{"skew_s": ...}`.
 
 Neither the journal nor a `.dat` is flushed (fsync) while it grows: that would stall all writers, and a recorder that is
 killed loses nothing by it. When the machine itself goes down, lines may be there without their bytes, or bytes without

@@ -27,7 +27,6 @@ class StreamWriter:
         self.damage: str | None = None  # what `entry` found on reading back
         self.clock: dict[str, Any] | None = None  # what sync pulses told of the camera's clock
         self.device: dict[str, Any] | None = None  # what the camera said of itself
-        self._skew_s: float | None = None
         self._unlisted = 0  # planes behind the end of a file that could not be stretched
         self._closed = False
         space, self._block_bytes = space or StreamSpace(), self.block_planes * layout.plane_bytes
@@ -55,11 +54,6 @@ class StreamWriter:
     def refusing(self) -> Layer:
         """The layer that loses planes when the ring takes none."""
         return "disk" if self.failure else "ring"
-
-    def note_skew(self, skew_s: float) -> None:
-        """Note how far the first plane was from the trigger."""
-        self._skew_s = skew_s
-        self.disk.journal.promise(0, {"skew_s": skew_s})
 
     def offer(self, packed: NDArray[np.uint8]) -> bool:
         """Take planes [n, B] without waiting; False, and nothing is taken, where the ring has no room for them all."""
@@ -121,14 +115,14 @@ class StreamWriter:
         changed = [n for n, pair in enumerate(zip(digests, found, strict=False)) if pair[0] != pair[1]]
         if changed:
             self.damage = f"{self.path.name}: block {changed[0]} does not read back as it was written"
-        clock = self.clock or {"skew_s": self._skew_s, "skew_sd_s": None}
+        clock = self.clock or {}
         return CameraFile(
             *(self.camera_id, self.path.name, self.layout, self.planes, 0, self.block_planes),
             block_digests=(*digests, *found[len(digests) :]),
             sha256=sha256,
             gaps=self.gaps,
-            skew_s=clock["skew_s"],
-            skew_sd_s=clock["skew_sd_s"],
+            skew_s=clock.get("skew_s"),
+            skew_sd_s=clock.get("skew_sd_s"),
             clock=self.clock,
             device=self.device,
         )

@@ -11,7 +11,6 @@ import numpy as np
 from acquisition.devices.protocol import Block
 from acquisition.devices.usb import UsbCamera
 from acquisition.errors import DeviceError
-from acquisition.recording.manifest import Trigger
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.session.backlog import Backlog, Held
 from acquisition.session.contact import Contact
@@ -36,7 +35,6 @@ class CaptureRules:
     """
 
     tick_rate_hz: float
-    trigger: Trigger
     waits: bool = False
     planes: int | None = None
     pre_planes: int | None = None
@@ -143,8 +141,6 @@ class Capture:
         if lost < 0 or lost > LONGEST_GAP_S * self._rules.tick_rate_hz:
             do = "its counter began anew or cannot be right, reconnect it"
             raise DeviceError(f"found plane {block.first_plane}", str(self.position), do, where=where)
-        if self.position == 0 and self._rules.trigger == "line":
-            self.writer.note_skew(block.device_time_ns * 1e-9 - block.first_plane / self._rules.tick_rate_hz)
         if not self.returned:
             self._stamped_until_s = block.device_time_ns * 1e-9
             if block.pulse_time_s is not None:

@@ -59,7 +59,7 @@ def record_session(
     Raises DeviceError naming the camera that does not arm, or the first to fail where none sent a plane.
     """
     rate_hz = recording.rig.tick_rate_hz
-    rules = CaptureRules(rate_hz, trigger.kind, waits, planes, pre_planes, rejoin_s, trigger.period_s)
+    rules = CaptureRules(rate_hz, waits, planes, pre_planes, rejoin_s, trigger.period_s)
     captures = [Capture(c, recording.stream(c.id, c.layout, planes), rules) for c in cameras]
     run = _Run(captures, rules, recording, control or Control())
     with ThreadPoolExecutor(len(captures)) as pool:

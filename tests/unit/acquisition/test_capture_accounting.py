@@ -104,7 +104,7 @@ def test_offered_is_written_and_dropped_exactly(steps, takes, pre_planes, save, 
         began.append(first)
 
     camera = Camera(steps, None if pre_planes is None else save, begin)
-    capture = Capture(camera, ring, CaptureRules(RATE_HZ, "software", pre_planes=pre_planes))
+    capture = Capture(camera, ring, CaptureRules(RATE_HZ, pre_planes=pre_planes))
     if pre_planes is None:
         begin()
     capture.run(threading.Event())
