@@ -187,15 +187,9 @@ class MockBackend(IBackend):
             answer = model.control(bmRequestType, bRequest, wValue, bytes(data))
         except StallError as error:
             raise pipe_stalled() from error
-        return _put(answer, data) if bmRequestType & usb.util.CTRL_IN else len(data)
+        data[: len(answer)] = array.array("B", answer[: len(data)])
+        return len(answer[: len(data)]) if bmRequestType & usb.util.CTRL_IN else len(data)
 
     def reset_device(self, dev_handle: Port) -> None:
         """Have the camera begin anew, at the same address."""
         dev_handle.require().power_up()
-
-
-def _put(data: bytes | memoryview, buffer: array.array) -> int:
-    taken = data[: len(buffer)]
-    with memoryview(buffer) as view:
-        view[: len(taken)] = taken
-    return len(taken)

@@ -7,29 +7,21 @@ from rigs.camera import Camera
 from rigs.errors import RigError
 from rigs.exchange.colmap import load_model
 from rigs.exchange.nerfstudio import Size, load_transforms
-from rigs.rig import Calibration, Poses, Rig
+from rigs.rig import Rig
 from rigs.toml import GRID_ID, load_rig, refuse_holes
 
 
-def load_cameras(
-    path: Path,
-    tick_rate_hz: float,
-    *,
-    size: Size | None = None,
-    ids: Sequence[str] | None = None,
-    poses: Poses = "calibrated",
-    name: str | None = None,
-) -> Rig:
+def load_cameras(path: Path, tick_rate_hz: float, *, size: Size | None = None, ids: Sequence[str] | None = None) -> Rig:
     """Read a rig from a `transforms.json`, a COLMAP model folder or a `RIG.toml`.
 
     A `RIG.toml` keeps its own name and poses flag. Cameras come in row-major order where all are named camRC. `size`
     (width, height) is the pictures' size, `ids` the cameras there must be, no more and no less. Raises RigError naming
     the file and the camera that does not fit.
     """
-    calibration: Calibration | None = None
+    name, poses, calibration = path.stem, "calibrated", None
     if path.suffix == ".toml":
         rig = load_rig(path)
-        cameras, poses, name, calibration = rig.cameras, rig.poses, name or rig.name, rig.calibration
+        cameras, poses, name, calibration = rig.cameras, rig.poses, rig.name, rig.calibration
     elif path.is_dir():
         cameras = load_model(path)
     elif path.suffix == ".json":
@@ -42,7 +34,7 @@ def load_cameras(
             raise RigError(found, f"{size[0]}x{size[1]}", do, where=f"{path}: {camera.id}")
     cameras = _in_order(cameras, path, ids)
     with RigError.located(path):
-        return Rig(name or path.stem, tick_rate_hz, cameras, poses, calibration)
+        return Rig(name, tick_rate_hz, cameras, poses, calibration)
 
 
 def _in_order(cameras: tuple[Camera, ...], path: Path, ids: Sequence[str] | None) -> tuple[Camera, ...]:

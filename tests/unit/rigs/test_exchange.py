@@ -174,7 +174,6 @@ def test_every_format_gives_the_same_rig(tmp_path):
         rig = load_cameras(tmp_path / name, 40000, size=(400, 250), ids=LAB.ids)
         assert_same_cameras(rig.cameras, LAB.cameras)
         assert (rig.tick_rate_hz, rig.poses, rig.name) == (40000, poses, name.split(".")[0])
-    assert load_cameras(tmp_path / "model", 40000, poses="nominal", name="attic").poses == "nominal"
 
 
 def test_cameras_that_do_not_fit_the_streams_are_named(tmp_path):
