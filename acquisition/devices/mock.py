@@ -187,8 +187,9 @@ class MockBackend(IBackend):
             answer = model.control(bmRequestType, bRequest, wValue, bytes(data))
         except StallError as error:
             raise pipe_stalled() from error
-        data[: len(answer)] = array.array("B", answer[: len(data)])
-        return len(answer[: len(data)]) if bmRequestType & usb.util.CTRL_IN else len(data)
+        taken = array.array("B", answer[: len(data)])
+        data[: len(taken)] = taken
+        return len(taken) if bmRequestType & usb.util.CTRL_IN else len(data)
 
     def reset_device(self, dev_handle: Port) -> None:
         """Have the camera begin anew, at the same address."""
