@@ -84,8 +84,7 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
 
     def prioritise(self, job_id: str, priority: int) -> Job:
         """Move a queued job forward (a lower number) or back."""
-        body = PriorityRequest(priority=priority).model_dump()
-        return Job.model_validate_json(self._send("PUT", f"/jobs/{job_id}/priority", json=body).content)
+        return self._ask(Job, "PUT", f"/jobs/{job_id}/priority", json=PriorityRequest(priority=priority).model_dump())
 
     def delete_job(self, job_id: str) -> None:
         """Delete an ended job and its results."""

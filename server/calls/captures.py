@@ -77,9 +77,7 @@ class CaptureCalls(Transport):
     def append(self, upload_id: str, data: bytes, offset: int) -> Upload:
         """Send a piece of an upload."""
         headers = {"Upload-Offset": str(offset)}
-        return Upload.model_validate_json(
-            self._send("PATCH", f"/uploads/{upload_id}", content=data, headers=headers).content
-        )
+        return self._ask(Upload, "PATCH", f"/uploads/{upload_id}", content=data, headers=headers)
 
     def commit_upload(self, upload_id: str) -> Upload:
         """Finish an upload; the service takes a while to read a long one."""

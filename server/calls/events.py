@@ -33,8 +33,7 @@ class EventCalls(Transport):
 
     def add_webhook(self, url: str, statuses: Sequence[str] = ENDED) -> NewWebhook:
         """Have an address told; only the answer holds the secret."""
-        body = {"url": url, "statuses": list(statuses)}
-        return NewWebhook.model_validate_json(self._send("POST", "/webhooks", json=body).content)
+        return self._ask(NewWebhook, "POST", "/webhooks", json={"url": url, "statuses": list(statuses)})
 
     def webhooks(self) -> list[Webhook]:
         """List all webhooks."""

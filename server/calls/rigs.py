@@ -69,10 +69,8 @@ class RigCalls(Transport):
 
     def choose_calibration(self, seen: CurrentCalibration, choice: CalibrationChoice) -> CurrentCalibration:
         """Use another version or a rig file instead of the calibration `seen`; refused if that has changed since."""
-        headers = {"If-Match": tag(seen.rig, seen.revision)}
-        body = choice.model_dump(exclude_none=True)
-        answer = self._send("PUT", f"/rigs/{seen.rig}/calibration", json=body, headers=headers)
-        return CurrentCalibration.model_validate_json(answer.content)
+        body, headers = choice.model_dump(exclude_none=True), {"If-Match": tag(seen.rig, seen.revision)}
+        return self._ask(CurrentCalibration, "PUT", f"/rigs/{seen.rig}/calibration", json=body, headers=headers)
 
     def check_calibration(self, rig_id: str, capture_id: str) -> Job:
         """Queue a comparison of the current calibration with a capture."""

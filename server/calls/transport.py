@@ -49,15 +49,18 @@ class Transport:
         self._http.auth = Patience()
 
     def _send(self, method: str, path: str, **request: Any) -> httpx.Response:
-        return self._checked(self._http.send(self._http.build_request(method, f"/v1{path}", **request)))
+        return self._checked(self._http.request(method, f"/v1{path}", **request))
+
+    def _ask(self, model: type[_M], method: str, path: str, **request: Any) -> _M:
+        return model.model_validate_json(self._send(method, path, **request).content)
 
     def _get(self, path: str, model: type[_M], **parameters: str | int) -> _M:
-        return model.model_validate_json(self._send("GET", path, params=parameters).content)
+        return self._ask(model, "GET", path, params=parameters)
 
     def _post(self, path: str, model: type[_M], request: BaseModel | None = None, **options: Any) -> _M:
         body = None if request is None else request.model_dump(exclude_none=True)
         headers = {"Idempotency-Key": uuid.uuid4().hex}  # a transport may repeat a request that got no answer
-        return model.model_validate_json(self._send("POST", path, json=body, headers=headers, **options).content)
+        return self._ask(model, "POST", path, json=body, headers=headers, **options)
 
     @staticmethod
     def _checked(response: httpx.Response) -> httpx.Response:

@@ -20,8 +20,8 @@ from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, SCE
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from server.cli.operator import operator_control
-from server.cli.options import PATH, SIZE, json_option, load_named_rig, new_recording
-from server.cli.output import answer
+from server.cli.options import PATH, json_option, load_named_rig, new_recording, parse_size
+from server.cli.output import answer, warn
 from server.cli.progress import progress_of
 
 
@@ -55,7 +55,7 @@ _SCENES_HELP = "; ".join(
 @click.option("--scene", type=click.Choice(tuple(SCENES)), metavar="NAME", required=True, help=_SCENES_HELP)
 @click.option("--rig", default="lab3x3", show_default=True, help="RIG.toml, or a rig of the catalog.")
 @click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes from every camera.")
-@click.option("--size", type=SIZE, help="Pixels of every camera; the rig's intrinsics are scaled.")
+@click.option("--size", type=parse_size, metavar="WxH", help="Pixels of every camera; the rig's intrinsics are scaled.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
 @click.option(
@@ -66,11 +66,7 @@ _SCENES_HELP = "; ".join(
     help="Rays along a side of a pixel in each plane; the truth has 4.",
 )
 @click.option(
-    "--truth-every",
-    default=20,
-    show_default=True,
-    type=click.IntRange(min=1),
-    help="Planes between true frames.",
+    "--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="Planes between true frames."
 )
 @click.option(
     "--rig-error",
@@ -167,15 +163,10 @@ _FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, de
 
 @click.command("import", cls=ManyDats)
 @click.option("--dat", "dats", multiple=True, required=True, metavar="FILE...", help="In row order, or camRC=FILE.")
-@click.option(
-    "--cameras",
-    type=PATH,
-    required=True,
-    help="transforms.json, a COLMAP model folder, or RIG.toml.",
-)
+@click.option("--cameras", type=PATH, required=True, help="transforms.json, a COLMAP model folder, or RIG.toml.")
 @click.option("--tick-rate", "tick_rate_hz", type=float, required=True, help="Planes a second.")
 @click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal poses are estimated later.")
-@click.option("--size", type=SIZE, help="Pixels of every camera, if the cameras' file has none.")
+@click.option("--size", type=parse_size, metavar="WxH", help="Pixels of every camera, if the cameras' file has none.")
 @click.option("--spikecv", type=PATH, help="SpikeCV's config.yaml, which has the size.")
 @click.option("--format", type=click.Choice(FORMATS), default="vidar", show_default=True, help=_FORMATS_HELP)
 @click.option("--bit-order", type=click.Choice(["lsb", "msb"]), help="[default: lsb]")
@@ -199,7 +190,7 @@ def import_command(
         size = _size_of(spikecv, size, options["format"])
     chosen = ImportOptions(size=size, **options)
     found = functools.partial(_skews, tick_rate_hz=chosen.tick_rate_hz) if align else None
-    manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=_warn, align=found)
+    manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=warn, align=found)
     _print_recording(out, manifest, as_json)
 
 
@@ -227,16 +218,12 @@ def finalise_command(recording: Path, as_json: bool) -> None:
 
 
 def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) -> tuple[int, int]:
-    """Return the size (width, height) in pixels that a SpikeCV config.yaml states.
-
-    The file counts stored columns, but those of M1K40 as pixels.
-    """
+    """Return width and height in pixels of a config.yaml. It counts stored columns, but those of M1K40 as pixels."""
     width, height = read_size(spikecv)
     found = width - TRAILING_COLUMNS.get(source_format, 0), height
     if size and size != found:
-        raise BadRecordingError(
-            f"found {found[0]}x{found[1]} pixels", f"the --size {size[0]}x{size[1]}", "leave one out", where=spikecv
-        )
+        expected = f"the --size {size[0]}x{size[1]}"
+        raise BadRecordingError(f"found {found[0]}x{found[1]} pixels", expected, "leave one out", where=spikecv)
     return found
 
 
@@ -250,15 +237,11 @@ def _skews(streams: Mapping[str, Stream], tick_rate_hz: float) -> dict[str, tupl
     return skews
 
 
-def _warn(doubt: str) -> None:
-    click.echo(f"warning: {doubt}", err=True)
-
-
 def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
-    head = {"recording": str(out), "tick_rate_hz": manifest.tick_rate_hz}
-    document = {**head, "status": manifest.status, "reason": manifest.reason, "cameras": cameras}
+    facts = {name: getattr(manifest, name) for name in ("tick_rate_hz", "status", "reason")}
     lost = sum(sum(camera.drops.values()) for camera in manifest.cameras)
     planes = min(camera.planes for camera in manifest.cameras)
     line = f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
-    answer(document, f"{line}; incomplete: {manifest.reason}" if manifest.reason else line, as_json=as_json)
+    line += f"; incomplete: {manifest.reason}" if manifest.reason else ""
+    answer({"recording": str(out), **facts, "cameras": cameras}, line, as_json=as_json)

@@ -15,10 +15,8 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS
 from server.cli.bench_recordings import recorded, recording
 
 if TYPE_CHECKING:
-    from reconstruction.bench.conventions import KnownRecording
     from reconstruction.bench.paper.method import Protocol
     from reconstruction.bench.paper.run import Laboratory
-    from reconstruction.run.folder import RunFolder
 
 _PARSED_BYTES = 10_000_000_000
 QUICK_TICKS, QUICK_RIG = 120, "ci3x3"
@@ -107,7 +105,7 @@ def _recorder(asked: Asked) -> BenchDocument:
 def _training(asked: Asked) -> BenchDocument:
     from reconstruction.bench.training import bench_training
 
-    return bench_training(_training_protocol(asked), _training_runs(asked), asked.progress_of("training"))
+    return bench_training(_training_protocol(asked), _laboratory(asked, "training"), asked.progress_of("training"))
 
 
 def _draw_training(asked: Asked, out: Path, found: dict) -> None:
@@ -115,7 +113,7 @@ def _draw_training(asked: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.training import shown_cells
 
     _draw(asked, out, found)
-    runs = _training_runs(asked).runs(shown_cells(_training_protocol(asked)))
+    runs = _laboratory(asked, "training").runs(shown_cells(_training_protocol(asked)))
     write_sheet(out / "training-sheet.png", [run_tiles(clip, run) for clip, run in runs])
 
 
@@ -125,16 +123,6 @@ def _training_protocol(asked: Asked) -> Protocol:
 
     scenes = asked.named((*EVALUATION, *DEVELOPMENT)) if asked.scenes or asked.quick else None
     return training_protocol(scenes, quick=asked.quick)
-
-
-def _training_runs(asked: Asked) -> Laboratory:
-    """Return the folder in which the runs of the training bench are made and kept."""
-    from reconstruction.bench.paper.run import Laboratory
-
-    def recording_of(scene: str, seed: int) -> Path:
-        return recording(scene, seed, asked.work)
-
-    return Laboratory(asked.work / "training", recording_of, asked.progress_of, asked.keep)
 
 
 def _leave_out(asked: Asked) -> BenchDocument:
@@ -148,7 +136,7 @@ def _leave_out(asked: Asked) -> BenchDocument:
 def _paper(asked: Asked) -> BenchDocument:
     from reconstruction.bench.paper.bench import bench_paper, timer
 
-    return bench_paper(_protocol(asked), laboratory(asked), asked.progress_of("paper"), timer(asked.limit_s))
+    return bench_paper(_protocol(asked), _laboratory(asked, "paper"), asked.progress_of("paper"), timer(asked.limit_s))
 
 
 def _draw_paper(asked: Asked, out: Path, found: dict) -> None:
@@ -170,31 +158,25 @@ def _protocol(asked: Asked) -> Protocol:
 
 
 def _viewpoints(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.viewpoints import bench_viewpoints
-
-    return bench_viewpoints(_seen(asked), asked.progress_of("viewpoints"))
-
-
-def _seen(asked: Asked) -> list[tuple[KnownRecording, RunFolder]]:
-    """Return a recording of each scene and the run of it that `paper` makes at a minute; make those that lack."""
     from reconstruction.bench.paper.methods import AUTO
     from reconstruction.bench.paper.protocol import LONG, QUICK
+    from reconstruction.bench.viewpoints import bench_viewpoints
 
-    if asked.quick:
-        return laboratory(asked).runs(QUICK.cells()[:1])
-    return laboratory(asked).runs(AUTO.on(scene, LONG) for scene in asked.named(EVALUATION))
+    # The run of each scene that `paper` makes at a minute; those that lack are made.
+    cells = QUICK.cells()[:1] if asked.quick else [AUTO.on(scene, LONG) for scene in asked.named(EVALUATION)]
+    return bench_viewpoints(_laboratory(asked, "paper").runs(cells), asked.progress_of("viewpoints"))
 
 
-def laboratory(asked: Asked) -> Laboratory:
-    """Return the folder in which the runs of the paper's protocol are made and kept."""
+def _laboratory(asked: Asked, name: str) -> Laboratory:
+    """Return the folder in which the runs of the bench `name` are made and kept."""
     from reconstruction.bench.paper.run import Laboratory
 
     def recording_of(scene: str, seed: int) -> Path:
-        if asked.quick:
+        if asked.quick and name == "paper":
             return recording(scene, seed, asked.work / "paper" / "quick", QUICK_TICKS, QUICK_RIG)
         return recording(scene, seed, asked.work)
 
-    return Laboratory(asked.work / "paper", recording_of, asked.progress_of, asked.keep)
+    return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep)
 
 
 # In the order of `make bench`: viewpoints and leave-out use the runs of paper.

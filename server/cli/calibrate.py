@@ -19,6 +19,7 @@ from reconstruction.calibration.features import long_images
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.calibration.residual_picture import draw_residuals
 from reconstruction.images.pixels import PixelCalibration, estimate_pixels, write_pixels
+from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.toml import dump_rig, load_rig
 from server.cli.options import PATH, json_option
@@ -47,15 +48,14 @@ def calibrate_command(
     if out.exists():
         raise BadRecordingError("exists already", "a new file", "choose another --out", where=out)
     if pixels is not None:
-        calibrate_pixels(recording, pixels, out, as_json=as_json)
-        return
+        return _calibrate_pixels(recording, pixels, out, as_json)
     spec = None if natural else parse_board(board or "")
-    opened, progress = Recording.open(recording), progress_of("calibrate")
+    opened, today, progress = Recording.open(recording), datetime.date.today().isoformat(), progress_of("calibrate")
     if spec:
-        found = calibrate_board(opened, spec, _today(), progress)
+        found = calibrate_board(opened, spec, today, progress)
     else:
-        found = calibrate_natural(opened.rig, long_images(opened, opened.camera_ids), _today(), progress=progress)
-    write_calibrated(found, out)
+        found = calibrate_natural(opened.rig, long_images(opened, opened.camera_ids), today, progress=progress)
+    _write_calibrated(found, out)
     _print_calibrated(found, out, as_json)
 
 
@@ -63,12 +63,12 @@ def calibrate_command(
 @click.argument("recording", metavar="REC", type=PATH)
 @click.option("--rig", type=PATH, help="RIG.toml to compare with.  [default: that of REC]")
 @json_option
-@click.pass_context
-def check_rig_command(context: click.Context, recording: Path, rig: Path | None, as_json: bool) -> None:
+def check_rig_command(recording: Path, rig: Path | None, as_json: bool) -> None:
     """Find the cameras of REC anew from its scene, and compare them with its rig file; exit 1 if one has moved."""
     opened = Recording.open(recording)
     stored = load_rig(rig) if rig else opened.rig
-    today, checks = check_rig(stored, long_images(opened, opened.camera_ids), _today(), progress_of("check-rig"))
+    today = datetime.date.today().isoformat()
+    found, checks = check_rig(stored, long_images(opened, opened.camera_ids), today, progress_of("check-rig"))
     moved = [check.camera for check in checks if not check.fits]
     lines = [
         f"{check.camera}: {'fits' if check.fits else 'HAS MOVED'}: {check.turn_deg:.3f} degrees, "
@@ -77,12 +77,12 @@ def check_rig_command(context: click.Context, recording: Path, rig: Path | None,
     ]
     lines.append(f"found {', '.join(moved)} moved; calibrate the rig again" if moved else "the calibration still fits")
     rows = [dataclasses.asdict(check) for check in checks]
-    document = {"fits": not moved, "moved": moved, "cameras": rows, "found": today.report}
+    document = {"fits": not moved, "moved": moved, "cameras": rows, "found": found.report}
     answer(document, "\n".join(lines), as_json=as_json)
-    context.exit(1 if moved else 0)
+    raise SystemExit(1 if moved else 0)
 
 
-def write_calibrated(found: Calibrated, out: Path) -> None:
+def _write_calibrated(found: Calibrated, out: Path) -> None:
     """Write the rig file `out`, and beside it its cameras' pixel maps and a picture of the residuals."""
     out.parent.mkdir(parents=True, exist_ok=True)
     draw_residuals(_picture(out), found)
@@ -91,22 +91,22 @@ def write_calibrated(found: Calibrated, out: Path) -> None:
         if camera.pixels and camera.pixels.parent.resolve() != out.parent.resolve():
             maps[camera.id] = _pixel_map(out, camera.id)
             write_durably(maps[camera.id], camera.pixels.read_bytes())
-    write_durably(out, dump_rig(_with_pixels(found.rig, maps)))
+    _write_rig(found.rig, maps, out)
 
 
-def calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, *, as_json: bool) -> None:
+def _calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, as_json: bool) -> None:
     """Measure the pixels of the cameras of `recording` from a flat and a dark one; write the rig file `out`."""
     rig = Recording.open(recording).rig
     flat, dark = map(Recording.open, pixels)
     progress, found = progress_of("calibrate"), {}
     for number, camera in enumerate(rig.cameras):
         progress(number / len(rig.cameras), camera.id)
-        found[camera.id] = _estimate(camera.id, (camera.width, camera.height), flat, dark)
+        found[camera.id] = _estimate(camera, flat, dark)
     out.parent.mkdir(parents=True, exist_ok=True)
     maps = {camera_id: _pixel_map(out, camera_id) for camera_id in found}
     for camera_id, path in maps.items():
         write_pixels(path, found[camera_id])
-    write_durably(out, dump_rig(_with_pixels(rig, maps)))
+    _write_rig(rig, maps, out)
     progress(1.0, f"{len(found)} cameras")
     rows = {camera_id: _summary(calibration) for camera_id, calibration in found.items()}
     lines = [
@@ -117,13 +117,9 @@ def calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, *, a
     answer({"rig": str(out), "cameras": rows}, "\n".join(lines), as_json=as_json)
 
 
-def _today() -> str:
-    return datetime.date.today().isoformat()
-
-
-def _with_pixels(rig: Rig, maps: Mapping[str, Path]) -> Rig:
-    cameras = [dataclasses.replace(c, pixels=maps.get(c.id, c.pixels)) for c in rig.cameras]
-    return dataclasses.replace(rig, cameras=tuple(cameras))
+def _write_rig(rig: Rig, maps: Mapping[str, Path], out: Path) -> None:
+    cameras = tuple(dataclasses.replace(c, pixels=maps.get(c.id, c.pixels)) for c in rig.cameras)
+    write_durably(out, dump_rig(dataclasses.replace(rig, cameras=cameras)))
 
 
 def _pixel_map(out: Path, camera_id: str) -> Path:
@@ -158,22 +154,17 @@ def _print_calibrated(found: Calibrated, out: Path, as_json: bool) -> None:
     answer(report, "\n".join(lines), as_json=as_json)
 
 
-def _estimate(camera_id: str, size: tuple[int, int], flat: Recording, dark: Recording) -> PixelCalibration:
+def _estimate(camera: Camera, flat: Recording, dark: Recording) -> PixelCalibration:
     streams = []
     for recording in (flat, dark):
-        try:
-            streams.append(recording.stream(camera_id))
-        except BadRecordingError as error:
-            raise BadRecordingError.at(recording.path, error) from error
-    found = streams[0].layout.width, streams[0].layout.height
-    if found != size:
-        raise BadRecordingError(
-            f"{camera_id}: found {found[0]}x{found[1]} pixels", f"{size[0]}x{size[1]} as in REC", where=flat.path
-        )
-    try:
+        with BadRecordingError.located(recording.path):
+            streams.append(recording.stream(camera.id))
+    layout = streams[0].layout
+    if (layout.width, layout.height) != (camera.width, camera.height):
+        found = f"{camera.id}: found {layout.width}x{layout.height} pixels"
+        raise BadRecordingError(found, f"{camera.width}x{camera.height} as in REC", where=flat.path)
+    with BadRecordingError.located(camera.id):
         return estimate_pixels(*streams)
-    except BadRecordingError as error:
-        raise BadRecordingError.at(camera_id, error) from error
 
 
 def _summary(calibration: PixelCalibration) -> dict[str, float]:

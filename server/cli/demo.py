@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT
 from reconstruction.report.table import score_table
-from server.cli.options import PATH
+from server.cli.options import PATH, several
 from server.cli.output import columns
 from server.cli.progress import progress_of
 from server.errors import ServiceError
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 SCENE = f"mock:{DEVELOPMENT[0]}"
 HOLDOUT = "cam11"
 BUDGET_S = 90.0
-_CHOICES = ("model", "images", "init", "supervision")
 _POLL_S, _START_S, _STOP_S = 0.5, 60.0, 20.0
 _W = TypeVar("_W", Capture, Job)
 
@@ -47,12 +47,10 @@ class FolderError(ServiceError):
     exit_code = 2
 
 
-def _choices(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the choices of a reconstruction, as the service offers them."""
-    for name in reversed(_CHOICES):
-        names = click.Choice(ReconstructRequest.model_json_schema()["properties"][name]["enum"])
-        command = click.option(f"--{name}", type=names, default="auto", show_default=True)(command)
-    return command
+def _choice(name: str) -> Callable[[Any], Any]:
+    """Return an option for a choice of a reconstruction, as the service offers it."""
+    names = ReconstructRequest.model_json_schema()["properties"][name]["enum"]
+    return click.option(f"--{name}", type=click.Choice(names), default="auto", show_default=True)
 
 
 @click.command()
@@ -60,7 +58,7 @@ def _choices(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--ticks", type=click.IntRange(min=1), default=400, show_default=True, help="Planes to record.")
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint.  [default: {BUDGET_S:g}]")
 @click.option("--steps", type=click.IntRange(min=1), help="Training steps instead of a budget.")
-@_choices
+@several(*map(_choice, ("model", "images", "init", "supervision")))
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--rig-error", type=float, default=0.0, show_default=True, help="As in simulate.")
 def demo_command(
@@ -96,12 +94,12 @@ def _run(client: ServiceClient, ticks: int, options: dict[str, Any]) -> Job:
 
 def _follow(look: Callable[[], _W]) -> _W:
     """Show the progress of a capture or job until it is done. Raises DemoError with its message if it fails."""
-    shown, reporter = None, None
+    shown, reporter = (None, 1.0, ""), silent
     while True:
         found = look()
         if found.stage is not None and (found.stage, found.fraction, found.message) != shown:
-            if reporter is None or shown is None or found.stage != shown[0]:
-                if reporter is not None and shown is not None and shown[1] < 1:
+            if found.stage != shown[0]:
+                if shown[1] < 1:
                     reporter(1.0, shown[2])  # it ended between two looks
                 reporter = progress_of(found.stage)
             reporter(found.fraction, found.message)
@@ -151,12 +149,9 @@ def _await_worker(client: ServiceClient, log: Path) -> None:
 
 
 def _new_folder(out: Path | None) -> Path:
-    for folder in [out] if out is not None else (Path(f"runs/demo-{n}") for n in itertools.count(1)):
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError as error:
-            if out is not None:
-                raise FolderError(f"found {out}", "a new folder", "give another --out") from error
-        else:
-            return folder.absolute()
-    raise AssertionError("the count does not end")
+    """Make the folder `out`, or else the first runs/demo-N that is not there yet."""
+    if out is not None and out.exists():
+        raise FolderError(f"found {out}", "a new folder", "give another --out")
+    folder = out or next(path for n in itertools.count(1) if not (path := Path(f"runs/demo-{n}")).exists())
+    folder.mkdir(parents=True)
+    return folder.absolute()

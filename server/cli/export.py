@@ -23,13 +23,7 @@ from server.cli.progress import progress_of
 @click.option("--camera", help="For video and depth [default: video orbits; depth is the held-out or centre camera's].")
 @click.option("--overwrite", is_flag=True, help="Replace a file, or a folder that an export made.")
 def export_command(
-    run_folder: Path,
-    name: str,
-    out: Path,
-    at_s: float | None,
-    frames: int | None,
-    camera: str | None,
-    overwrite: bool,
+    run_folder: Path, name: str, out: Path, at_s: float | None, frames: int | None, camera: str | None, overwrite: bool
 ) -> None:
     """Write RUN for other tools.
 

@@ -1,6 +1,7 @@
 """`images`: spikes to pictures."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -15,7 +16,8 @@ from reconstruction.images.catalogue import ImageMethod, method, names
 from reconstruction.images.pixels import PixelCalibration, read_pixels
 from reconstruction.report.display import grey
 from reconstruction.report.pictures import write_png
-from server.cli.options import PATH, PLANES, SIZE
+from server.cli.options import PATH, parse_planes, parse_size
+from server.cli.output import warn
 from server.cli.progress import progress_of
 
 
@@ -23,27 +25,24 @@ from server.cli.progress import progress_of
 @click.argument("source", metavar="SOURCE", type=PATH)
 @click.option("--method", "name", required=True, help=f"One of: {', '.join(names())}.")
 @click.option("--weights", type=PATH, help="Weights trained on your own recording, for a learned method.")
-@click.option("--size", type=SIZE, help="WxH of a bare .dat.")
+@click.option("--size", type=parse_size, metavar="WxH", help="WxH of a bare .dat.")
 @click.option("--tick-rate", type=float, help="Planes a second of a bare .dat.")
-@click.option("--ticks", type=PLANES, help="Planes to make images at, A:B:STEP [default: every 20th].")
+@click.option("--ticks", type=parse_planes, metavar="A:B:STEP", help="Planes to make images at [default: every 20th].")
 @click.option("--allow-partial", is_flag=True, help="Drop an incomplete last plane of a bare .dat.")
 @click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, valid_NNNNNN.npy and NNNNNN.png.")
-def images_command(
-    source: Path,
-    name: str,
-    weights: Path | None,
-    size: tuple[int, int] | None,
-    tick_rate: float | None,
-    ticks: range | None,
-    allow_partial: bool,
-    out: Path,
-) -> None:
+def images_command(source: Path, name: str, weights: Path | None, ticks: range | None, out: Path, **bare: Any) -> None:
     """Turn the spikes of SOURCE, a recording or a bare .dat file, into images: linear, in spikes per tick.
 
     A recording gets one folder a camera, and its pixels are evened out if its rig has their calibration.
     """
     estimate = method(name, weights)
-    streams, pixels = _streams(source, size, tick_rate, allow_partial), _pixels(source)
+    pixels: dict[str, PixelCalibration] = {}
+    if source.is_dir():
+        recording = Recording.open(source)
+        streams = {camera_id: recording.stream(camera_id) for camera_id in recording.camera_ids}
+        pixels = {camera.id: read_pixels(camera.pixels) for camera in recording.rig.cameras if camera.pixels}
+    else:
+        streams = {"": _bare_stream(source, **bare)}
     shortest = min(len(stream) for stream in streams.values())
     planes = ticks if ticks is not None else range(0, shortest, 20)
     if planes[-1] >= shortest:
@@ -58,26 +57,15 @@ def images_command(
     click.echo(f"{done} images by {name} in {out}")
 
 
-def _streams(
+def _bare_stream(
     source: Path, size: tuple[int, int] | None, tick_rate: float | None, allow_partial: bool
-) -> dict[str, SpikeStream]:
-    """Return the streams by the folder of their images: one a camera for a recording, "" for a bare file."""
-    if source.is_dir():
-        recording = Recording.open(source)
-        return {c: recording.stream(c) for c in recording.camera_ids}
+) -> SpikeStream:
     if size is None or tick_rate is None:
         raise BadRecordingError("found a bare file", "its --size WxH and --tick-rate HZ beside it", where=source)
     stream = SpikeStream.open(source, PlaneLayout(*size), tick_rate, allow_partial=allow_partial)
-    doubt = suspected_bit_order(stream)
-    if doubt:
-        click.echo(f"warning: {doubt}", err=True)
-    return {"": stream}
-
-
-def _pixels(source: Path) -> dict[str, PixelCalibration]:
-    """Return the pixel calibrations of a recording's cameras, of those that have one."""
-    cameras = Recording.open(source).rig.cameras if source.is_dir() else ()
-    return {camera.id: read_pixels(camera.pixels) for camera in cameras if camera.pixels}
+    if doubt := suspected_bit_order(stream):
+        warn(doubt)
+    return stream
 
 
 def _write_image(

@@ -1,8 +1,10 @@
 """Options and values that several commands take."""
 
+import functools
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,31 +17,26 @@ new_recording = click.option("--out", type=PATH, required=True, help="The record
 data_folder = click.option("--data", type=PATH, help="Data folder.  [default: .spike4dgs]")
 
 
-class Parsed(click.types.FuncParamType):
-    """A value that a function reads from text; the help shows it as `name`."""
-
-    def __init__(self, name: str, read: Callable[[str], object]) -> None:
-        super().__init__(read)
-        self.name = name
+def several(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a decorator that adds all `options` to a command, in this order."""
+    return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 
-def _size(text: str) -> tuple[int, int]:
+def parse_size(text: str) -> tuple[int, int]:
+    """Return width and height from the text WIDTHxHEIGHT."""
     found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
     if not found or not int(found[1]) or not int(found[2]):
         raise click.BadParameter(f"found the size {text}, expected WIDTHxHEIGHT such as 400x250")
     return int(found[1]), int(found[2])
 
 
-def _planes(text: str) -> range:
+def parse_planes(text: str) -> range:
+    """Return the planes that the text A:B:STEP names."""
     found = re.fullmatch(r"(\d+):(\d+)(?::(\d+))?", text)
     chosen = range(int(found[1]), int(found[2]), max(1, int(found[3] or 1))) if found else range(0)
     if not chosen:
         raise click.BadParameter(f"found {text!r}, expected A:B:STEP with A < B, for example 100:200:20")
     return chosen
-
-
-SIZE = Parsed("WxH", _size)
-PLANES = Parsed("A:B:STEP", _planes)
 
 
 def load_named_rig(name: str) -> Rig:

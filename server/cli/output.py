@@ -11,6 +11,11 @@ def answer(document: object, text: str, *, as_json: bool) -> None:
     click.echo(json.dumps(document) if as_json else text)
 
 
+def warn(doubt: str) -> None:
+    """Print a doubt on standard error."""
+    click.echo(f"warning: {doubt}", err=True)
+
+
 def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
     """Return rows of cells as lines with aligned columns; `numbers` aligns all but the first column to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -18,8 +18,11 @@ JSON_PROGRESS = "SPIKE4DGS_PROGRESS"  # set to "json" by the service around a st
 def progress_of(name: str) -> Progress:
     """Return a reporter of the work `name`, in the form that fits where standard error goes."""
     if os.environ.get(JSON_PROGRESS) == "json":
-        return _json_lines(name)
-    return _bar(name) if sys.stderr.isatty() else _lines(name)
+        told = {"event": "progress", "stage": name}
+        return _throttled(lambda f, message: _say(json.dumps({**told, "fraction": f, "message": message})), every_s=0.2)
+    if sys.stderr.isatty():
+        return _bar(name)
+    return _throttled(lambda fraction, message: _say(f"{name} {fraction:4.0%} {message}"), every_s=2.0)
 
 
 def report_error(error: Spike4dgsError, exit_code: int) -> None:
@@ -27,17 +30,6 @@ def report_error(error: Spike4dgsError, exit_code: int) -> None:
     if os.environ.get(JSON_PROGRESS) == "json":
         parts = {name: getattr(error, name) for name in ("found", "expected", "do", "where")}
         _say(json.dumps({"event": "error", **parts, "exit_code": exit_code}))
-
-
-def _json_lines(name: str) -> Progress:
-    def emit(fraction: float, message: str) -> None:
-        _say(json.dumps({"event": "progress", "stage": name, "fraction": fraction, "message": message}))
-
-    return _throttled(emit, every_s=0.2)
-
-
-def _lines(name: str) -> Progress:
-    return _throttled(lambda fraction, message: _say(f"{name} {fraction:4.0%} {message}"), every_s=2.0)
 
 
 def _say(line: str) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import signal
-from collections.abc import Callable
+import threading
 from pathlib import Path
 
 import click
@@ -15,29 +15,25 @@ from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, 
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
 from rigs.exchange.nerfstudio import load_frames
-from server.cli.options import PATH, json_option
+from server.cli.options import PATH, json_option, several
 from server.cli.output import answer, scores
 from server.cli.progress import progress_of
 
 _MORE = {  # of the help of a choice
-    "init": "auto is natural for a nominal rig",
-    "supervision": "both compares images and counts",
-    "refine": "learn poses, gains and lags beside the Gaussians",
+    "init": "; auto is natural for a nominal rig",
+    "supervision": "; both compares images and counts",
+    "refine": "; learn poses, gains and lags beside the Gaussians",
 }
-
-
-def _choices(command: Callable[..., None]) -> Callable[..., None]:
-    """Add an option for each choice that has a closed list of names."""
-    for name, names in reversed(list(CHOICES.items())):
-        text = "; ".join([f"One of: {', '.join(names)}", *filter(None, [_MORE.get(name)])])
-        command = click.option(f"--{name}", default="auto", help=f"{text}.")(command)
-    return command
+_choices = (
+    click.option(f"--{name}", default="auto", help=f"One of: {', '.join(names)}{_MORE.get(name, '')}.")
+    for name, names in CHOICES.items()
+)
 
 
 @click.command("reconstruct")
 @click.argument("recording", metavar="REC", type=PATH)
 @click.option("--out", type=PATH, required=True, help="Run folder; an unfinished one is resumed.")
-@_choices
+@several(*_choices)
 @click.option("--dust3r-checkpoint", metavar="FILE", help="Your DUSt3R weights, for --init dust3r; none are shipped.")
 @click.option("--holdout", help="Camera to score on; never read before the report.")
 @click.option("--views", default="", help="Training cameras, comma-separated [default: all but the held-out one].")
@@ -77,8 +73,12 @@ def reconstruct_command(
     config = ReconstructionConfig(views=named, budget_s=budget_s, steps=steps, **choices)  # type: ignore[arg-type]
     if again is not None and stage is None:
         raise click.UsageError("found --again without --stage, expected the stage to begin with")
-    stop = _stop_on_signals()
-    run = reconstruct(recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop)
+    stop = threading.Event()  # training then saves a checkpoint and ends
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    run = reconstruct(
+        recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop.is_set
+    )
     if run.has("report"):
         metrics = json.loads((run.path / "metrics.json").read_text())
         answer(metrics, f"{scores(metrics)}\nreport: {run.path / 'report.html'}", as_json=as_json)
@@ -127,11 +127,3 @@ def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> Non
     known = Truth.open(truth) if truth else None
     metrics = evaluate_run(run, posed(run, Recording.open(run.recording), refined=True), known, progress_of("evaluate"))
     answer(metrics, scores(metrics), as_json=as_json)
-
-
-def _stop_on_signals() -> Callable[[], bool]:
-    """Return a function that tells whether SIGTERM or SIGINT has arrived; training then saves a checkpoint and ends."""
-    received: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda n, _: received.append(n))
-    return lambda: bool(received)

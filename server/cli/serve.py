@@ -1,25 +1,18 @@
 """`serve` runs the web service, `worker` its queued work."""
 
-from __future__ import annotations
-
 import re
 import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, nullcontext, suppress
+from typing import Any
 
 import click
 
 from rigs.errors import Spike4dgsError
-from server.cli.options import Parsed, data_folder
-
-if TYPE_CHECKING:
-    from server.settings import ServiceSettings
-    from server.work.keeper import Keeper
-
+from server.cli.options import data_folder, several
 
 KINDS = ("captures", "reconstructions", "tasks")
 
@@ -30,7 +23,8 @@ class PortError(Spike4dgsError):
     exit_code = 2
 
 
-def _name(text: str) -> str:
+def parse_name(text: str) -> str:
+    """Return the name that `text` is, of a worker or token."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}", text):
         raise click.BadParameter(f"found {text[:70]!r}, expected letters, digits, dots and dashes, at most 63")
     return text
@@ -43,21 +37,13 @@ def _queues(text: str) -> tuple[str, ...]:
     return kinds
 
 
-NAME, QUEUES = Parsed("NAME", _name), Parsed("KIND,...", _queues)
-
-
-def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that the service and its worker share."""
-    options = (
-        data_folder,
-        click.option("--rig", help="A rig's name in the catalogue or a RIG.toml.  [default: lab3x3]"),
-        click.option("--devices", help="The cameras: usb:, mock:SCENE or replay:REC.  [default: usb:]"),
-        click.option("--log", type=click.Choice(["text", "json"]), help="Form of the log.  [default: text]"),
-        click.option("--otel", metavar="URL", help="Send traces to this OpenTelemetry collector (OTLP over HTTP)."),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+_shared_options = several(
+    data_folder,
+    click.option("--rig", help="A rig's name in the catalogue or a RIG.toml.  [default: lab3x3]"),
+    click.option("--devices", help="The cameras: usb:, mock:SCENE or replay:REC.  [default: usb:]"),
+    click.option("--log", type=click.Choice(["text", "json"]), help="Form of the log.  [default: text]"),
+    click.option("--otel", metavar="URL", help="Send traces to this OpenTelemetry collector (OTLP over HTTP)."),
+)
 
 
 @click.command()
@@ -71,7 +57,7 @@ def _rig_options(command: Callable[..., None]) -> Callable[..., None]:
     metavar="URL",
     help="A page that may send requests, such as https://lab.example.",
 )
-@_rig_options
+@_shared_options
 @click.option("--with-worker", is_flag=True, help="Run a worker too: keep it running, and stop it with the service.")
 def serve_command(
     host: str | None,
@@ -84,17 +70,22 @@ def serve_command(
     """Serve the page and REST, on loopback unless told otherwise. The first line printed is the address."""
     from server.app import create_app
     from server.hosting import server_of
+    from server.services.access import AccessService
     from server.settings import settings_of
+    from server.store.store import Store
+    from server.work.keeper import Keeper
 
     names = {"hosts": hosts or None, "origins": origins or None}
     settings = settings_of(host=host, port=port, **names, **shared)
     if settings.exposed:
-        _refuse_without_token(settings)
+        with closing(Store(settings)) as store:
+            AccessService(store.tokens, settings).check_exposure()
     with listening(settings.host, settings.port) as listener:
         flags = shared | {"data": settings.data}
         arguments = [text for name, value in flags.items() if value is not None for text in (f"--{name}", str(value))]
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-        keeper = _keeper(arguments, settings.grace_s) if with_worker else None
+        worker = [sys.executable, "-P", "-m", "server.cli", "worker", *arguments]
+        keeper = Keeper(worker, settings.grace_s + 5) if with_worker else None
         app = create_app(settings, keeper)
         with keeper.running() if keeper else nullcontext():
             address = f"[{settings.host}]" if ":" in settings.host else settings.host
@@ -105,9 +96,23 @@ def serve_command(
 
 
 @click.command()
-@_rig_options
-@click.option("--name", type=NAME, default="worker-0", show_default=True, help="Unique among the workers of a service.")
-@click.option("--queues", type=QUEUES, default=",".join(KINDS), show_default=True, help="The queues it serves.")
+@_shared_options
+@click.option(
+    "--name",
+    type=parse_name,
+    metavar="NAME",
+    default="worker-0",
+    show_default=True,
+    help="Unique among the workers of a service.",
+)
+@click.option(
+    "--queues",
+    type=_queues,
+    metavar="KIND,...",
+    default=",".join(KINDS),
+    show_default=True,
+    help="The queues it serves.",
+)
 @click.option("--gpu", type=click.IntRange(min=0), help="The accelerator it trains on, one job at a time on this host.")
 def worker_command(name: str, queues: tuple[str, ...], gpu: int | None, **shared: Any) -> None:
     """Run captures and jobs of a data folder until stopped."""
@@ -118,18 +123,6 @@ def worker_command(name: str, queues: tuple[str, ...], gpu: int | None, **shared
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     run_worker(settings_of(gpu=gpu, **shared), name, queues, stop)
-
-
-def _refuse_without_token(settings: ServiceSettings) -> None:
-    """Raise ExposedError if others would reach the service without a token."""
-    from server.services.access import AccessService
-    from server.store.store import Store
-
-    store = Store(settings)
-    try:
-        AccessService(store.tokens, settings).check_exposure()
-    finally:
-        store.close()
 
 
 @contextmanager
@@ -149,9 +142,3 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
             raise PortError(f"found port {port} on {host}: {reason}", do="stop what uses it or pass --port") from error
         listener.listen(128)
         yield listener
-
-
-def _keeper(arguments: list[str], grace_s: float) -> Keeper:
-    from server.work.keeper import Keeper
-
-    return Keeper([sys.executable, "-P", "-m", "server.cli", "worker", *arguments], grace_s + 5)

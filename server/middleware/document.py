@@ -11,10 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from server import errors
 from server.middleware.gate import is_guarded
-from server.middleware.problems import problem_of
-
-_MEDIA_TYPE = "application/problem+json"
-_METHODS = ("get", "head", "put", "post", "patch", "delete")
+from server.middleware.problems import ProblemResponse, problem_of
 
 
 class Fault(BaseModel):
@@ -60,10 +57,7 @@ REFUSALS: tuple[tuple[str, Exception], ...] = (
         errors.PreconditionError('found version "lab3x3-4" in use', '"lab3x3-3"', "look again before you change it"),
     ),
     ("The body is too long.", errors.TooLargeError("found a body of 2000000 bytes", "at most 1048576")),
-    (
-        "The request does not fit.",
-        errors.UnknownReferenceError("found the camera cam99", "one of cam00, cam01, cam02"),
-    ),
+    ("The request does not fit.", errors.UnknownReferenceError("found the camera cam99", "one of cam00, cam01, cam02")),
     (
         "The request does not say what it changes.",
         errors.PreconditionRequiredError("found no If-Match", "the ETag of the resource to change"),
@@ -103,8 +97,7 @@ def _complete(document: dict[str, Any]) -> None:
     }
     refusals = _refusals()
     for path, item in document["paths"].items():
-        for method in set(_METHODS) & set(item):
-            operation = item[method]
+        for method, operation in item.items():
             if is_guarded(path):
                 operation["security"] = [{"token": []}, {}]
             for status in _statuses(path, method, operation):
@@ -133,7 +126,7 @@ def _refusals() -> dict[int, dict[str, Any]]:
     for when, error in REFUSALS:
         answer = problem_of(error)
         schema = {"$ref": "#/components/schemas/Problem"}
-        content = {_MEDIA_TYPE: {"schema": schema, "example": json.loads(bytes(answer.body))}}
+        content = {ProblemResponse.media_type: {"schema": schema, "example": json.loads(bytes(answer.body))}}
         described[answer.status_code] = {"description": when, "content": content}
     described[429]["headers"] = {"Retry-After": {"schema": {"type": "integer", "minimum": 1}}}
     described[401]["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}}}

@@ -1,5 +1,6 @@
 """The gate: counts each client's requests, and asks for a token where the service has any."""
 
+import math
 from typing import cast
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -8,13 +9,14 @@ from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from server.errors import ServiceError
-from server.middleware.limits import ClientRates, address_of
+from server.errors import BusyClientError, ServiceError
+from server.middleware.limits import Rates, address_of
 from server.middleware.problems import problem_of
 from server.services.access import AccessService
 from server.settings import ServiceSettings
 from server.store.tables import Token
 
+_READS = ("GET", "HEAD", "OPTIONS")
 OPEN = ("/v1/healthz",)  # a watchdog of the service has no token
 
 
@@ -24,7 +26,8 @@ class Gate:
     def __init__(self, app: ASGIApp, access: AccessService, settings: ServiceSettings) -> None:
         self._app = app
         self._access = access
-        self._rates = ClientRates(settings)
+        self._reads = Rates(settings.read_rate, settings.read_burst)
+        self._writes = Rates(settings.write_rate, settings.write_burst)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, or refuse it."""
@@ -44,7 +47,9 @@ class Gate:
                     await run_in_threadpool(self._access.refresh)
                 token = self._access.admit(method, Headers(scope=scope).get("authorization"))
         finally:  # a refused request counts too
-            self._rates.check(f"token {token.id}" if token else address_of(scope), method)
+            rates = self._reads if method in _READS else self._writes
+            if wait_s := rates.wait_s(f"token {token.id}" if token else address_of(scope)):
+                raise BusyClientError(math.ceil(wait_s))
         return token
 
 

@@ -1,5 +1,7 @@
 """Security headers: what a browser may do with an answer."""
 
+from dataclasses import dataclass
+
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -19,19 +21,19 @@ _PLAIN = ("application/json", "application/problem+json", "application/octet-str
 _PLAIN_KINDS = ("image/", "video/", "audio/", "model/", "text/plain", "text/event-stream", "text/csv")
 
 
+@dataclass
 class SecurityHeaders:
     """Middleware: adds the security headers that a route did not set.
 
     No answer of the interface can act as a page of the service.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    app: ASGIApp
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on and add to the answer's headers."""
         if scope["type"] != "http":
-            return await self._app(scope, receive, send)
+            return await self.app(scope, receive, send)
         secret = "authorization" in Headers(scope=scope)
 
         async def tell(message: Message) -> None:
@@ -39,7 +41,7 @@ class SecurityHeaders:
                 protect(MutableHeaders(scope=message), scope["path"], secret)
             await send(message)
 
-        return await self._app(scope, receive, tell)
+        return await self.app(scope, receive, tell)
 
 
 def protect(headers: MutableHeaders, path: str, secret: bool) -> None:

@@ -2,28 +2,19 @@
 
 import asyncio
 import ipaddress
-import math
 import time
-from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.errors import BusyClientError, MalformedError, SlowBodyError, TooLargeError
+from server.errors import ServiceError, SlowBodyError, TooLargeError
 from server.middleware.problems import problem_of
 from server.middleware.strict import check_json
 from server.settings import ServiceSettings
 
 _MOST_CLIENTS = 10_000
-_READS = ("GET", "HEAD", "OPTIONS")
-
-
-@dataclass
-class _Bucket:
-    left: float
-    at: float
 
 
 class Rates:
@@ -36,35 +27,17 @@ class Rates:
         self._rate = rate
         self._burst = burst
         self._clock = clock
-        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+        self._buckets: dict[str, tuple[float, float]] = {}  # requests left at a time; the quietest client is first
 
     def wait_s(self, client: str) -> float:
         """Count a request and return 0, or return the seconds until the client may ask again."""
         now = self._clock()
-        bucket = self._buckets.setdefault(client, _Bucket(self._burst, now))
-        self._buckets.move_to_end(client)
+        left, at = self._buckets.pop(client, (self._burst, now))
+        left = min(self._burst, left + (now - at) * self._rate)
+        self._buckets[client] = (left - 1 if left >= 1 else left, now)
         if len(self._buckets) > _MOST_CLIENTS:
-            self._buckets.popitem(last=False)
-        bucket.left = min(self._burst, bucket.left + (now - bucket.at) * self._rate)
-        bucket.at = now
-        if bucket.left < 1:
-            return (1 - bucket.left) / self._rate
-        bucket.left -= 1
-        return 0.0
-
-
-class ClientRates:
-    """Limits the rates of each client, reads and writes apart."""
-
-    def __init__(self, settings: ServiceSettings) -> None:
-        self._reads = Rates(settings.read_rate, settings.read_burst)
-        self._writes = Rates(settings.write_rate, settings.write_burst)
-
-    def check(self, client: str, method: str) -> None:
-        """Count a request. Raises BusyClientError if it is one too many."""
-        wait_s = (self._reads if method in _READS else self._writes).wait_s(client)
-        if wait_s:
-            raise BusyClientError(math.ceil(wait_s))
+            del self._buckets[next(iter(self._buckets))]
+        return max(0.0, (1 - left) / self._rate)
 
 
 def address_of(scope: Scope) -> str:
@@ -99,17 +72,16 @@ class BodyLimit:
             await self._whole(scope, receive, send)
 
     async def _whole(self, scope: Scope, receive: Receive, send: Send) -> None:
-        length = Headers(scope=scope).get("content-length", "0")
+        headers = Headers(scope=scope)
+        length = headers.get("content-length", "0")
         try:
             if length.isdecimal() and (len(length) > 20 or int(length) > self._most):
                 raise TooLargeError(f"found a body of {length[:20]} bytes", f"at most {self._most}")
-            async with asyncio.timeout(self._patience_s):
+            async with _patience(self._patience_s):
                 body = await _read(receive, self._most)
-            if body and "json" in Headers(scope=scope).get("content-type", "").lower():
+            if body and "json" in headers.get("content-type", "").lower():
                 await check_json(body)
-        except TimeoutError:
-            await problem_of(_slow(self._patience_s))(scope, receive, send)
-        except (TooLargeError, MalformedError) as error:
+        except ServiceError as error:
             await problem_of(error)(scope, receive, send)
         else:
             if body is not None:
@@ -121,8 +93,14 @@ def is_streamed(scope: Scope) -> bool:
     return scope["method"] == "PATCH" and scope["path"].startswith("/v1/uploads/")
 
 
-def _slow(patience_s: float) -> SlowBodyError:
-    return SlowBodyError(f"found the body unfinished after {patience_s:g} s", "all of it")
+@asynccontextmanager
+async def _patience(patience_s: float) -> AsyncIterator[None]:
+    """Raise SlowBodyError if what is inside takes longer."""
+    try:
+        async with asyncio.timeout(patience_s):
+            yield
+    except TimeoutError as error:
+        raise SlowBodyError(f"found the body unfinished after {patience_s:g} s", "all of it") from error
 
 
 async def _read(receive: Receive, most: int) -> bytes | None:
@@ -157,11 +135,8 @@ def _impatient(receive: Receive, patience_s: float) -> Receive:
         nonlocal whole
         if whole:
             return await receive()
-        try:
-            async with asyncio.timeout(patience_s):
-                message = await receive()
-        except TimeoutError as error:
-            raise _slow(patience_s) from error
+        async with _patience(patience_s):
+            message = await receive()
         whole = not message.get("more_body", False)
         return message
 

@@ -69,18 +69,14 @@ def problem(status: int, detail: str, kind: str = "", **members: Any) -> JSONRes
 def problem_of(error: Exception) -> JSONResponse:
     """Return the problem document of an error of this project or of the database."""
     if isinstance(error, SQLAlchemyError):
-        return _refused_by_database(error)
+        if is_full(error):
+            return problem(507, "No space left for the database; free some", "disk-full")
+        return problem(503, f"the database refused: {reason_of(error)[:200]}", "database")
     status = next(STATUS[kind] for kind in type(error).__mro__ if kind in STATUS)
     name = type(error).__name__.removesuffix("Error")
     response = problem(status, str(error), re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower())
     response.headers.update(getattr(error, "headers", {}))
     return response
-
-
-def _refused_by_database(error: SQLAlchemyError) -> JSONResponse:
-    if is_full(error):
-        return problem(507, "No space left for the database; free some", "disk-full")
-    return problem(503, f"the database refused: {reason_of(error)[:200]}", "database")
 
 
 def install(app: FastAPI) -> None:
@@ -102,7 +98,7 @@ def install(app: FastAPI) -> None:
         faults = [
             {
                 "where": ".".join(str(part)[:80] for part in fault["loc"]),
-                "found": _short(fault.get("input")),
+                "found": _cut(repr(fault.get("input")), 80),
                 "message": _cut(fault["msg"], 500),
             }
             for fault in error.errors()[:_MOST_FAULTS]
@@ -121,10 +117,6 @@ def install(app: FastAPI) -> None:
         answer = problem(500, "an error this service did not expect; its log says more", "unexpected")
         protect(answer.headers, request.url.path, secret=True)  # this handler stands outside of every middleware
         return answer
-
-
-def _short(value: object) -> str:
-    return _cut(repr(value), 80)
 
 
 def _cut(text: str, most: int) -> str:

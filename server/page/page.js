@@ -1,6 +1,6 @@
 // The operator's page: rigs, captures and jobs, kept up to date by events or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { get, learnRole, learnRoutes, looksOn, offers, post, statuses, wait } from './operator/api.js';
+import { get, learnRole, looksOn, post, request, wait } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { capture } from './operator/captures.js';
 import { element, keepingFocus, patchChildren } from './operator/dom.js';
@@ -34,8 +34,8 @@ function draw() {
 }
 
 function list(id, items, make, nothing) {
-  const made = items.length ? items.map((item) => make(item, context)) : [element('li', { className: 'quiet', data: { key: 'nothing' } }, nothing)];
-  patchChildren(place(id), made);
+  const none = () => [element('li', { className: 'quiet', data: { key: 'nothing' } }, nothing)];
+  patchChildren(place(id), items.length ? items.map((item) => make(item, context)) : none());
 }
 
 function older(kind) {
@@ -60,8 +60,7 @@ function taken({ rigs, captures, jobs }) {
   Object.assign(state, { rigs: rigs.items, captures: captures.items, jobs: jobs.items, next: { captures: captures.next, jobs: jobs.next } });
   context.captures = state.captures;
   context.rigs = new Map(state.rigs.map((item) => [item.id, item]));
-  for (const item of state.captures) context.names.set(item.id, item.name ?? item.id);
-  for (const item of state.jobs) context.names.set(item.id, item.name ?? item.id);
+  for (const item of [...state.captures, ...state.jobs]) context.names.set(item.id, item.name ?? item.id);
   results.forgetAllBut(new Set(state.jobs.map((item) => item.id)));
   for (const item of state.jobs) {
     results.learn(item, draw);
@@ -99,16 +98,13 @@ function lost(text) {
 }
 
 async function learnManifests() {
-  if (!offers('GET', '/captures/{}/manifest')) return;
   const verified = state.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
   const version = (id) => verified.filter((one) => one === id).length; // a later verification may have found damage
   const missing = state.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
   for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
 }
 
-async function learnStatus(id) {
-  if (offers('GET', '/rigs/{}/status')) context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => ({})));
-}
+const learnStatus = async (id) => context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => ({})));
 
 async function learnSlowly() {
   const ready = await get('/readyz').then(() => null, (error) => error.message);
@@ -123,7 +119,7 @@ async function learnSlowly() {
 function happened(event) {
   const item = context.entry(event.entry);
   if (event.kind === 'progress' && item) {
-    if (item.status === 'running' || item.status === 'queued') Object.assign(item, event.data, { status: 'running' });
+    if (!results.ended(item)) Object.assign(item, event.data, { status: 'running' });
     results.progressed(event.entry, event);
     draw();
     return;
@@ -182,18 +178,14 @@ function heard(live) {
   place('news').textContent = live ? 'Live' : 'Asking once a second: this service sends no events.';
 }
 
-async function learnService() {
-  await learnRoutes();
-  place('jobs-status').append(...statuses().map((status) => new Option(status)));
+async function start() {
+  const { paths } = await (await request('/openapi.json')).json();
+  const { schema } = paths['/v1/jobs'].get.parameters.find(({ name }) => name === 'status');
+  place('jobs-status').append(...schema.anyOf.find((one) => one.enum).enum.map((status) => new Option(status)));
   [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
   place('role').hidden = !looksOn();
-}
-
-async function start() {
-  await learnService();
   await refresh();
-  if (offers('GET', '/events')) follow('/v1/events', happened, heard);
-  else heard(false);
+  follow('/v1/events', happened, heard);
   every(() => (state.live ? SLOW_MS : QUICK_MS), refresh);
   every(() => SLOW_MS, learnSlowly);
 }
@@ -218,7 +210,7 @@ place('token-form').onsubmit = (event) => {
   setToken(place('token').value.trim());
   location.reload(); // so that pictures and links are made with the token
 };
-place('jobs-status').onchange = () => refresh();
+place('jobs-status').onchange = refresh;
 onChange(async () => {
   await refresh();
   learnSlowly();

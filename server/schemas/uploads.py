@@ -7,7 +7,6 @@ from pydantic import BaseModel, Field
 from server.schemas.captures import Name
 from server.schemas.progress import Page, Request
 
-UploadId = Annotated[str, Field(max_length=40)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="In 64 small hexadecimal digits.")]
 
 

@@ -1,5 +1,5 @@
 // The calibration of a rig: the one in use, its quality, and the versions to go back to.
-import { get, offers, post, request } from './api.js';
+import { get, post, request } from './api.js';
 import { actions, button, opener, performed } from './act.js';
 import { jobDialog } from './dialogs.js';
 import { ago, element, fold, quiet } from './dom.js';
@@ -30,7 +30,7 @@ function versions(item, context, current) {
 
 // A button to calibrate a rig from one of `captures`: its cameras or, with a dark capture too, its pixels.
 export function calibrating(heading, item, rig, captures, context) {
-  if (!rig || !context.options.calibrate || !offers('POST', '/rigs/{}/calibrations')) return null;
+  if (!rig || !context.options.calibrate) return null;
   return opener('Calibrate…', `calibrate-${item.id}`, () => calibrateDialog(heading, rig, captures, context));
 }
 
@@ -53,19 +53,16 @@ function calibrate(item, context) {
 }
 
 export async function learnCalibration(rig) {
-  if (!offers('GET', '/rigs/{}/calibration')) return null;
-  const [current, listed] = await Promise.all([get(`/rigs/${rig}/calibration`),
-    offers('GET', '/rigs/{}/calibrations') ? get(`/rigs/${rig}/calibrations`) : { items: [] }]);
-  return { current, items: listed.items };
+  const [current, { items }] = await Promise.all([get(`/rigs/${rig}/calibration`), get(`/rigs/${rig}/calibrations`)]);
+  return { current, items };
 }
 
 export function calibration(item, context) {
   const known = context.calibrations.get(item.id);
   if (!known) return element('div', {}, quiet(`Poses: ${item.poses}`), calibrate(item, context));
   const { current } = known;
-  const shown = current.picture && offers('GET', '/rigs/{}/calibrations/{}/picture');
   const content = element('div', {},
-    shown && picture(`/v1/rigs/${item.id}/calibrations/${current.version}/picture`, `Residuals of calibration ${current.version}`, 'preview'),
+    current.picture && picture(`/v1/rigs/${item.id}/calibrations/${current.version}/picture`, `Residuals of calibration ${current.version}`, 'preview'),
     versions(item, context, current),
     calibrate(item, context));
   return [quiet(`Calibration: ${inWords(current)}`), fold(`calibrations-${item.id}`, 'Calibrations', content)];

@@ -1,5 +1,5 @@
 // Captures: their recordings, their losses, and the jobs they can be used for.
-import { offers, post } from './api.js';
+import { post } from './api.js';
 import { actions, button, opener, performed } from './act.js';
 import { calibrating } from './calibrations.js';
 import { jobDialog, removal } from './dialogs.js';
@@ -80,11 +80,10 @@ function offered(item, context) {
 }
 
 export function capture(item, context) {
-  const seen = item.status === 'done' && offers('GET', '/captures/{}/preview');
   return card(`capture-${item.id}`,
     title(item.name ?? item.id, item.status, item.status === 'running' && item.type === 'record' ? 'recording' : item.status),
     quiet([when(item.created), item.rig, length(item, context), item.name && item.id].filter(Boolean).join(' · ')),
-    seen && picture(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview'),
+    item.status === 'done' && picture(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview'),
     state(item, context),
     item.error && failure(item.error),
     running(item),

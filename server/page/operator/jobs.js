@@ -1,5 +1,5 @@
 // The queue: the state of each job, its results, and what can be done with it.
-import { offers, post, send } from './api.js';
+import { post, send } from './api.js';
 import { actions, button, link, opener, patiently, performed } from './act.js';
 import { curve } from './curve.js';
 import { jobDialog, removal } from './dialogs.js';
@@ -76,7 +76,7 @@ function results(item) {
       element('span', { className: 'quiet' }, size(one.bytes))))),
     found.artefacts.length > 60 && quiet(`and ${found.artefacts.length - 60} more, in the archive`),
     found.answer && element('pre', { tabIndex: 0, ariaLabel: 'Result' }, JSON.stringify(found.answer, null, 1).slice(0, 5000)),
-    actions(offers('GET', '/jobs/{}/archive') && download(`archive-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, 'All as one archive')));
+    actions(download(`archive-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, 'All as one archive')));
   return fold(`results-${item.id}`, `Results (${found.artefacts.length})`, content);
 }
 

@@ -1,5 +1,5 @@
 // Details of jobs that the list does not have: artefacts, scores, curve and log, asked for once, when needed.
-import { get, offers, request } from './api.js';
+import { get, request } from './api.js';
 import { addFigure, scored } from './curve.js';
 import { readEvents } from './live.js';
 import { artefact } from './media.js';
@@ -20,9 +20,7 @@ export function forgetAllBut(ids) {
   for (const id of known.keys()) if (!ids.has(id)) known.delete(id);
 }
 
-async function json(id, name) {
-  return (await request(artefact(id, name))).json();
-}
+const json = async (id, name) => (await request(artefact(id, name))).json();
 
 async function learnResults(item, found) {
   found.artefacts = (await get(`/jobs/${item.id}/artefacts`)).items;
@@ -39,7 +37,6 @@ async function learnResults(item, found) {
 
 // Learn the course of a training that began before the page was opened.
 async function learnHistory(item, draw) {
-  if (!offers('GET', '/jobs/{}/events')) return;
   const stop = new AbortController();
   let quiet = setTimeout(() => stop.abort(), HISTORY_MS);
   const told = (event) => {

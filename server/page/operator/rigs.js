@@ -1,5 +1,5 @@
 // A rig: the view and health of its cameras, its calibration, and the form that makes a capture.
-import { looksOn, offers, post } from './api.js';
+import { looksOn, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
 import { ago, bar, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
@@ -61,7 +61,6 @@ function work(doing, item) {
 }
 
 function look(item, status) {
-  if (!offers('POST', '/rigs/{}/look')) return quiet('This service has no live view.');
   if (!status.look) return element('div', { className: 'view empty' }, quiet('Look shows what each camera sees.'));
   const path = `/v1/rigs/${item.id}/look.png?of=${encodeURIComponent(status.look.etag)}`;
   return element('figure', { className: 'view' }, picture(path, `What the ${item.cameras.length} cameras of ${item.name} see`),
@@ -69,7 +68,7 @@ function look(item, status) {
 }
 
 function watching(item, context) {
-  if (!offers('POST', '/rigs/{}/look') || looksOn()) return null;
+  if (looksOn()) return null;
   const box = element('input', { type: 'checkbox', id: `live-${item.id}` });
   box.onchange = (event) => context.watch(item.id, event.currentTarget.checked);
   return element('label', { className: 'check' }, box, 'Live');
@@ -124,7 +123,6 @@ function form(item) {
 
 export function rig(item, context) {
   const status = context.statuses.get(item.id) ?? {};
-  const preflight = offers('POST', '/rigs/{}/preflight');
   const doing = item.busy && context.entry(item.busy);
   return card(`rig-${item.id}`,
     title(item.name, item.busy ? 'recording' : 'idle', item.busy ? DOING[doing?.type] ?? 'busy' : 'idle'),
@@ -132,9 +130,9 @@ export function rig(item, context) {
     look(item, status),
     work(doing, item),
     actions(
-      offers('POST', '/rigs/{}/look') && button('Look', `look-${item.id}`, () => context.look(item.id), { disabled: item.busy !== null }),
+      button('Look', `look-${item.id}`, () => context.look(item.id), { disabled: item.busy !== null }),
       watching(item, context),
-      preflight && button('Preflight', `preflight-${item.id}`, () => post(`/rigs/${item.id}/preflight`), { disabled: item.busy !== null, done: 'The preflight is queued' })),
+      button('Preflight', `preflight-${item.id}`, () => post(`/rigs/${item.id}/preflight`), { disabled: item.busy !== null, done: 'The preflight is queued' })),
     looksOn() ? null : [element('h4', {}, 'Record'), form(item), element('h4', {}, 'State')],
     room(status),
     cameras(status),
