@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,17 +11,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.bench import parser_rows
+from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
-from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS
-from server.cli.bench_recordings import recorded, recording
+from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
     from reconstruction.bench.paper.run import Laboratory
 
 _PARSED_BYTES = 10_000_000_000
-QUICK_TICKS, QUICK_RIG = 120, "ci3x3"
+_TICKS, _QUICK_TICKS, _QUICK_RIG = 400, 120, "ci3x3"
 
 
 @dataclass(frozen=True)
@@ -81,10 +83,13 @@ def _poses(asked: Asked) -> BenchDocument:
     from reconstruction.bench.conventions import KnownRecording
     from reconstruction.bench.poses import BOARD_SCENE, BOARD_TICKS, bench_poses
 
-    work, quick = asked.work, asked.quick
-    clips = [KnownRecording(*found) for found in recorded(asked.named(EVALUATION), work)]
-    boards = [] if quick else [KnownRecording(*found) for found in recorded((BOARD_SCENE,), work, BOARD_TICKS)]
-    return bench_poses(clips, boards[0] if boards else None, work / "poses", asked.progress_of("poses"), quick=quick)
+    def known(scene: str, ticks: int = _TICKS) -> KnownRecording:
+        seed = DEVELOPMENT_SEEDS[1] if scene in DEVELOPMENT else EVALUATION_SEEDS[0]
+        return KnownRecording(scene, seed, recording(scene, seed, asked.work, ticks))
+
+    clips = [known(scene) for scene in asked.named(EVALUATION)]
+    board = None if asked.quick else known(BOARD_SCENE, BOARD_TICKS)
+    return bench_poses(clips, board, asked.work / "poses", asked.progress_of("poses"), quick=asked.quick)
 
 
 def _rasterizer(asked: Asked) -> BenchDocument:
@@ -173,10 +178,27 @@ def _laboratory(asked: Asked, name: str) -> Laboratory:
 
     def recording_of(scene: str, seed: int) -> Path:
         if asked.quick and name == "paper":
-            return recording(scene, seed, asked.work / "paper" / "quick", QUICK_TICKS, QUICK_RIG)
+            return recording(scene, seed, asked.work / "paper" / "quick", _QUICK_TICKS, _QUICK_RIG)
         return recording(scene, seed, asked.work)
 
     return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep)
+
+
+def recording(scene: str, seed: int, work: Path, ticks: int = _TICKS, rig: str | None = None) -> Path:
+    """Return the recording of a scene and seed in `work`, simulated if it is not there yet.
+
+    `simulate` runs in a process of its own, where idle threads sleep: it has a pool for each of nine cameras. Raises
+    AcquisitionError if it fails.
+    """
+    path = work / f"{scene}-{seed}"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path} | ({"rig": rig} if rig else {})
+        command = [sys.executable, "-m", "server.cli", "simulate"]
+        command += [word for k, v in options.items() for word in (f"--{k}", str(v))]
+        if subprocess.run(command, stdout=sys.stderr).returncode:
+            raise AcquisitionError("found that simulate failed", "a recording", "its reason is above", where=path)
+    return path
 
 
 # In the order of `make bench`: viewpoints and leave-out use the runs of paper.

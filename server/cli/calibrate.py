@@ -55,8 +55,9 @@ def calibrate_command(
         found = calibrate_board(opened, spec, today, progress)
     else:
         found = calibrate_natural(opened.rig, long_images(opened, opened.camera_ids), today, progress=progress)
-    _write_calibrated(found, out)
-    _print_calibrated(found, out, as_json)
+    picture = out.with_name(f"{out.stem}-residuals.png")
+    _write_calibrated(found, out, picture)
+    _print_calibrated(found, out, picture, as_json)
 
 
 @click.command("check-rig")
@@ -82,10 +83,10 @@ def check_rig_command(recording: Path, rig: Path | None, as_json: bool) -> None:
     raise SystemExit(1 if moved else 0)
 
 
-def _write_calibrated(found: Calibrated, out: Path) -> None:
+def _write_calibrated(found: Calibrated, out: Path, picture: Path) -> None:
     """Write the rig file `out`, and beside it its cameras' pixel maps and a picture of the residuals."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    draw_residuals(_picture(out), found)
+    draw_residuals(picture, found)
     maps = {}
     for camera in found.rig.cameras:
         if camera.pixels and camera.pixels.parent.resolve() != out.parent.resolve():
@@ -94,26 +95,25 @@ def _write_calibrated(found: Calibrated, out: Path) -> None:
     _write_rig(found.rig, maps, out)
 
 
-def _calibrate_pixels(recording: Path, pixels: tuple[Path, Path], out: Path, as_json: bool) -> None:
+def _calibrate_pixels(recording: Path, lights: tuple[Path, Path], out: Path, as_json: bool) -> None:
     """Measure the pixels of the cameras of `recording` from a flat and a dark one; write the rig file `out`."""
     rig = Recording.open(recording).rig
-    flat, dark = map(Recording.open, pixels)
-    progress, found = progress_of("calibrate"), {}
+    flat, dark = map(Recording.open, lights)
+    progress, found, rows, lines = progress_of("calibrate"), {}, {}, []
     for number, camera in enumerate(rig.cameras):
         progress(number / len(rig.cameras), camera.id)
-        found[camera.id] = _estimate(camera, flat, dark)
+        found[camera.id] = pixels = _estimate(camera, flat, dark)
+        good, hot, dead = ~pixels.defect, int(pixels.hot.sum()), int(pixels.dead.sum())
+        spread, offset = float(pixels.gain[good].std()), float(np.mean(pixels.offset[good]))
+        rows[camera.id] = {"gain_spread": spread, "mean_offset": offset, "hot": hot, "dead": dead}
+        means = f"gain spread {spread:.2%}, mean offset {offset:.5f} spikes per tick"
+        lines.append(f"{camera.id}: {means}, {hot} hot, {dead} dead")
     out.parent.mkdir(parents=True, exist_ok=True)
     maps = {camera_id: _pixel_map(out, camera_id) for camera_id in found}
     for camera_id, path in maps.items():
         write_pixels(path, found[camera_id])
     _write_rig(rig, maps, out)
     progress(1.0, f"{len(found)} cameras")
-    rows = {camera_id: _summary(calibration) for camera_id, calibration in found.items()}
-    lines = [
-        f"{camera_id}: gain spread {row['gain_spread']:.2%}, mean offset {row['mean_offset']:.5f} spikes per tick, "
-        f"{row['hot']} hot, {row['dead']} dead"
-        for camera_id, row in rows.items()
-    ]
     answer({"rig": str(out), "cameras": rows}, "\n".join(lines), as_json=as_json)
 
 
@@ -126,29 +126,17 @@ def _pixel_map(out: Path, camera_id: str) -> Path:
     return out.with_name(f"{out.stem}-{camera_id}-pixels.npz")
 
 
-def _picture(out: Path) -> Path:
-    return out.with_name(f"{out.stem}-residuals.png")
-
-
-def _by_camera(found: Calibrated) -> dict[str, dict[str, float]]:
-    """Return for each camera its remaining residual (px) and the standard deviations of its estimates."""
-    rows = {}
+def _print_calibrated(found: Calibrated, out: Path, picture: Path, as_json: bool) -> None:
+    rows: dict[str, dict[str, float]] = {}
+    lines = [f"{out}: {found.report['summary']}"]
     for camera_id, sd in found.sd.items():
         off = found.residuals[camera_id][:, 2:]
         rms = float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
         sds = {f"{name}_sd": value for name, value in dataclasses.asdict(sd).items()}
         rows[camera_id] = {"points": len(off), "residual_px": rms, **sds}
-    return rows
-
-
-def _print_calibrated(found: Calibrated, out: Path, as_json: bool) -> None:
-    report = found.report | {"rig": str(out), "picture": str(_picture(out)), "cameras": _by_camera(found)}
-    lines = [f"{out}: {report['summary']}"]
-    lines += [
-        f"{camera_id}: {len(found.residuals[camera_id])} points, rotation +- {sd.rotation_deg:.4f} degrees, centre +- "
-        f"{1e3 * sd.center_m:.3f} mm, focal length +- {sd.focal_percent:.3f} %"
-        for camera_id, sd in found.sd.items()
-    ]
+        turn, place = f"rotation +- {sd.rotation_deg:.4f} degrees", f"centre +- {1e3 * sd.center_m:.3f} mm"
+        lines.append(f"{camera_id}: {len(off)} points, {turn}, {place}, focal length +- {sd.focal_percent:.3f} %")
+    report = found.report | {"rig": str(out), "picture": str(picture), "cameras": rows}
     named = ("focal", "principal_point", "distortion", "metric_scale")
     lines += [f"{name.replace('_', ' ')}: {report[name]}" for name in named if name in report]
     answer(report, "\n".join(lines), as_json=as_json)
@@ -165,13 +153,3 @@ def _estimate(camera: Camera, flat: Recording, dark: Recording) -> PixelCalibrat
         raise BadRecordingError(found, f"{camera.width}x{camera.height} as in REC", where=flat.path)
     with BadRecordingError.located(camera.id):
         return estimate_pixels(*streams)
-
-
-def _summary(calibration: PixelCalibration) -> dict[str, float]:
-    good = ~calibration.defect
-    return {
-        "gain_spread": float(calibration.gain[good].std()),
-        "mean_offset": float(np.mean(calibration.offset[good])),
-        "hot": int(calibration.hot.sum()),
-        "dead": int(calibration.dead.sum()),
-    }

@@ -1,7 +1,5 @@
 """`demo`: record and reconstruct the simulated rig through the real service."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import signal
@@ -11,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
@@ -21,14 +19,12 @@ from reconstruction.report.table import score_table
 from server.cli.options import PATH, several
 from server.cli.output import columns
 from server.cli.progress import progress_of
+from server.client import ServiceClient
 from server.errors import ServiceError
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import ReconstructRequest
 from server.schemas.jobs import Job
-from server.work.leash import stop_process
-
-if TYPE_CHECKING:
-    from server.client import ServiceClient
+from server.work.leash import leashed, stop_process
 
 SCENE = f"mock:{DEVELOPMENT[0]}"
 HOLDOUT = "cam11"
@@ -114,9 +110,6 @@ def _follow(look: Callable[[], _W]) -> _W:
 @contextmanager
 def _service(folder: Path, devices: str) -> Iterator[ServiceClient]:
     """Yield a client of a new service with a worker over `folder` on a free port; stop both on the way out."""
-    from server.client import ServiceClient
-    from server.work.leash import leashed
-
     flags = ["--port", "0", "--data", str(folder), "--rig", "lab3x3", "--devices", devices, "--with-worker"]
     command = leashed([sys.executable, "-P", "-m", "server.cli", "serve", *flags], "SIGTERM")
     log = folder / "service.log"

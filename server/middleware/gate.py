@@ -1,6 +1,9 @@
 """The gate: counts each client's requests, and asks for a token where the service has any."""
 
+import ipaddress
 import math
+import time
+from collections.abc import Callable
 from typing import cast
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -10,14 +13,47 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from server.errors import BusyClientError, ServiceError
-from server.middleware.limits import Rates, address_of
 from server.middleware.problems import problem_of
 from server.services.access import AccessService
 from server.settings import ServiceSettings
 from server.store.tables import Token
 
+_MOST_CLIENTS = 10_000
 _READS = ("GET", "HEAD", "OPTIONS")
 OPEN = ("/v1/healthz",)  # a watchdog of the service has no token
+
+
+class Rates:
+    """Keeps a token bucket for each client: `burst` requests at once, then `rate` a second.
+
+    Memory is bounded: the client that has been quiet longest is forgotten first.
+    """
+
+    def __init__(self, rate: float, burst: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate = rate
+        self._burst = burst
+        self._clock = clock
+        self._buckets: dict[str, tuple[float, float]] = {}  # requests left at a time; the quietest client is first
+
+    def wait_s(self, client: str) -> float:
+        """Count a request and return 0, or return the seconds until the client may ask again."""
+        now = self._clock()
+        left, at = self._buckets.pop(client, (self._burst, now))
+        left = min(self._burst, left + (now - at) * self._rate)
+        self._buckets[client] = (left - 1 if left >= 1 else left, now)
+        if len(self._buckets) > _MOST_CLIENTS:
+            del self._buckets[next(iter(self._buckets))]
+        return max(0.0, (1 - left) / self._rate)
+
+
+def address_of(scope: Scope) -> str:
+    """Return who counts as one client: an IPv4 address, or the /64 network of an IPv6 host."""
+    host = (scope.get("client") or ("unknown", 0))[0]
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    return host if address.version == 4 else str(ipaddress.ip_network((int(address) >> 64 << 64, 64)))
 
 
 class Gate:

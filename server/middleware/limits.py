@@ -1,53 +1,21 @@
-"""Limits on one client: how many requests, how large, how slow."""
+"""Limits on a body: how large, how slow; and strict JSON, which every reader understands alike."""
 
 import asyncio
-import ipaddress
-import time
-from collections.abc import AsyncIterator, Callable
+import json
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.errors import ServiceError, SlowBodyError, TooLargeError
+from server.errors import MalformedError, ServiceError, SlowBodyError, TooLargeError
 from server.middleware.problems import problem_of
-from server.middleware.strict import check_json
 from server.settings import ServiceSettings
 
-_MOST_CLIENTS = 10_000
-
-
-class Rates:
-    """Keeps a token bucket for each client: `burst` requests at once, then `rate` a second.
-
-    Memory is bounded: the client that has been quiet longest is forgotten first.
-    """
-
-    def __init__(self, rate: float, burst: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._rate = rate
-        self._burst = burst
-        self._clock = clock
-        self._buckets: dict[str, tuple[float, float]] = {}  # requests left at a time; the quietest client is first
-
-    def wait_s(self, client: str) -> float:
-        """Count a request and return 0, or return the seconds until the client may ask again."""
-        now = self._clock()
-        left, at = self._buckets.pop(client, (self._burst, now))
-        left = min(self._burst, left + (now - at) * self._rate)
-        self._buckets[client] = (left - 1 if left >= 1 else left, now)
-        if len(self._buckets) > _MOST_CLIENTS:
-            del self._buckets[next(iter(self._buckets))]
-        return max(0.0, (1 - left) / self._rate)
-
-
-def address_of(scope: Scope) -> str:
-    """Return who counts as one client: an IPv4 address, or the /64 network of an IPv6 host."""
-    host = (scope.get("client") or ("unknown", 0))[0]
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return host
-    return host if address.version == 4 else str(ipaddress.ip_network((int(address) >> 64 << 64, 64)))
+_DEEPEST = 32  # levels of nesting
+_LONG = 2**14  # bytes of JSON; a longer body is worth a thread of its own
 
 
 class BodyLimit:
@@ -80,7 +48,10 @@ class BodyLimit:
             async with _patience(self._patience_s):
                 body = await _read(receive, self._most)
             if body and "json" in headers.get("content-type", "").lower():
-                await check_json(body)
+                if len(body) < _LONG:
+                    check_json(body)
+                else:
+                    await run_in_threadpool(check_json, body)
         except ServiceError as error:
             await problem_of(error)(scope, receive, send)
         else:
@@ -141,3 +112,45 @@ def _impatient(receive: Receive, patience_s: float) -> Receive:
         return message
 
     return hurried
+
+
+def check_json(body: bytes) -> None:
+    """Raise MalformedError for JSON that readers understand differently: a name twice, NaN, values nested too deep.
+
+    Text that is no JSON at all is left to the framework, whose answer tells the line and column.
+    """
+    try:
+        document = json.loads(body, object_pairs_hook=_object, parse_constant=_constant)
+    except RecursionError as error:
+        raise _too_deep() from error
+    except ValueError:
+        return
+    level = [document]
+    for _ in range(_DEEPEST):
+        level = [child for item in level for child in _children(item)]
+        if not level:
+            return
+    raise _too_deep()
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in made if names.count(name) > 1)
+        raise MalformedError(f"found the member {twice[:60]!r} twice", "it once")
+    return made
+
+
+def _constant(name: str) -> float:
+    raise MalformedError(f"found {name}", "a number: JSON has no other")
+
+
+def _children(item: Any) -> list[Any]:
+    if isinstance(item, dict):
+        return list(item.values())
+    return item if isinstance(item, list) else []
+
+
+def _too_deep() -> MalformedError:
+    return MalformedError(f"found values nested deeper than {_DEEPEST}", "a flat document")

@@ -1,19 +1,16 @@
 // The operator's page: rigs, captures and jobs, kept up to date by events or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { get, learnRole, looksOn, post, request, wait } from './operator/api.js';
+import { follow, get, learnRole, looksOn, post, request, setToken, token, wait } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { capture } from './operator/captures.js';
-import { element, keepingFocus, patchChildren } from './operator/dom.js';
+import { byId, element, keepingFocus, patchChildren } from './operator/dom.js';
 import { job } from './operator/jobs.js';
-import { follow } from './operator/live.js';
 import * as results from './operator/results.js';
 import { rig } from './operator/rigs.js';
-import { setToken, token } from './token.js';
 
 const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, TAIL_MS = 1000;
 const PAGE = { captures: 20, jobs: 30 };
 const HIDDEN = ['look'];
-const place = (id) => document.getElementById(id);
 
 const state = { rigs: [], captures: [], jobs: [], next: {}, limits: { ...PAGE }, live: false, tailing: new Set(), watched: new Set() };
 const context = {
@@ -35,19 +32,19 @@ function draw() {
 
 function list(id, items, make, nothing) {
   const none = () => [element('li', { className: 'quiet', data: { key: 'nothing' } }, nothing)];
-  patchChildren(place(id), items.length ? items.map((item) => make(item, context)) : none());
+  patchChildren(byId(id), items.length ? items.map((item) => make(item, context)) : none());
 }
 
 function older(kind) {
   const made = element('button', { type: 'button', id: `older-${kind}`, className: 'plain' }, `Older ${kind}`);
   made.onclick = () => { state.limits[kind] = Math.min(1000, state.limits[kind] + PAGE[kind]); refresh(); };
-  patchChildren(place(`${kind}-more`), state.next[kind] ? [made] : []);
+  patchChildren(byId(`${kind}-more`), state.next[kind] ? [made] : []);
 }
 
 function drawNow() {
   list('rigs', state.rigs, rig, 'No rig is configured; see SPIKE4DGS_RIGS.');
   list('captures', state.captures, capture, 'No captures yet. Record one with a rig.');
-  list('jobs', state.jobs.filter((item) => !HIDDEN.includes(item.type)), job, place('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
+  list('jobs', state.jobs.filter((item) => !HIDDEN.includes(item.type)), job, byId('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
   older('captures');
   older('jobs');
   for (const log of document.querySelectorAll('details[open] > pre[id^=log-text]')) {
@@ -76,7 +73,7 @@ function refresh() {
 }
 
 async function refreshed() {
-  const status = place('jobs-status').value;
+  const status = byId('jobs-status').value;
   try {
     const [rigs, captures, jobs] = await Promise.all([get('/rigs'), get(`/captures?limit=${state.limits.captures}`),
       get(`/jobs?limit=${state.limits.jobs}${status && `&status=${status}`}`)]);
@@ -91,7 +88,7 @@ async function refreshed() {
 
 // Show a fault of the connection until it is over; a complaint about a request stays to be read.
 function lost(text) {
-  const notice = place('notice');
+  const notice = byId('notice');
   if (text) complain(text);
   else if (notice.dataset.lost) complain('');
   notice.dataset.lost = text ? 'yes' : '';
@@ -108,7 +105,7 @@ const learnStatus = async (id) => context.statuses.set(id, await get(`/rigs/${id
 
 async function learnSlowly() {
   const ready = await get('/readyz').then(() => null, (error) => error.message);
-  Object.assign(place('ready'), { textContent: ready ? `Not ready: ${ready}` : 'Ready', className: ready ? 'failed' : 'done' });
+  Object.assign(byId('ready'), { textContent: ready ? `Not ready: ${ready}` : 'Ready', className: ready ? 'failed' : 'done' });
   for (const { id } of state.rigs) {
     await learnStatus(id);
     context.calibrations.set(id, await learnCalibration(id).catch(() => null));
@@ -158,7 +155,7 @@ async function watch(id, wanted) {
 async function tail(id) {
   if (state.tailing.has(id)) return;
   state.tailing.add(id);
-  while (place(`log-${id}`)?.open) {
+  while (byId(`log-${id}`)?.open) {
     await results.readLog(id).catch(() => {});
     draw();
     await wait(TAIL_MS);
@@ -175,19 +172,7 @@ async function every(pause, act) {
 
 function heard(live) {
   state.live = live;
-  place('news').textContent = live ? 'Live' : 'Asking once a second: this service sends no events.';
-}
-
-async function start() {
-  const { paths } = await (await request('/openapi.json')).json();
-  const { schema } = paths['/v1/jobs'].get.parameters.find(({ name }) => name === 'status');
-  place('jobs-status').append(...schema.anyOf.find((one) => one.enum).enum.map((status) => new Option(status)));
-  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
-  place('role').hidden = !looksOn();
-  await refresh();
-  follow('/v1/events', happened, heard);
-  every(() => (state.live ? SLOW_MS : QUICK_MS), refresh);
-  every(() => SLOW_MS, learnSlowly);
+  byId('news').textContent = live ? 'Live' : 'Asking once a second: this service sends no events.';
 }
 
 async function begin() {
@@ -200,17 +185,29 @@ async function begin() {
   }
 }
 
+async function start() {
+  const { paths } = await (await request('/openapi.json')).json();
+  const { schema } = paths['/v1/jobs'].get.parameters.find(({ name }) => name === 'status');
+  byId('jobs-status').append(...schema.anyOf.find((one) => one.enum).enum.map((status) => new Option(status)));
+  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
+  byId('role').hidden = !looksOn();
+  await refresh();
+  follow('/v1/events', happened, heard);
+  every(() => (state.live ? SLOW_MS : QUICK_MS), refresh);
+  every(() => SLOW_MS, learnSlowly);
+}
+
 document.addEventListener('token-wanted', () => {
   if (token()) complain('The service does not know this token.');
   setToken('');
-  place('token-form').hidden = false;
+  byId('token-form').hidden = false;
 });
-place('token-form').onsubmit = (event) => {
+byId('token-form').onsubmit = (event) => {
   event.preventDefault();
-  setToken(place('token').value.trim());
+  setToken(byId('token').value.trim());
   location.reload(); // so that pictures and links are made with the token
 };
-place('jobs-status').onchange = refresh;
+byId('jobs-status').onchange = refresh;
 onChange(async () => {
   await refresh();
   learnSlowly();

@@ -24,9 +24,8 @@ _FILES = {  # address: (file, content security policy)
     "/viewer.html": ("viewer/viewer.html", _VIEWER),
     "/page.css": ("page.css", _PLAIN),
     "/page.js": ("page.js", _PLAIN),
-    "/token.js": ("token.js", _PLAIN),
 }
-_OPERATOR = "act api calibrations captures curve dialogs dom jobs live media options report results rigs"
+_OPERATOR = "act api calibrations captures curve dom jobs media options report results rigs"
 _VIEWER_SCRIPTS = "viewer scene motion splats picture view cameras controls vendor/spark"
 _OPERATOR_FILES = [f"{name}.js" for name in _OPERATOR.split()]
 _VIEWER_FILES = ["viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS.split())]

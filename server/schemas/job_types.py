@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
+from pydantic_core import CoreSchema, core_schema
 
+from reconstruction.export.catalogue import FORMATS
+from reconstruction.images.catalogue import GIVEN
+from reconstruction.run.configuration import CHOICES, STAGES
 from server.schemas.captures import Name
-from server.schemas.choices import ExportFormat, ImageMethod, Images, Init, Model, Refine, Stage, Supervision
 from server.schemas.progress import Request, example
 
 CameraId = Annotated[str, Field(pattern=r"^cam\d\d$")]
@@ -17,6 +22,25 @@ RigId = Annotated[str, Field(min_length=1, max_length=64)]
 _CAPTURE = {"capture": "c20260101-120000-0a1b2c3d"}
 _JOB = {"job": "j20260101-121500-4e5f6a7b"}
 BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5,80}$")]
+
+
+# These read files of the user or are for benchmarks alone.
+_COMMAND_LINE_ONLY = (*GIVEN, "interpolated", "dust3r")
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Makes pydantic accept one of `names` and list them in the schema, as it does for a Literal."""
+
+    names: Sequence[str]
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of a Literal of the names."""
+        return core_schema.literal_schema(list(self.names))
+
+
+def _choice(field: str) -> OneOf:
+    return OneOf([name for name in CHOICES[field] if name not in _COMMAND_LINE_ONLY])
 
 
 class JobBase(Request):
@@ -47,11 +71,11 @@ class ReconstructRequest(OfCapture):
     model_config = example(_CAPTURE | {"holdout": "cam11", "budget_s": 300}, {"type": "reconstruct"} | _CAPTURE)
 
     type: Literal["reconstruct"] = "reconstruct"
-    model: Model = "auto"
-    images: Images = "auto"
-    init: Init = "auto"
-    supervision: Supervision = "auto"
-    refine: Refine = "auto"
+    model: Annotated[str, _choice("model")] = "auto"
+    images: Annotated[str, _choice("images")] = "auto"
+    init: Annotated[str, _choice("init")] = "auto"
+    supervision: Annotated[str, _choice("supervision")] = "auto"
+    refine: Annotated[str, _choice("refine")] = "auto"
     holdout: CameraId | None = None
     views: Annotated[list[CameraId] | None, Field(min_length=2, max_length=100)] = None
     tick_stride: Annotated[int | None, Field(ge=1, le=10_000)] = None
@@ -72,7 +96,7 @@ class ImagesRequest(OfCapture):
     model_config = example({"type": "images"} | _CAPTURE | {"method": "tfi", "ticks": "0:400:20"})
 
     type: Literal["images"]
-    method: ImageMethod
+    method: Annotated[str, OneOf([name for name in _choice("images").names if name != "auto"])]
     ticks: Planes | None = None
 
 
@@ -140,7 +164,7 @@ class ExportRequest(OfJob):
     model_config = example({"type": "export"} | _JOB | {"format": "spz", "at_s": 0.01})
 
     type: Literal["export"]
-    format: ExportFormat
+    format: Annotated[str, OneOf([name for name, form in FORMATS.items() if form.served])]
     at_s: Annotated[float | None, Field(ge=0, le=1e6, allow_inf_nan=False)] = None
     frames: Annotated[int | None, Field(ge=1, le=1000)] = None
     camera: CameraId | None = None
@@ -204,4 +228,4 @@ class RestartRequest(Request):
 
     model_config = example({"stage": "train"})
 
-    stage: Stage
+    stage: Annotated[str, OneOf(STAGES)]

@@ -400,7 +400,7 @@ def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any])
 
 
 def test_events_move_the_page(service: Service, done: str, open_page: Callable[..., Any], seen: Seen) -> None:
-    """A service that sends events: they are applied as they come, before any list is asked for again."""
+    """Events are applied as they come, before any list is asked for again."""
     job = json.loads(service.client.job(done).model_dump_json()) | {"status": "running", "stage": "train"}
 
     def listing(route: Any) -> None:
@@ -413,10 +413,11 @@ def test_events_move_the_page(service: Service, done: str, open_page: Callable[.
         return f"id: {seq}\r\nevent: progress\r\ndata: {json.dumps(event)}\r\n\r\n"
 
     def prepare(page: Any) -> None:
-        routes = {"paths": {"/v1/events": {"get": {}}, "/v1/jobs": {"post": {}}}}
-        page.route("**/openapi.json", lambda route: route.fulfill(json=routes))
         page.route("**/v1/jobs?*", listing)
         stream = ": hello\n\n" + "".join(progress(seq) for seq in (1, 2, 3))
+        page.route(
+            "**/v1/jobs/*/events*", lambda route: route.fulfill(content_type="text/event-stream", body=": old\n\n")
+        )
         page.route("**/v1/events", lambda route: route.fulfill(content_type="text/event-stream", body=stream))
 
     card = open_page(prepare=prepare).locator(f"#job-{done}")

@@ -1,6 +1,7 @@
-// Buttons that ask the service for something and show the outcome.
-import { looksOn, wait } from './api.js';
-import { element } from './dom.js';
+// Buttons and dialogs that ask the service for something and show the outcome.
+import { looksOn, post, send, wait } from './api.js';
+import { byId, element } from './dom.js';
+import { fieldsOf } from './options.js';
 
 const SAID_MS = 6000, AGAIN_MS = 500, MOST_TRIES = 30;
 const VIEWER = "A viewer's token only looks on; this needs an operator's.";
@@ -8,15 +9,15 @@ const VIEWER = "A viewer's token only looks on; this needs an operator's.";
 let refresh = async () => {};
 export const onChange = (told) => { refresh = told; };
 
-export function say(text) {
-  const place = document.getElementById('said');
-  if (place.textContent !== text) place.textContent = text;
+function say(text) {
+  const place = byId('said');
+  place.textContent = text;
   clearTimeout(say.gone);
   say.gone = setTimeout(() => { place.textContent = ''; }, SAID_MS);
 }
 
 export function complain(text) {
-  const place = document.getElementById('notice');
+  const place = byId('notice');
   if (place.textContent !== text) place.textContent = text;
   place.hidden = !text;
 }
@@ -60,3 +61,57 @@ export function button(label, id, act, { done = '', ...options } = {}) {
 
 export const link = (label, id, href) => element('a', { id, href }, label);
 export const actions = (...made) => element('div', { className: 'actions' }, made.flat().filter(Boolean));
+
+function dialog(heading, content, act, label, danger = false) {
+  const fault = element('p', { className: 'failed', role: 'alert' });
+  const go = element('button', { type: 'submit', id: 'dialog-go', className: danger ? 'danger' : '' }, label);
+  const back = element('button', { type: 'button', id: 'dialog-back', className: 'plain' }, 'Back');
+  const form = element('form', {}, element('h2', { id: 'dialog-title' }, heading), content, fault,
+    actions(go, back));
+  const made = element('dialog', { id: 'dialog' }, form);
+  made.setAttribute('aria-labelledby', 'dialog-title');
+  const from = document.activeElement;
+  back.onclick = () => made.close();
+  form.onsubmit = async (event) => {
+    event.preventDefault();
+    go.disabled = true;
+    fault.textContent = '';
+    try {
+      await act();
+      made.close();
+    } catch (error) {
+      fault.textContent = error.message;
+    }
+    go.disabled = false;
+  };
+  made.onclose = () => {
+    made.remove();
+    (from?.isConnected ? from : byId(from?.id))?.focus();
+  };
+  document.body.append(made);
+  made.showModal();
+  return back;
+}
+
+// A button that deletes an entry once the person confirms it; the safe answer has the focus.
+export function removal(item, path, detail) {
+  const act = () => performed(() => send('DELETE', path), `${item.id} is deleted`);
+  const ask = () => dialog(`Delete ${item.name ?? item.id}?`, element('p', {}, detail), act, 'Delete', true).focus();
+  return opener('Delete', `delete-${item.id}`, ask, { danger: true });
+}
+
+// A button for a form that queues a job of a type on `target`, {capture} or {job}; any rig is one of this service.
+export function asking(label, heading, type, target, item, context, plain = true) {
+  const { rig, ...properties } = context.options[type].properties;
+  const asked = { ...context.options[type], properties: rig ? { ...properties, rig: { type: 'string', enum: [...context.rigs.keys()] } } : properties };
+  const submit = (values) => performed(() => post('/jobs', { type, ...target, ...values }), `${heading}: queued`);
+  return opener(label, `${type}-${item.id}`, () => jobDialog(heading, asked, context.camerasOf(item), submit), { plain });
+}
+
+// A form for a job of a type; `submit` takes the values that were filled in.
+export function jobDialog(heading, schema, cameras, submit) {
+  const { first, more, values } = fieldsOf(schema, cameras);
+  const content = element('div', { className: 'fields' }, first,
+    more.length > 0 && element('details', {}, element('summary', {}, 'More options'), element('div', { className: 'fields' }, more)));
+  dialog(heading, content, () => submit(values()), 'Queue');
+}

@@ -1,29 +1,27 @@
-// Requests of the page to the service.
-import { token, withToken } from '../token.js';
-
+// Requests of the page to the service, with the token that a person entered; it is kept for this tab only.
+const KEY = 'spike4dgs-token';
+const AGAIN_MS = 2000; // between looks for events
 const MOST_KEPT = 200; // pictures fetched with a token
 const fetched = new Map(); // path to promise of a blob's address
 
-export class Refused extends Error {
-  constructor(status, detail) {
-    super(detail);
-    this.status = status;
-  }
+export const token = () => sessionStorage.getItem(KEY);
+
+export function setToken(text) {
+  if (text) sessionStorage.setItem(KEY, text);
+  else sessionStorage.removeItem(KEY);
 }
 
-export async function request(path, { method = 'GET', body, headers = {}, signal } = {}) {
-  const all = withToken(body === undefined ? headers : { ...headers, 'Content-Type': 'application/json' });
-  let response;
-  try {
-    response = await fetch(path, { method, headers: all, signal, body: body === undefined ? undefined : JSON.stringify(body) });
-  } catch (error) {
-    if (error.name === 'AbortError') throw error;
-    throw new Refused(0, 'The service does not answer; check that it runs');
-  }
+const refused = (status, detail) => Object.assign(new Error(detail), { status });
+
+export async function request(path, { method = 'GET', body, headers, signal } = {}) {
+  const all = { ...headers, ...(body !== undefined && { 'Content-Type': 'application/json' }), ...(token() && { Authorization: `Bearer ${token()}` }) };
+  const response = await fetch(path, { method, headers: all, signal, body: JSON.stringify(body) }).catch((error) => {
+    throw error.name === 'AbortError' ? error : refused(0, 'The service does not answer; check that it runs');
+  });
   if (response.status === 401) document.dispatchEvent(new CustomEvent('token-wanted'));
   if (response.ok) return response;
   const { detail } = await response.json().catch(() => ({}));
-  throw new Refused(response.status, detail ?? `${response.status} ${response.statusText}`);
+  throw refused(response.status, detail ?? `${response.status} ${response.statusText}`);
 }
 
 export const get = async (path) => (await request(`/v1${path}`)).json();
@@ -53,9 +51,8 @@ export const wait = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); 
 
 const blobAt = async (path) => URL.createObjectURL(await (await request(path)).blob());
 
-// An address for <img>, <video> and links: the path itself or, with a token, a blob fetched with it.
+// An address for <img>, <video> and links where there is a token: that of a blob fetched with it.
 export function address(path) {
-  if (!token()) return Promise.resolve(path);
   if (!fetched.has(path)) {
     fetched.set(path, blobAt(path).catch((error) => { fetched.delete(path); throw error; }));
     if (fetched.size > MOST_KEPT) {
@@ -65,4 +62,37 @@ export function address(path) {
     }
   }
   return fetched.get(path);
+}
+
+// Events as they happen, read with fetch, which can send a token where EventSource cannot.
+// Call `onEvent` with the data of each event; return at the end of the stream, throw if it breaks.
+export async function readEvents(path, onEvent, { after, signal } = {}) {
+  const headers = { Accept: 'text/event-stream', ...(after !== undefined && { 'Last-Event-ID': String(after) }) };
+  const response = await request(path, { headers, signal });
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let pending = '';
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    const parts = (pending + value.replace(/\r/g, '')).split('\n\n');
+    pending = parts.pop();
+    for (const part of parts) {
+      const lines = part.split('\n').filter((line) => line.startsWith('data:'));
+      if (lines.length) onEvent(JSON.parse(lines.map((line) => line.slice(5)).join('\n')));
+    }
+  }
+}
+
+// Follow all events for as long as the page is open; `onState` is told whether they arrive.
+export async function follow(path, onEvent, onState) {
+  let after;
+  for (;;) {
+    try {
+      const reading = readEvents(path, (event) => { after = event.seq; onEvent(event); }, { after });
+      onState(true);
+      await reading;
+    } catch { /* the service is gone or refuses; the page's own requests say which */ }
+    onState(false);
+    await wait(AGAIN_MS);
+  }
 }

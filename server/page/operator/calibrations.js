@@ -1,7 +1,6 @@
 // The calibration of a rig: the one in use, its quality, and the versions to go back to.
 import { get, post, request } from './api.js';
-import { actions, button, opener, performed } from './act.js';
-import { jobDialog } from './dialogs.js';
+import { actions, button, jobDialog, opener, performed } from './act.js';
 import { ago, element, fold, quiet } from './dom.js';
 import { picture } from './media.js';
 
@@ -29,10 +28,8 @@ function versions(item, context, current) {
 }
 
 // A button to calibrate a rig from one of `captures`: its cameras or, with a dark capture too, its pixels.
-export function calibrating(heading, item, rig, captures, context) {
-  if (!rig || !context.options.calibrate) return null;
-  return opener('Calibrate…', `calibrate-${item.id}`, () => calibrateDialog(heading, rig, captures, context));
-}
+export const calibrating = (heading, item, rig, captures, context) => rig
+  && opener('Calibrate…', `calibrate-${item.id}`, () => calibrateDialog(heading, rig, captures, context));
 
 function calibrateDialog(heading, rig, captures, context) {
   const { board, apply, name, priority } = context.options.calibrate.properties;
@@ -48,8 +45,8 @@ const finished = (rig, context) => context.captures.filter((one) => one.rig === 
 
 function calibrate(item, context) {
   const captures = finished(item.id, context);
-  const made = calibrating(`Calibrate ${item.name}`, item, item.id, captures, context);
-  return made && (captures.length ? actions(made) : quiet('Record a capture to calibrate from.'));
+  if (!captures.length) return quiet('Record a capture to calibrate from.');
+  return actions(calibrating(`Calibrate ${item.name}`, item, item.id, captures, context));
 }
 
 export async function learnCalibration(rig) {

@@ -1,8 +1,7 @@
 // Captures: their recordings, their losses, and the jobs they can be used for.
 import { post } from './api.js';
-import { actions, button, opener, performed } from './act.js';
+import { actions, asking, button, removal } from './act.js';
 import { calibrating } from './calibrations.js';
-import { jobDialog, removal } from './dialogs.js';
 import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
 import { picture } from './media.js';
 import { ended } from './results.js';
@@ -48,25 +47,15 @@ function running(item) {
       button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
 }
 
-// A button for a job on this capture; `verb` begins the heading of its form.
-function asking(label, verb, type, item, context, plain = true) {
-  const schema = context.options[type];
-  if (!schema) return null;
-  const heading = `${verb} ${item.name ?? item.id}`;
-  const { rig, ...properties } = schema.properties;
-  const asked = { ...schema, properties: rig ? { ...properties, rig: { type: 'string', enum: [...context.rigs.keys()] } } : properties };
-  const submit = (values) => performed(() => post('/jobs', { type, capture: item.id, ...values }), `${heading}: queued`);
-  return opener(label, `${type}-${item.id}`, () => jobDialog(heading, asked, context.camerasOf(item), submit), { plain });
-}
-
 function offered(item, context) {
   if (!ended(item)) return null;
+  const ask = (label, verb, type, plain) => asking(label, `${verb} ${item.name ?? item.id}`, type, { capture: item.id }, item, context, plain);
   const verify = () => post('/jobs', { type: 'verify', capture: item.id });
   const more = element('div', {}, actions(
     item.status === 'done' && [
       calibrating(`Calibrate ${item.rig} from ${item.name ?? item.id}`, item, item.rig, [item.id], context),
-      asking('Check rig…', 'Check the rig against', 'check-rig', item, context),
-      asking('Images…', 'Images of', 'images', item, context),
+      ask('Check rig…', 'Check the rig against', 'check-rig'),
+      ask('Images…', 'Images of', 'images'),
       button('Verify', `verify-${item.id}`, verify, { done: 'The check of every byte is queued' }),
     ],
     removal(item, `/captures/${item.id}`, 'The recording is deleted for good; what was made of it stays, but cannot be done again.')));
@@ -74,7 +63,7 @@ function offered(item, context) {
   return [
     item.partial_planes > 0 && actions(button(
       `Finalise ${item.partial_planes} planes`, `finalise-${item.id}`, finalise, { plain: false, done: 'What was kept becomes a recording' })),
-    item.status === 'done' && actions(asking('Reconstruct…', 'Reconstruct', 'reconstruct', item, context, false)),
+    item.status === 'done' && actions(ask('Reconstruct…', 'Reconstruct', 'reconstruct', false)),
     fold(`more-${item.id}`, 'More', more),
   ];
 }

@@ -4,6 +4,8 @@ const HANDLERS = ['onclick', 'onchange', 'oninput', 'onsubmit', 'ontoggle'];
 const SVG = 'http://www.w3.org/2000/svg';
 const OWN = { DETAILS: ['open'], INPUT: ['value', 'disabled'], BUTTON: ['aria-busy'], A: ['aria-busy'] }; // attributes that the person changes
 
+export const byId = (id) => document.getElementById(id);
+
 export function element(tag, properties = {}, ...children) {
   const { data, ...rest } = properties;
   const made = Object.assign(document.createElement(tag), rest);
@@ -83,17 +85,10 @@ export function fold(id, summary, content, onopen) {
   return made;
 }
 
-export function card(id, ...children) {
-  return element('li', { id, tabIndex: -1 }, ...children);
-}
-
-export function title(name, status, word = status) {
-  return element('div', { className: 'title' }, element('h3', {}, name), element('span', { className: `status ${status}` }, word));
-}
-
-export function bar(label, fraction) {
-  return element('progress', { max: 1, value: fraction, ariaLabel: label });
-}
+export const card = (id, ...children) => element('li', { id, tabIndex: -1 }, ...children);
+export const title = (name, status, word = status) => element('div', { className: 'title' },
+  element('h3', {}, name), element('span', { className: `status ${status}` }, word));
+export const bar = (label, fraction) => element('progress', { max: 1, value: fraction, ariaLabel: label });
 
 export const when = (created) => new Date(created).toLocaleString([], { dateStyle: 'medium', timeStyle: 'medium' });
 export const seconds = (s) => (s < 100 ? `${s.toFixed(1)} s` : s < 6000 ? `${(s / 60).toFixed(1)} min` : `${(s / 3600).toFixed(1)} h`);

@@ -1,15 +1,13 @@
 // The queue: the state of each job, its results, and what can be done with it.
 import { post, send } from './api.js';
-import { actions, button, link, opener, patiently, performed } from './act.js';
+import { actions, asking, button, link, patiently, removal } from './act.js';
 import { curve } from './curve.js';
-import { jobDialog, removal } from './dialogs.js';
-import { bar, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
+import { bar, byId, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
 import { artefact, download, picture, video } from './media.js';
 import { ended, of } from './results.js';
 
 const WORDS = { reconstruct: 'Reconstruction', images: 'Images', calibrate: 'Calibration', 'check-rig': 'Rig check', verify: 'Verification', evaluate: 'Evaluation', export: 'Export', preflight: 'Preflight', import: 'Import' };
 const SCORES = [['psnr_db', 'PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
-
 const MOST_LINKS = 3;
 
 const stagesOf = (item, context) => (item.type === 'reconstruct' ? context.stages : [item.type]);
@@ -65,6 +63,7 @@ function curveOf(item) {
 }
 
 const has = (item, name) => of(item.id).artefacts.some((one) => one.name === name);
+const archive = (item, id, label) => download(`${id}-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, label);
 
 function results(item) {
   const found = of(item.id);
@@ -76,7 +75,7 @@ function results(item) {
       element('span', { className: 'quiet' }, size(one.bytes))))),
     found.artefacts.length > 60 && quiet(`and ${found.artefacts.length - 60} more, in the archive`),
     found.answer && element('pre', { tabIndex: 0, ariaLabel: 'Result' }, JSON.stringify(found.answer, null, 1).slice(0, 5000)),
-    actions(download(`archive-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, 'All as one archive')));
+    actions(archive(item, 'archive', 'All as one archive')));
   return fold(`results-${item.id}`, `Results (${found.artefacts.length})`, content);
 }
 
@@ -93,7 +92,7 @@ function restart(item, context) {
   const id = `stage-${item.id}`;
   const choice = element('select', { id, ariaLabel: `Stage to do ${item.id} again from` }, begun.map((name) => element('option', { value: name }, name)));
   choice.value = begun.at(-1);
-  const again = () => patiently(() => post(path(item, '/restart'), { stage: document.getElementById(id).value }));
+  const again = () => patiently(() => post(path(item, '/restart'), { stage: byId(id).value }));
   return [choice, button('Do again from here', `restart-${item.id}`, again, { done: `${item.id} is queued again` })];
 }
 
@@ -101,22 +100,20 @@ function priority(item) {
   if (item.status !== 'queued') return [];
   const id = `priority-${item.id}`;
   const input = element('input', { id, type: 'number', min: 1, max: 1000, value: item.priority, className: 'short' });
-  const set = () => send('PUT', path(item, '/priority'), { priority: Number(document.getElementById(id).value) });
+  const set = () => send('PUT', path(item, '/priority'), { priority: Number(byId(id).value) });
   return [element('label', { htmlFor: id }, 'Priority ', input), button('Set', `prioritise-${item.id}`, set, { done: `${item.id} has a new priority` })];
 }
 
 // A button for a job on a finished reconstruction.
-function asking(label, type, item, context) {
-  const schema = context.options[type];
-  if (!schema || item.status !== 'done' || item.type !== 'reconstruct') return null;
-  const submit = (values) => performed(() => post('/jobs', { type, job: item.id, ...values }), `${WORDS[type]} is queued`);
-  return opener(label, `${type}-${item.id}`, () => jobDialog(`${WORDS[type]} of ${item.name ?? item.id}`, schema, context.camerasOf(item), submit));
+function further(label, type, item, context) {
+  if (item.status !== 'done' || item.type !== 'reconstruct') return null;
+  return asking(label, `${WORDS[type]} of ${item.name ?? item.id}`, type, { job: item.id }, item, context);
 }
 
 function manage(item, context) {
   if (!ended(item)) return null;
   const remove = removal(item, path(item), 'The job, its log and everything it made are deleted for good. Its capture stays.');
-  const content = element('div', {}, actions(restart(item, context)), actions(asking('Evaluate…', 'evaluate', item, context), remove));
+  const content = element('div', {}, actions(restart(item, context)), actions(further('Evaluate…', 'evaluate', item, context), remove));
   return fold(`manage-${item.id}`, 'Manage', content);
 }
 
@@ -124,7 +121,7 @@ function manage(item, context) {
 function files(item) {
   if (item.type !== 'export' || item.status !== 'done') return [];
   const made = of(item.id).artefacts.filter((one) => one.name !== 'result.json');
-  if (made.length > MOST_LINKS) return [download(`saved-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, `Download ${made.length} files`)];
+  if (made.length > MOST_LINKS) return [archive(item, 'saved', `Download ${made.length} files`)];
   return made.map((one) => download(`save-${item.id}-${one.name}`, artefact(item.id, one.name), one.name.split('/').at(-1), `Download ${one.name} (${size(one.bytes)})`));
 }
 
@@ -134,7 +131,7 @@ function main(item, context) {
     files(item),
     has(item, 'report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
     has(item, 'viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
-    asking('Export…', 'export', item, context),
+    further('Export…', 'export', item, context),
     resumable && button('Resume', `resume-${item.id}`, () => patiently(() => post(path(item, '/resume'))), { plain: false, done: `${item.id} goes on` }),
     !ended(item) && button('Cancel', `cancel-${item.id}`, () => post(path(item, '/cancel')), { done: `${item.id} is cancelled` }),
     priority(item));

@@ -1,6 +1,5 @@
 // Pictures, videos and downloads, with or without a token.
-import { token } from '../token.js';
-import { address } from './api.js';
+import { address, token } from './api.js';
 import { element } from './dom.js';
 
 function sourced(made, path) {
@@ -10,29 +9,25 @@ function sourced(made, path) {
   return made;
 }
 
-export function picture(path, alt, className = '') {
-  return sourced(element('img', { alt, className, loading: token() ? 'eager' : 'lazy', decoding: 'async' }), path);
-}
-
-export function video(path, label) {
-  return sourced(element('video', { controls: true, loop: true, muted: true, playsInline: true, preload: 'metadata', ariaLabel: label }), path);
-}
+export const picture = (path, alt, className = '') => sourced(
+  element('img', { alt, className, loading: token() ? 'eager' : 'lazy', decoding: 'async' }), path);
+export const video = (path, label) => sourced(
+  element('video', { controls: true, loop: true, muted: true, playsInline: true, preload: 'metadata', ariaLabel: label }), path);
 
 // A link that saves a file; with a token the file is fetched first, because links send no header.
 export function download(id, path, name, label) {
   const made = element('a', { id, href: path, download: name }, label);
-  if (token()) {
-    made.onclick = async (event) => {
-      event.preventDefault();
-      const link = event.currentTarget;
-      link.ariaBusy = 'true';
-      try {
-        element('a', { href: await address(path), download: name }).click();
-      } finally {
-        link.ariaBusy = null;
-      }
-    };
-  }
+  if (!token()) return made;
+  made.onclick = async (event) => {
+    event.preventDefault();
+    const link = event.currentTarget;
+    link.ariaBusy = 'true';
+    try {
+      element('a', { href: await address(path), download: name }).click();
+    } finally {
+      link.ariaBusy = null;
+    }
+  };
   return made;
 }
 

@@ -18,12 +18,7 @@ const NOTES = {
 const NONE = { rig: 'the one recorded with' };
 
 // Return the schema of a property without the null that says it may be left out.
-function kindOf(schema, definitions) {
-  const open = schema.anyOf?.find((one) => one.type !== 'null') ?? schema;
-  return open.$ref ? { ...definitions[open.$ref.split('/').at(-1)], default: schema.default } : { ...open, default: schema.default };
-}
-
-const isCamera = (name, kind) => ['holdout', 'camera'].includes(name) && kind.type === 'string';
+const kindOf = (schema) => ({ ...(schema.anyOf?.find((one) => one.type !== 'null') ?? schema), default: schema.default });
 
 function choice(id, options, chosen, empty, names = options) {
   const made = element('select', { id });
@@ -33,21 +28,17 @@ function choice(id, options, chosen, empty, names = options) {
   return made;
 }
 
-function boxes(id, cameras) {
-  return element('div', { id, className: 'boxes', role: 'group', ariaLabel: WORDS.views },
-    cameras.map((camera) => element('label', {}, element('input', { type: 'checkbox', value: camera, checked: true }), camera)));
-}
+const boxes = (id, cameras) => element('div', { id, className: 'boxes', role: 'group', ariaLabel: WORDS.views },
+  cameras.map((camera) => element('label', {}, element('input', { type: 'checkbox', value: camera, checked: true }), camera)));
 
-function number(id, kind) {
-  const least = kind.minimum ?? (kind.type === 'integer' ? kind.exclusiveMinimum : undefined);
-  return element('input', {
-    id, type: 'number', step: kind.type === 'integer' ? 1 : 'any', min: least ?? '', max: kind.maximum ?? '',
-    value: kind.default ?? '', placeholder: kind.default == null ? 'auto' : '',
-  });
-}
+const number = (id, kind) => element('input', {
+  id, type: 'number', step: kind.type === 'integer' ? 1 : 'any', min: kind.minimum ?? '', max: kind.maximum ?? '',
+  value: kind.default ?? '', placeholder: kind.default == null ? 'auto' : '',
+});
 
 function inputOf(id, name, kind, cameras) {
-  if (isCamera(name, kind)) return choice(id, cameras, name === 'holdout' ? cameras[Math.floor(cameras.length / 2)] : '', 'none');
+  if (name === 'holdout') return choice(id, cameras, cameras[Math.floor(cameras.length / 2)], 'none');
+  if (name === 'camera') return choice(id, cameras, '', 'none');
   if (kind.enum) return choice(id, kind.enum, kind.default, kind.default == null && kind.optional ? NONE[name] ?? 'none' : undefined, kind.names);
   if (kind.type === 'array') return boxes(id, cameras);
   if (kind.type === 'boolean') return element('input', { id, type: 'checkbox', checked: Boolean(kind.default) });
@@ -76,17 +67,14 @@ function field(name, input, required) {
 }
 
 // Return {first, more, values}: the fields to show at once, those behind "more", and a function for their values.
-export function fieldsOf(schema, cameras, prefix) {
-  const required = schema.required ?? [];
-  const names = Object.keys(schema.properties).filter((name) => !GIVEN.includes(name));
-  const kinds = new Map(names.map((name) => [name, { ...kindOf(schema.properties[name], schema.$defs ?? {}), optional: !required.includes(name) }]));
-  const inputs = new Map(names.map((name) => [name, inputOf(`${prefix}-${name}`, name, kinds.get(name), cameras)]));
-  const made = (name) => field(name, inputs.get(name), required.includes(name));
+export function fieldsOf({ properties, required = [] }, cameras) {
+  const names = Object.keys(properties).filter((name) => !GIVEN.includes(name));
+  const kinds = Object.fromEntries(names.map((name) => [name, { ...kindOf(properties[name]), optional: !required.includes(name) }]));
+  const inputs = Object.fromEntries(names.map((name) => [name, inputOf(`option-${name}`, name, kinds[name], cameras)]));
+  const made = (name) => field(name, inputs[name], required.includes(name));
   return {
-    first: FIRST.filter((name) => inputs.has(name)).map(made),
+    first: FIRST.filter((name) => name in inputs).map(made),
     more: names.filter((name) => !FIRST.includes(name)).map(made),
-    values: () => Object.fromEntries(names
-      .map((name) => [name, valueOf(inputs.get(name), kinds.get(name), cameras)])
-      .filter(([, value]) => value !== undefined)),
+    values: () => Object.fromEntries(names.map((name) => [name, valueOf(inputs[name], kinds[name], cameras)]).filter(([, value]) => value !== undefined)),
   };
 }

@@ -1,7 +1,6 @@
 // Details of jobs that the list does not have: artefacts, scores, curve and log, asked for once, when needed.
-import { get, request } from './api.js';
+import { get, readEvents, request } from './api.js';
 import { addFigure, scored } from './curve.js';
-import { readEvents } from './live.js';
 import { artefact } from './media.js';
 
 const MOST_TEXT = 40_000; // characters of a log or result on the page

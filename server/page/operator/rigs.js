@@ -2,7 +2,7 @@
 import { looksOn, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
-import { ago, bar, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
+import { ago, bar, byId, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
 import { picture } from './media.js';
 
 const LEAST_S = 10; // seconds of recording that should fit on the disk
@@ -73,8 +73,6 @@ function watching(item, context) {
   box.onchange = (event) => context.watch(item.id, event.currentTarget.checked);
   return element('label', { className: 'check' }, box, 'Live');
 }
-
-const byId = (id) => document.getElementById(id);
 
 function number(id, label, properties) {
   const input = element('input', { id, type: 'number', className: 'short', ...properties });

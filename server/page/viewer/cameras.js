@@ -1,5 +1,6 @@
 // The rig's cameras over the picture: a frustum and a name each, and in a camera's own view the edge of its picture.
 import { BufferGeometry, Float32BufferAttribute, LineBasicMaterial, LineSegments, Scene, Vector3 } from './vendor/spark.js';
+import { element } from '../operator/dom.js';
 import { fit, poseOf } from './view.js';
 
 const TRAINING = '#4aa8ff'; // both lie on black, in the light and the dark scheme
@@ -39,10 +40,8 @@ export class Cameras {
   }
 
   #label(camera) {
-    const label = document.createElement('span');
-    label.textContent = camera.held_out ? `${camera.id} held\u00a0out` : camera.id;
-    label.className = camera.held_out ? 'held-out' : '';
-    label.hidden = true;
+    const text = camera.held_out ? `${camera.id} held\u00a0out` : camera.id;
+    const label = element('span', { className: camera.held_out ? 'held-out' : '', hidden: true }, text);
     this.names.append(label);
     return label;
   }

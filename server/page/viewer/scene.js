@@ -9,9 +9,7 @@ export class SceneError extends Error {}
 
 /** Return the scene of a job: {manifest, arrays}, each array a Float32Array. Throws SceneError. */
 export async function loadScene(job, progress = () => {}) {
-  const manifest = await (await fetched(job, 'viewer.json')).json().catch(() => {
-    throw new SceneError('viewer.json: found no JSON, expected a manifest; export the job again');
-  });
+  const manifest = await (await fetched(job, 'viewer.json')).json().catch(() => fault('no JSON', 'a manifest'));
   checkManifest(manifest);
   const bytes = await download(await fetched(job, 'viewer.bin'), progress);
   return { manifest, arrays: arraysOf(manifest, bytes) };
@@ -43,10 +41,11 @@ async function download(response, progress) {
   return new Blob(parts).arrayBuffer();
 }
 
+function fault(found, expected, name = 'viewer.json') {
+  throw new SceneError(`${name}: found ${found}, expected ${expected}; export the job again`);
+}
+
 function checkManifest(manifest) {
-  const fault = (found, expected) => {
-    throw new SceneError(`viewer.json: found ${found}, expected ${expected}; export the job again`);
-  };
   if (manifest?.version !== VERSION) fault(`version ${manifest?.version}`, VERSION);
   if (!MOTIONS.includes(manifest.motion)) fault(`motion ${manifest.motion}`, MOTIONS.join(', '));
   const { count, still, moving, clip_s: clip, cameras, centre, depth_m: depth } = manifest;
@@ -86,20 +85,16 @@ function arraysOf(manifest, bytes) {
   for (const [name, shape] of [...Object.entries(shapes), ...Object.entries(optional)]) {
     const entry = manifest.arrays?.[name];
     if (entry) arrays[name] = view(name, entry, shape, bytes);
-    else if (name in shapes) throw new SceneError(`viewer.json: found no array ${name}, expected one; export the job again`);
+    else if (name in shapes) fault(`no array ${name}`, 'one');
   }
   return arrays;
 }
 
 function view(name, entry, shape, bytes) {
   const fits = entry.dtype === 'float32' && String(entry.shape) === String(shape) && entry.offset % 4 === 0 && entry.offset >= 0;
-  if (!fits) {
-    throw new SceneError(`viewer.json: found ${name} ${entry.dtype} [${entry.shape}] at ${entry.offset}, expected float32 [${shape}]; export the job again`);
-  }
+  if (!fits) fault(`${name} ${entry.dtype} [${entry.shape}] at ${entry.offset}`, `float32 [${shape}]`);
   const length = shape.reduce((product, n) => product * n, 1);
   const end = entry.offset + 4 * length;
-  if (end > bytes.byteLength) {
-    throw new SceneError(`viewer.bin: found ${bytes.byteLength} bytes, expected ${end} or more for ${name}; it is damaged, export the job again`);
-  }
+  if (end > bytes.byteLength) fault(`${bytes.byteLength} bytes`, `${end} or more for ${name}`, 'viewer.bin');
   return new Float32Array(bytes, entry.offset, length);
 }

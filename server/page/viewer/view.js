@@ -59,8 +59,7 @@ export class View {
   enter(camera) {
     Object.assign(this, poseOf(camera), { camera, lens: camera });
     const sight = along(this.turn, 0, 0, 1);
-    const depth = Math.max(this.middle.clone().sub(this.centre).dot(sight), 1e-3);
-    this.target = this.centre.clone().addScaledVector(sight, depth);
+    this.target = this.centre.clone().addScaledVector(sight, Math.max(depthOf(this.middle, this), 1e-3));
   }
 
   #look() {
@@ -107,9 +106,7 @@ export class View {
   applyTo(camera, size) {
     camera.matrix.compose(this.centre, this.turn.clone().multiply(OPENGL_FROM_OPENCV), new Vector3(1, 1, 1));
     camera.updateMatrixWorld(true);
-    const { scale, left, top } = fit(this.lens, size);
-    const [fx, fy] = [scale * this.lens.fx, scale * this.lens.fy];
-    const [cx, cy] = [left + scale * this.lens.cx, top + scale * this.lens.cy];
+    const { fx, fy, cx, cy } = this.#pinhole(size);
     const { near, far } = camera;
     const { width, height } = size;
     camera.projectionMatrix.set(
@@ -125,8 +122,14 @@ export class View {
   project(point, size) {
     const inCam = point.clone().sub(this.centre).applyQuaternion(this.turn.clone().invert());
     if (inCam.z <= 0) return null;
+    const { fx, fy, cx, cy } = this.#pinhole(size);
+    return { x: fx * inCam.x / inCam.z + cx, y: fy * inCam.y / inCam.z + cy };
+  }
+
+  /** Return the intrinsics of the lens in CSS pixels of a window. */
+  #pinhole(size) {
     const { scale, left, top } = fit(this.lens, size);
-    const x = left + scale * (this.lens.fx * inCam.x / inCam.z + this.lens.cx);
-    return { x, y: top + scale * (this.lens.fy * inCam.y / inCam.z + this.lens.cy) };
+    const { fx, fy, cx, cy } = this.lens;
+    return { fx: scale * fx, fy: scale * fy, cx: left + scale * cx, cy: top + scale * cy };
   }
 }

@@ -1,14 +1,14 @@
 // The viewer's page, /viewer.html?job=ID: loads the scene of a job and plays it.
+import { byId } from '../operator/dom.js';
 import { SceneError, loadScene } from './scene.js';
 
 const PASS_S = 4; // seconds that a clip lasts on the screen at speed 1
-const $ = (id) => document.getElementById(id);
 
 function say(text, failed = false) {
-  $('message').textContent = text;
-  $('message').hidden = !text;
-  $('message').className = failed ? 'failed' : '';
-  $('message').setAttribute('role', failed ? 'alert' : 'status');
+  byId('message').textContent = text;
+  byId('message').hidden = !text;
+  byId('message').className = failed ? 'failed' : '';
+  byId('message').setAttribute('role', failed ? 'alert' : 'status');
 }
 
 /** The time shown: u in [0, 1] of the clip, and whether it runs. */
@@ -26,12 +26,12 @@ class Clock {
 
   tell() {
     const text = `${(this.u * this.lasts_ms).toFixed(2)} of ${this.lasts_ms.toFixed(2)} ms`;
-    $('time').value = this.u;
-    $('time').setAttribute('aria-valuetext', text);
-    $('instant').textContent = text;
-    $('slowness').textContent = this.factor >= 1 ? `slowed ${Math.round(this.factor)} times` : '';
-    $('play').textContent = this.running ? 'Pause' : 'Play';
-    $('play').setAttribute('aria-pressed', this.running);
+    byId('time').value = this.u;
+    byId('time').setAttribute('aria-valuetext', text);
+    byId('instant').textContent = text;
+    byId('slowness').textContent = this.factor >= 1 ? `slowed ${Math.round(this.factor)} times` : '';
+    byId('play').textContent = this.running ? 'Pause' : 'Play';
+    byId('play').setAttribute('aria-pressed', this.running);
   }
 
   seek(u) {
@@ -58,23 +58,23 @@ class Clock {
 
 class Player {
   constructor(scene, parts) {
-    const canvas = $('picture');
+    const canvas = byId('picture');
     this.view = new parts.View(scene.manifest.cameras, scene.manifest.centre);
-    this.cameras = new parts.Cameras(scene.manifest, $('names'), $('edge'));
+    this.cameras = new parts.Cameras(scene.manifest, byId('names'), byId('edge'));
     this.splats = parts.makeSplats(scene);
     this.picture = new parts.Picture(canvas, this.splats.mesh, this.cameras.scene, scene.manifest, () => this.request());
     this.clock = new Clock(scene.manifest.clip_s, () => { this.moved = true; this.request(); });
     this.depths = scene.manifest.depth_m;
     this.due = false;
     this.frames = 0;
-    new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe($('stage'));
+    new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe(byId('stage'));
     this.size = this.picture.resize();
-    parts.steer(canvas, this.view, () => this.size, () => { $('from').value = ''; this.request(); });
+    parts.steer(canvas, this.view, () => this.size, () => { byId('from').value = ''; this.request(); });
     canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone; reload the page', true));
   }
 
   request() {
-    $('picture').dataset.settled = 'no';
+    byId('picture').dataset.settled = 'no';
     if (this.due) return;
     this.due = true;
     requestAnimationFrame((now) => this.frame(now));
@@ -85,59 +85,52 @@ class Player {
     if (this.clock.tick(now) || this.moved) this.splats.moveTo(this.clock.u);
     this.moved = false;
     this.cameras.place(this.view, this.size);
-    this.picture.depths = showDepths(this.view.depths(this.depths));
+    const [near, far] = this.view.depths(this.depths);
+    byId('near').textContent = `${near.toPrecision(3)} m`;
+    byId('far').textContent = `${far.toPrecision(3)} m`;
+    this.picture.depths = [near, far];
     this.picture.draw(this.view, this.size);
     this.frames += 1;
-    $('picture').dataset.frames = this.frames;
+    byId('picture').dataset.frames = this.frames;
     if (this.clock.running) this.request();
-    else if (this.picture.settled && !this.due) $('picture').dataset.settled = 'yes';
+    else if (this.picture.settled && !this.due) byId('picture').dataset.settled = 'yes';
   }
 }
 
 function fillForm(manifest, nameOf) {
-  $('from').append(...manifest.cameras.map((camera) => new Option(nameOf(camera), camera.id)));
+  byId('from').append(...manifest.cameras.map((camera) => new Option(nameOf(camera), camera.id)));
   const moves = manifest.moving > 0 && manifest.motion !== 'static';
-  for (const id of ['play', 'time', 'speed']) $(id).disabled = !moves;
+  for (const id of ['play', 'time', 'speed']) byId(id).disabled = !moves;
   const what = moves ? `${manifest.moving.toLocaleString('en')} of them moving` : 'nothing moves';
-  $('what').textContent = `${manifest.count.toLocaleString('en')} Gaussians, ${what} · model ${manifest.model}`;
+  byId('what').textContent = `${manifest.count.toLocaleString('en')} Gaussians, ${what} · model ${manifest.model}`;
 }
 
 function toggle(id, action) {
-  $(id).onclick = () => {
-    const on = $(id).getAttribute('aria-pressed') !== 'true';
-    $(id).setAttribute('aria-pressed', on);
+  byId(id).onclick = () => {
+    const on = byId(id).getAttribute('aria-pressed') !== 'true';
+    byId(id).setAttribute('aria-pressed', on);
     action(on);
   };
 }
 
-function showDepths([near, far]) {
-  $('near').textContent = `${near.toPrecision(3)} m`;
-  $('far').textContent = `${far.toPrecision(3)} m`;
-  return [near, far];
-}
-
-function showLegend(colours) {
-  $('scale').style.background = `linear-gradient(to left, ${colours.join(', ')})`;
-}
-
 function connect(player, manifest, colours) {
   const { clock, view, cameras, picture } = player;
-  $('play').onclick = () => clock.toggle();
-  $('time').oninput = () => clock.seek(Number($('time').value));
-  $('speed').onchange = () => { clock.speed = Number($('speed').value); clock.tell(); };
-  $('from').onchange = () => {
-    const camera = manifest.cameras.find(({ id }) => id === $('from').value);
+  byId('play').onclick = () => clock.toggle();
+  byId('time').oninput = () => clock.seek(Number(byId('time').value));
+  byId('speed').onchange = () => { clock.speed = Number(byId('speed').value); clock.tell(); };
+  byId('from').onchange = () => {
+    const camera = manifest.cameras.find(({ id }) => id === byId('from').value);
     if (camera) view.enter(camera);
     else view.reset();
     player.request();
   };
-  $('reset').onclick = () => { $('from').value = ''; view.reset(); player.request(); };
+  byId('reset').onclick = () => { byId('from').value = ''; view.reset(); player.request(); };
   toggle('cameras', (on) => { cameras.shown = on; player.request(); });
-  toggle('depth', (on) => { picture.showDepth = on; $('legend').hidden = !on; player.request(); });
-  showLegend(colours);
+  toggle('depth', (on) => { picture.showDepth = on; byId('legend').hidden = !on; player.request(); });
+  byId('scale').style.background = `linear-gradient(to left, ${colours.join(', ')})`;
   document.addEventListener('keydown', (event) => {
     const own = event.target.closest?.('button, select, a');
-    if (event.key !== ' ' || own || $('play').disabled) return;
+    if (event.key !== ' ' || own || byId('play').disabled) return;
     event.preventDefault();
     clock.toggle();
   });
@@ -156,7 +149,7 @@ async function loadParts() {
 async function start() {
   const job = new URLSearchParams(location.search).get('job');
   if (!job) throw new SceneError('found no job in the address, expected ?job=ID; open the viewer from a job on the first page');
-  $('job').textContent = job;
+  byId('job').textContent = job;
   const parts = await loadParts();
   const lack = parts.lacking();
   if (lack) throw new SceneError(lack);
@@ -165,7 +158,7 @@ async function start() {
   fillForm(scene.manifest, parts.nameOf);
   const player = new Player(scene, parts);
   connect(player, scene.manifest, parts.DEPTH_COLOURS);
-  $('controls').disabled = false;
+  byId('controls').disabled = false;
   say('');
   player.request();
 }

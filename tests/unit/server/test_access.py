@@ -13,8 +13,7 @@ from fastapi.testclient import TestClient
 from server.app import create_app
 from server.cli.main import cli
 from server.errors import ExposedError, TokenError
-from server.middleware.gate import OPEN, is_guarded
-from server.middleware.limits import _MOST_CLIENTS, Rates, address_of
+from server.middleware.gate import _MOST_CLIENTS, OPEN, Rates, address_of, is_guarded
 from server.services.access import AccessService
 from server.settings import ServiceSettings, SettingsError, settings_of
 from server.store.store import Store
