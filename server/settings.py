@@ -1,6 +1,7 @@
 """Settings of the service: flags first, then environment variables that begin with SPIKE4DGS_."""
 
 import ipaddress
+import json
 import re
 import sys
 import tempfile
@@ -37,6 +38,13 @@ def _listed(names: object) -> object:
     return tuple(str(name).lower() for name in listed) if isinstance(listed, tuple | list) else listed
 
 
+def _decoded(text: object) -> object:
+    try:
+        return json.loads(text) if isinstance(text, str) else text
+    except ValueError as error:
+        raise ValueError(f"found {str(text)[:60]}, expected JSON") from error
+
+
 def _host_name(host: str) -> str:
     if not _HOST.fullmatch(host):
         raise ValueError(f"found {host[:60]}, expected the name of a host, with or without :PORT")
@@ -63,6 +71,7 @@ def _postgresql(url: str) -> str:
 
 
 _LISTED = (NoDecode, BeforeValidator(_listed))  # in the environment: names with commas between them
+_DECODED = (NoDecode, BeforeValidator(_decoded))  # in the environment: JSON
 
 
 class RigSource(BaseModel):
@@ -109,8 +118,8 @@ class ServiceSettings(BaseSettings):
     read_burst: int = Field(default=400, ge=1)
     write_rate: float = Field(default=10.0, gt=0)
     write_burst: int = Field(default=100, ge=1)
-    rigs: dict[str, RigSource] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
-    stage_command: tuple[str, ...] = (sys.executable, "-P", "-m", "server.cli")
+    rigs: Annotated[dict[str, RigSource], *_DECODED] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
+    stage_command: Annotated[tuple[str, ...], *_DECODED] = (sys.executable, "-P", "-m", "server.cli")
     grace_s: float = 8.0
     max_upload_bytes: int = 64 * 2**30
     keep_free_bytes: int = 256_000_000
@@ -118,7 +127,7 @@ class ServiceSettings(BaseSettings):
     gpu: int | None = None
     log: Literal["text", "json"] = "text"
     otel: Annotated[str, AfterValidator(_collector)] | None = None
-    webhook_hosts: tuple[str, ...] = ()
+    webhook_hosts: Annotated[tuple[Annotated[str, AfterValidator(_host_name)], ...], *_LISTED] = ()
     keep_days: Annotated[float | None, Field(gt=0, le=36_500, allow_inf_nan=False)] = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 
@@ -155,9 +164,11 @@ def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> Ser
         settings = ServiceSettings(**given)  # pyright: ignore[reportArgumentType]
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
+        names = [str(part) for part in first["loc"]]
         fault = str(first.get("ctx", {}).get("error", first["msg"]))
-        raise SettingsError(fault, do=f"mend the flag or SPIKE4DGS_{where.upper()}", where=where) from error
+        raise SettingsError(
+            fault, do=f"mend the flag or SPIKE4DGS_{names[0].upper()}", where=".".join(names)
+        ) from error
     if rig is None and devices is None:
         return settings
     source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")

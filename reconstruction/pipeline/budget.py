@@ -30,6 +30,11 @@ class Budget:
         """Return the wall seconds of the run so far, earlier stages and processes included."""
         return self.spent_s + self.clock() - self.started
 
+    @property
+    def is_missed(self) -> bool:
+        """Whether the seconds were over before the training began."""
+        return self.budget_s is not None and self.budget_s <= self.before_training_s
+
     def done(self, steps: int) -> float:
         """Return the share of the training that is done after so many steps, 0 to 1."""
         if self.steps is not None:

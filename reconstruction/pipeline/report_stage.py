@@ -179,6 +179,7 @@ def _write_page(trained: Trained, metrics: dict) -> None:
         "curve": embed(curve.read_bytes()) if curve.exists() else "",
         "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
         "seconds": told.seconds,
+        "warnings": list(told.warnings.values()),
         "decisions": run.plan.decisions,
         "configuration": asdict(told.configuration),
     }

@@ -52,6 +52,7 @@ class RunDocument:
     in their order. `poses`, `refinement`: the reports of the poses stage and of the refinement in training. `seconds`
     by finished stage. `attempt`: how often stages were forgotten to be run again. `held_out_used`: whether the spikes
     of the held-out camera were read before the report; None in a run of an earlier revision, where `poses` says it.
+    `warnings` by stage: what a person should know before trusting the result.
     """
 
     recording: str
@@ -60,6 +61,7 @@ class RunDocument:
     backend: str = "native"
     status: Literal["unfinished", "finished"] = "unfinished"
     seconds: dict[str, float] = field(default_factory=dict)
+    warnings: dict[str, str] = field(default_factory=dict)
     attempt: int = 0
     held_out_used: bool | None = False
     planned: Plan | None = None

@@ -111,7 +111,9 @@ class RunFolder:
         if self.document.attempt >= attempt:
             return
         self.document.status = "unfinished"
-        self.document.seconds = {k: v for k, v in self.document.seconds.items() if k not in stages}
+        for by_stage in (self.document.seconds, self.document.warnings):
+            for stage in stages:
+                by_stage.pop(stage, None)
         self.save()
         if "train" in stages:
             for path in [self.checkpoint, *self.snapshots()]:

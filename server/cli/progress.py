@@ -32,6 +32,12 @@ def report_error(error: Spike4dgsError, exit_code: int) -> None:
         _say(json.dumps({"event": "error", **parts, "exit_code": exit_code}))
 
 
+def warn(text: str) -> None:
+    """Tell what a person should know before trusting the result: to the service, or in a line of its own."""
+    as_json = os.environ.get(JSON_PROGRESS) == "json"
+    _say(json.dumps({"event": "warning", "message": text}) if as_json else f"spike4dgs: warning: {text}")
+
+
 def _say(line: str) -> None:
     """Write a line, also where nobody is left to read it: the work goes on without its reader."""
     with contextlib.suppress(BrokenPipeError):

@@ -11,13 +11,13 @@ from acquisition.durable import write_array
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.stages import reconstruct
+from reconstruction.rendering.limits import frames_to_render
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
-from rigs.exchange.nerfstudio import load_frames
 from server.cli.options import PATH, json_option, several
 from server.cli.output import answer, scores
-from server.cli.progress import progress_of
+from server.cli.progress import progress_of, warn
 
 _MORE = {  # of the help of a choice
     "init": "; auto is natural for a nominal rig",
@@ -79,6 +79,8 @@ def reconstruct_command(
     run = reconstruct(
         recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop.is_set
     )
+    for text in run.document.warnings.values():
+        warn(text)
     if run.has("report"):
         metrics = json.loads((run.path / "metrics.json").read_text())
         answer(metrics, f"{scores(metrics)}\nreport: {run.path / 'report.html'}", as_json=as_json)
@@ -96,8 +98,8 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     from reconstruction.training.checkpoint import load_cloud
 
     run = RunFolder.open(run_folder)
+    frames = frames_to_render(cameras)
     cloud = load_cloud(run.checkpoint)
-    frames = load_frames(cameras)
     white = read_white(run)
     out.mkdir(parents=True, exist_ok=True)
     progress = progress_of("render")

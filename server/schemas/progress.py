@@ -34,13 +34,17 @@ class Page(Items[Item], Generic[Item]):
 
 
 class Progress(BaseModel):
-    """The progress of a capture or job: `fraction` of the current `stage`, and the seconds each stage has taken."""
+    """The progress of a capture or job: `fraction` of the current `stage`, and the seconds each stage has taken.
+
+    `warnings` are what a person should know before trusting the result.
+    """
 
     stage: str | None = None
     fraction: float = 0.0
     message: str = ""
     seconds: dict[str, float] = {}
     error: str | None = None
+    warnings: list[str] = []
 
 
 class Event(BaseModel):

@@ -1,5 +1,6 @@
 """Admits jobs that can be done: the capture or job they work on is there, ready, and has the cameras they name."""
 
+from reconstruction.rendering.limits import frames_to_render
 from rigs.toml import load_rig
 from server.engine import Engine
 from server.errors import RigMismatchError, StateError, UnknownReferenceError, referred
@@ -46,7 +47,8 @@ class Admission:
             if isinstance(request, (CalibrateRequest, CheckRigRequest)):
                 self._check_rig(request, target)
         if isinstance(request, RenderRequest):
-            self._store.uploads.committed(request.cameras)
+            upload = self._store.uploads.committed(request.cameras)
+            frames_to_render(self._store.folder.upload(upload.id) / "data")
         return target
 
     def _expect_done(self, target: Entry) -> None:

@@ -61,6 +61,7 @@ class Processes:
                 is_due=is_due,
                 ends_in_order=ends_in_order,
                 on_progress=reporter,
+                on_warning=reporter.warn,
                 grace_s=self._settings.grace_s,
                 control=control,
                 stdout=stdout,

@@ -24,6 +24,7 @@ class Reporter:
         self._latest = Progress(stage=stage)
         (entry,) = store.entries.find([entry_id])
         self._earlier: dict[str, float] = entry.progress.get("seconds", {})
+        self._warnings: list[str] = entry.progress.get("warnings", [])
         self._began = time.monotonic()
         self._write()
 
@@ -41,6 +42,11 @@ class Reporter:
                 raise
             self._next = time.monotonic() + _OUTAGE_S  # the next report says more than the one that is lost
 
+    def warn(self, text: str) -> None:
+        """Note a warning, once however often it comes; the next report carries it."""
+        if text not in self._warnings:
+            self._warnings = [*self._warnings, text]
+
     def close(self, error: str | None = None) -> None:
         """Note that the stage is over, done or with an error."""
         end: dict[str, object] = {"fraction": 1.0} if error is None else {"error": error}
@@ -52,4 +58,5 @@ class Reporter:
         self._next = now + _WRITE_EVERY_S
         seconds = self._earlier.get(self._stage, 0.0) + now - self._began  # earlier attempts count
         by_stage = self._earlier | {self._stage: round(seconds, 2)}
-        self._store.events.progress(self._entry_id, self._latest.model_copy(update={"seconds": by_stage}).model_dump())
+        kept = {"seconds": by_stage, "warnings": self._warnings}
+        self._store.events.progress(self._entry_id, self._latest.model_copy(update=kept).model_dump())

@@ -47,6 +47,7 @@ async def supervise(
     folders: Sequence[Path],
     log: Path,
     on_progress: Progress,
+    on_warning: Callable[[str], None] = lambda text: None,
     grace_s: float,
     control: Control | None = None,
     stdout: Path | None = None,
@@ -72,7 +73,7 @@ async def supervise(
             return
         mark = {} if finished is None else {"SPIKE4DGS_FINISHED": str(finished)}
         with log.open("a") as text, stdout.open("w") if stdout else contextlib.nullcontext(text) as printed:
-            relay = _Relay(text, on_progress)
+            relay = _Relay(text, on_progress, on_warning)
             transport, _ = await asyncio.get_running_loop().subprocess_exec(
                 lambda: relay,
                 *leashed(list(command), "SIGUSR1" if ends_in_order else "SIGKILL"),
@@ -137,7 +138,7 @@ class _Relay(asyncio.SubprocessProtocol):
     failure that it reported, `last` its last line.
     """
 
-    def __init__(self, log: TextIO, on_progress: Progress) -> None:
+    def __init__(self, log: TextIO, on_progress: Progress, on_warning: Callable[[str], None]) -> None:
         self.gone, self.closed, self.over = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.began = False
         self.error: StageError | None = None
@@ -145,6 +146,7 @@ class _Relay(asyncio.SubprocessProtocol):
         self.fault: OSError | None = None
         self._log = log
         self._on_progress = on_progress
+        self._on_warning = on_warning
         self._pending = b""
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
@@ -178,7 +180,7 @@ class _Relay(asyncio.SubprocessProtocol):
             self.over.set()
 
     def _is_report(self, line: str) -> bool:
-        """Return whether a line is a report for this process, of progress or of an error, and take it in."""
+        """Return whether a line is a report for this process, of progress, a warning or an error, and take it in."""
         if not line.startswith("{"):
             return False
         try:
@@ -186,6 +188,9 @@ class _Relay(asyncio.SubprocessProtocol):
             if event["event"] == "progress":
                 self._on_progress(min(max(0.0, float(event["fraction"])), 1.0), str(event["message"]))
                 self.began = True
+                return True
+            if event["event"] == "warning":
+                self._on_warning(str(event["message"]))
                 return True
             if event["event"] == "error":
                 parts = (str(event[name]) for name in ("found", "expected", "do"))

@@ -19,6 +19,7 @@ from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
+from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from rigs.toml import catalog_rig
 
@@ -172,3 +173,17 @@ def test_poses_that_do_not_belong_to_the_recording_stop_with_the_reason(recordin
     (wrong / "rig.toml").write_text(rig)
     with pytest.raises(StereoError, match="check the poses"):
         reconstruct(wrong, tmp_path / "run", CONFIG, quiet)
+
+
+def test_a_budget_that_was_over_before_training_is_a_warning(recording, tmp_path):
+    run = reconstruct(recording, tmp_path / "run", replace(CONFIG, budget_s=0.01, steps=None), quiet)
+    (warning,) = RunFolder.open(run.path).document.warnings.values()
+    assert warning.startswith("the budget of 0.01 s was over before training began, after ")
+    assert warning in (run.path / "report.html").read_text()
+    run.forget(["train", "report"], attempt=1)
+    assert RunFolder.open(run.path).document.warnings == {}
+
+
+def test_a_run_whose_budget_reached_training_has_no_warning(run):
+    assert run.document.warnings == {}
+    assert 'class="warning"' not in (run.path / "report.html").read_text()

@@ -33,6 +33,10 @@ function progress(item) {
     element('p', {}, `${item.stage ?? 'starting'} ${percent} ${item.message}`));
 }
 
+function warnings(item) {
+  return item.warnings.map((text) => failure(text));
+}
+
 function scores(item) {
   const { steps, scores: found } = of(item.id);
   if (item.status !== 'done' || !found) return null;
@@ -165,6 +169,7 @@ export function job(item, context) {
     stages(item, context),
     progress(item),
     element('div', { className: 'outcome' }, thumbnail && picture(artefact(item.id, thumbnail.name), `What ${item.id} made`), curveOf(item)),
+    warnings(item),
     scores(item),
     verdict(item),
     main(item, context),

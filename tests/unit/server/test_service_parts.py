@@ -102,6 +102,33 @@ def test_settings_come_from_flags_then_environment(tmp_path: Path, monkeypatch: 
         settings_of(rig="lab9x9", devices=None)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("RIGS", "{lab", "rigs: found {lab, expected JSON; mend the flag or SPIKE4DGS_RIGS"),
+        ("RIGS", '{"a": {"rig": "ci3x3"}}', "rigs.a.devices: Field required; mend the flag or SPIKE4DGS_RIGS"),
+        ("STAGE_COMMAND", "python", "stage_command: found python, expected JSON"),
+        ("PORT", "many", "port: Input should be a valid integer"),
+        ("WEBHOOK_HOSTS", "a b", "webhook_hosts.0: found a b, expected the name of a host"),
+        ("HOSTS", "lab:x", "hosts.0: found lab:x, expected the name of a host"),
+    ],
+)
+def test_a_variable_that_cannot_be_read_is_one_line(
+    name: str, text: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(f"SPIKE4DGS_{name}", text)
+    with pytest.raises(SettingsError) as caught:
+        settings_of(rig=None, devices=None)
+    assert str(caught.value).startswith(said)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["hosts", "webhook_hosts"])
+def test_lists_of_hosts_are_written_alike(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(f"SPIKE4DGS_{name.upper()}", "Lab.example, 10.0.0.7")
+    assert getattr(settings_of(rig=None, devices=None), name) == ("lab.example", "10.0.0.7")
+
+
 @pytest.mark.parametrize("host", ["example.org", "1.2.3", "", "127.0.0.1:8000"])
 def test_only_an_address_is_bound(host: str) -> None:
     with pytest.raises(SettingsError, match=f"host: found {host}, expected an address") as caught:

@@ -19,9 +19,11 @@ def run(
     cancel_when: str | None = None,
     finished: Path | None = None,
     is_due: Callable[[], bool] = lambda: True,
+    warnings: list[str] | None = None,
 ) -> list[tuple[float, str]]:
     """Supervise `python -c code`, cancelling once a progress message equals `cancel_when`."""
     reports: list[tuple[float, str]] = []
+    warnings = [] if warnings is None else warnings
 
     async def main() -> None:
         told = asyncio.Event()
@@ -37,6 +39,7 @@ def run(
                 folders=[folder],
                 log=folder / "log.txt",
                 on_progress=on_progress,
+                on_warning=warnings.append,
                 grace_s=grace_s,
                 finished=finished,
                 is_due=is_due,
@@ -233,3 +236,14 @@ def test_a_process_that_never_reports_is_told_to_stop_all_the_same(
     )
     with pytest.raises(StageError, match="SIGTERM"):
         asyncio.run(asyncio.wait_for(work, 20))
+
+
+def test_a_warning_is_passed_on_and_is_no_line_of_the_log(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    run(
+        f"{REPORT}note(json.dumps({{'event': 'warning', 'message': 'mind the gap'}})); report(1, 'done')",
+        tmp_path,
+        warnings=warnings,
+    )
+    assert warnings == ["mind the gap"]
+    assert (tmp_path / "log.txt").read_text() == ""
