@@ -66,5 +66,5 @@ def read_weights(path: Path, module: nn.Module) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Return the first line of what an error says, else its kind."""
+    """Return the first line of an error's message, or its kind."""
     return (str(error).splitlines() or [type(error).__name__])[0][:120]

@@ -1,4 +1,4 @@
-"""What an export is made of: the scene that it reads, what an operator chooses, and its format; it needs no torch."""
+"""Describes an export: the scene that it reads, the choices of an operator, its format; it needs no torch."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Budget:
 
     @property
     def is_missed(self) -> bool:
-        """Whether the seconds were over before the training began."""
+        """Tell whether the seconds were over before the training began."""
         return self.budget_s is not None and self.budget_s <= self.before_training_s
 
     def done(self, steps: int) -> float:

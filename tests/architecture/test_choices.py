@@ -62,7 +62,6 @@ COMMAND_LINE_ONLY = {"dust3r", "interpolated", "clean", "blurred"}
 ALLOWED = {
     ("reconstruction/bench/paper/", "model"): "the paper's protocol: the models it compares",
     ("reconstruction/bench/paper/", "supervision"): "the paper's protocol: the losses it compares",
-    ("reconstruction/pipeline/", "stage"): "the function of each stage; a run fails where one lacks",
     ("reconstruction/stability/models.py", "model"): "a model of each motion, made without a recording",
     ("reconstruction/stability/stiff.py", "scene"): "the ticks of each stiff scene",
     ("server/page/operator/jobs.js", "job type"): "the word a person reads for a type; another is shown by its name",
