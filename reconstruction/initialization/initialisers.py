@@ -73,7 +73,7 @@ def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, prog
     images, today = _long_images(recording, views, options), datetime.date.today().isoformat()
     rest = part(progress, MSDI_SHARE, 1)
     fine = calibrate_natural(found.rig, images, today, rest, gate=AFTER_MSDI, seed=options.seed)
-    return Geometry(fine.rig, found.points, found.confidence, found.images, {**fine.report, "msdi": found.report})
+    return Geometry(fine.rig, found.points, found.confidence, {**fine.report, "msdi": found.report})
 
 
 def _long_images(recording: Recording, views: Sequence[str], options: InitOptions) -> Images:

@@ -1,4 +1,4 @@
-"""MSDI as an initialiser: spikes of the views of a rig around one instant to cameras, points and images.
+"""MSDI as an initialiser: spikes of the views of a rig around one instant to cameras and points.
 
 Order: a few hundredths of a degree where views share texture, from a rig off by two; bundle adjustment of finer
 features ends what it begins. Cost: 2 s a view and core at 400x250. Not for rigs whose drawing is off by more
@@ -42,7 +42,7 @@ def initialise(
     progress: Progress = silent,
     weights: Path | None = None,
 ) -> Geometry:
-    """Find cameras, points and images of the views in `streams` (camera id to stream) at `instant_s` on the rig clock.
+    """Find cameras and points of the views in `streams` (camera id to stream) at `instant_s` on the rig clock.
 
     `rig` is the nominal one; its cameras without a stream keep their nominal pose and get the focal factor found. A
     dark view keeps its nominal pose, too, and has no points. Raises GeometryError where the poses found are not to be
@@ -58,7 +58,6 @@ def initialise(
         raise GeometryError(f"found {len(seeing)} views with light", f"{FEWEST_VIEWS}", where="msdi")
     nominal = rig.only(seeing)
     inferred = infer_views(trained_msdi(weights), [streams[name] for name in seeing], nominal, plane, progress)
-    images = dict(zip(seeing, inferred.light, strict=True))
     matches, fits = _counted(inferred)
     by_view = {name: int(n) for name, n in zip(seeing, fits.sum(axis=1), strict=True)}
     report |= {"matches": matches, "fitting": round(float(fits.sum() / max(1, matches)), 3), "by_view": by_view}
@@ -67,7 +66,7 @@ def initialise(
     moved = similarity.carry_rig(found)
     _refuse_unsure(matches, fits, moved, nominal)
     points, confidence = _points(inferred, moved, similarity.scale)
-    return Geometry(_completed(rig, moved), points, confidence, images, report)
+    return Geometry(_completed(rig, moved), points, confidence, report)
 
 
 def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:

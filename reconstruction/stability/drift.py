@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.native import code_path
 from acquisition.progress import Progress
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import FRACTION_BITS, Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.stability.case import Case, Observation
-from reconstruction.stability.probe import natives
+from reconstruction.stability.probe import natives, running
 from reconstruction.stability.recordings import ticks_off
 from rigs.clock import RigClock
 
@@ -55,14 +54,13 @@ def _unlike_its_twin(sensor: Sensor, ticks: int) -> int:
 
 def _charge(renderer: str, ticks: int, progress: Progress) -> Observation:
     """Compare the spikes with the charge, then count all of them from the file they make."""
-    path = renderer.split()[1]
     sensor, total = Sensor(len(LIGHTS), 1, "ideal", 7, 0), np.zeros(len(LIGHTS), dtype=np.int64)
     balance = np.zeros((1, len(LIGHTS)), dtype=np.int64)  # n - Q of the last ticks, in whole numbers
     low = high = balance[-1]
-    with code_path(path), tempfile.TemporaryDirectory() as folder:
+    with running(renderer), tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "long.dat"
         with file.open("wb") as out:
-            for light, spikes in _exposed(sensor, ticks, progress, f"a sensor, {path}"):
+            for light, spikes in _exposed(sensor, ticks, progress, f"a sensor, {renderer}"):
                 charge = (light[:, 0].astype(np.float64) * 2.0**FRACTION_BITS + 0.5).astype(np.int64)
                 balance = balance[-1] + np.cumsum((spikes[:, 0].astype(np.int64) << FRACTION_BITS) - charge, axis=0)
                 low, high = np.minimum(low, balance.min(axis=0)), np.maximum(high, balance.max(axis=0))
@@ -79,10 +77,9 @@ def _charge(renderer: str, ticks: int, progress: Progress) -> Observation:
 
 def _noise(renderer: str, ticks: int, progress: Progress) -> Observation:
     """Compare the kernel of a noisy sensor with its twin after all ticks."""
-    path = renderer.split()[1]
     sensor = Sensor(len(LIGHTS), 1, "real", 7, 0)
-    with code_path(path):
-        spikes = sum(int(s.sum()) for _, s in _exposed(sensor, ticks, progress, f"a noisy sensor, {path}"))
+    with running(renderer):
+        spikes = sum(int(s.sum()) for _, s in _exposed(sensor, ticks, progress, f"a noisy sensor, {renderer}"))
         differing = _unlike_its_twin(sensor, ticks)
     return Observation(f"{spikes:,} spikes; of the next {REPLAYED} ticks {differing} bits differ", float(differing))
 

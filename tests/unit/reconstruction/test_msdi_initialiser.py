@@ -67,16 +67,14 @@ def test_points_lie_on_what_the_views_see(clip, found):
     assert np.median(error) < 0.05
 
 
-def test_images_are_better_than_the_best_without_learning(clip, streams, found):
-    for v, (name, stream) in enumerate(streams.items()):
-        learnt, plain = found.images[name], adaptive(stream, clip.plane).intensity
+def test_images_are_better_than_the_best_without_learning(clip, streams):
+    for v, stream in enumerate(streams.values()):
+        learnt, plain = method("msdi")(stream, clip.plane).intensity, adaptive(stream, clip.plane).intensity
         assert psnr_db(learnt, clip.light[v], clip.white) > psnr_db(plain, clip.light[v], clip.white)
 
 
-def test_a_single_stream_gives_the_same_image(clip, streams, found):
-    name = clip.rig.ids[1]
-    estimate = method("msdi")(streams[name], clip.plane)
-    assert np.allclose(estimate.intensity, found.images[name], atol=1e-6)
+def test_an_image_knows_where_it_is_sure(clip, streams):
+    estimate = method("msdi")(streams[clip.rig.ids[1]], clip.plane)
     assert estimate.valid.mean() > 0.9
     assert (estimate.sigma > 0).all()
 
@@ -90,7 +88,6 @@ def test_a_dark_view_keeps_its_nominal_pose_and_the_others_are_found(clip, strea
     others = clip.rig.only(clip.rig.ids[:-1])
     before, after = (pose_errors(rig.only(others.ids), others, 1.8) for rig in (nominal, geometry.rig))
     assert after.rotation_deg < before.rotation_deg / 2
-    assert last not in geometry.images
 
 
 def test_too_little_light_is_refused(clip, streams, nominal):
