@@ -67,8 +67,12 @@ def demo_command(
     folder = _new_folder(out)
     try:
         with _service(folder, f"{SCENE}?rig_error={rig_error}") as client:
+            (rig,) = client.rigs()
+            capture = client.start_capture(rig.id, CaptureRequest(ticks=ticks, name="demo"))
+            _follow(lambda: client.capture(capture.id))
             wanted = {"holdout": HOLDOUT, "budget_s": budget_s, "steps": steps, **options}
-            job = _run(client, ticks, wanted)
+            job = client.submit(ReconstructRequest(capture=capture.id, **wanted))
+            job = _follow(lambda: client.job(job.id))
             metrics = json.loads(client.artefact(job.id, "metrics.json"))
     except KeyboardInterrupt:
         raise SystemExit(128 + signal.SIGINT) from None
@@ -78,14 +82,6 @@ def demo_command(
     run = folder / "jobs" / job.id / "run"
     seconds = ", ".join(f"{stage} {took:.1f} s" for stage, took in job.seconds.items())
     click.echo(f"\nstages: {seconds}\nreport: {run / 'report.html'}\norbit:  {run / 'orbit.mp4'}")
-
-
-def _run(client: ServiceClient, ticks: int, options: dict[str, Any]) -> Job:
-    (rig,) = client.rigs()
-    capture = client.start_capture(rig.id, CaptureRequest(ticks=ticks, name="demo"))
-    capture = _follow(lambda: client.capture(capture.id))
-    job = client.submit(ReconstructRequest(capture=capture.id, **options))
-    return _follow(lambda: client.job(job.id))
 
 
 def _follow(look: Callable[[], _W]) -> _W:

@@ -28,14 +28,11 @@ def stability_command(as_json: bool, full: bool, out: Path | None) -> None:
         write_json(out / "stability.json", document)
         if "curves" in document:
             plot_stability(out / "stability.png", document)
-    answer(document, _table(document), as_json=as_json)
-    sys.exit(1 if document["summary"]["failed"] else 0)
-
-
-def _table(document: dict) -> str:
     cells = [_SHOWN, *(tuple(_cell(row[c]) for c in _SHOWN) for row in document["rows"])]
     summary = "{cases} cases, {failed} failed".format(**document["summary"])
-    return "\n".join([columns(cells), summary, *(f"left out: {o}" for o in document["omissions"])])
+    lines = [columns(cells), summary, *(f"left out: {o}" for o in document["omissions"])]
+    answer(document, "\n".join(lines), as_json=as_json)
+    sys.exit(1 if document["summary"]["failed"] else 0)
 
 
 def _cell(value: str | float | None) -> str:

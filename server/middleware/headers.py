@@ -54,11 +54,8 @@ def protect(headers: MutableHeaders, path: str, secret: bool) -> None:
         headers["X-Frame-Options"] = "DENY"
         return
     media_type = headers.get("content-type", "application/json").partition(";")[0].strip().lower()
-    headers["Content-Security-Policy"] = INERT if _is_plain(media_type) else FOREIGN
+    plain = media_type in _PLAIN or (media_type.startswith(_PLAIN_KINDS) and media_type != "image/svg+xml")
+    headers["Content-Security-Policy"] = INERT if plain else FOREIGN
     headers["X-Frame-Options"] = "SAMEORIGIN"
     if "javascript" in media_type or "ecmascript" in media_type:
         headers["Content-Type"] = "text/plain; charset=utf-8"  # so that no page runs it as a script
-
-
-def _is_plain(media_type: str) -> bool:
-    return media_type in _PLAIN or (media_type.startswith(_PLAIN_KINDS) and media_type != "image/svg+xml")

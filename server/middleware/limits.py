@@ -21,8 +21,8 @@ _LONG = 2**14  # bytes of JSON; a longer body is worth a thread of its own
 class BodyLimit:
     """Middleware: reads each body whole before the request goes on, and refuses one that is too long or too slow.
 
-    A body whose Content-Length is too large is refused unread. A streamed body is left to its route, which may wait for
-    each piece as long as for a whole body.
+    A body whose Content-Length is too large is refused unread. A piece of an upload is written to disk as it arrives:
+    it is left to its route, which may wait for each part as long as for a whole body.
     """
 
     def __init__(self, app: ASGIApp, settings: ServiceSettings) -> None:
@@ -34,7 +34,7 @@ class BodyLimit:
         """Pass the request on, or refuse it with 400, 408 or 413."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
-        elif is_streamed(scope):
+        elif scope["method"] == "PATCH" and scope["path"].startswith("/v1/uploads/"):
             await self._app(scope, _impatient(receive, self._patience_s), send)
         else:
             await self._whole(scope, receive, send)
@@ -57,11 +57,6 @@ class BodyLimit:
         else:
             if body is not None:
                 await self._app(scope, _again(body, receive), send)
-
-
-def is_streamed(scope: Scope) -> bool:
-    """Tell whether the body is a piece of an upload, which is written to disk as it arrives."""
-    return scope["method"] == "PATCH" and scope["path"].startswith("/v1/uploads/")
 
 
 @asynccontextmanager

@@ -10,21 +10,20 @@ import { rig } from './operator/rigs.js';
 
 const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, TAIL_MS = 1000;
 const PAGE = { captures: 20, jobs: 30 };
-const HIDDEN = ['look'];
 
-const state = { rigs: [], captures: [], jobs: [], next: {}, limits: { ...PAGE }, live: false, tailing: new Set(), watched: new Set() };
+const limits = { ...PAGE }, tailing = new Set(), watched = new Set();
 const context = {
-  options: {}, stages: [], rigs: new Map(), captures: [], names: new Map(),
+  options: {}, stages: [], rigs: new Map(), captures: [], jobs: [], next: {}, names: new Map(),
   statuses: new Map(), calibrations: new Map(), manifests: new Map(),
-  entry: (id) => [...state.captures, ...state.jobs].find((one) => one.id === id),
+  entry: (id) => [...context.captures, ...context.jobs].find((one) => one.id === id),
   nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
   camerasOf: (item) => {
-    const id = item.rig ?? state.captures.find((one) => one.id === item.request?.capture)?.rig;
-    return (context.rigs.get(id) ?? state.rigs[0])?.cameras.map((camera) => camera.id) ?? [];
+    const id = item.rig ?? context.captures.find((one) => one.id === item.request?.capture)?.rig;
+    return (context.rigs.get(id) ?? [...context.rigs.values()][0])?.cameras.map((camera) => camera.id) ?? [];
   },
   look, watch, tail,
 };
-let drawn = 0;
+let drawn = 0, live = false;
 
 function draw() {
   if (!drawn) drawn = requestAnimationFrame(() => { drawn = 0; keepingFocus(drawNow); });
@@ -37,31 +36,19 @@ function list(id, items, make, nothing) {
 
 function older(kind) {
   const made = element('button', { type: 'button', id: `older-${kind}`, className: 'plain' }, `Older ${kind}`);
-  made.onclick = () => { state.limits[kind] = Math.min(1000, state.limits[kind] + PAGE[kind]); refresh(); };
-  patchChildren(byId(`${kind}-more`), state.next[kind] ? [made] : []);
+  made.onclick = () => { limits[kind] = Math.min(1000, limits[kind] + PAGE[kind]); refresh(); };
+  patchChildren(byId(`${kind}-more`), context.next[kind] ? [made] : []);
 }
 
 function drawNow() {
-  list('rigs', state.rigs, rig, 'No rig is configured; see SPIKE4DGS_RIGS.');
-  list('captures', state.captures, capture, 'No captures yet. Record one with a rig.');
-  list('jobs', state.jobs.filter((item) => !HIDDEN.includes(item.type)), job, byId('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
+  list('rigs', [...context.rigs.values()], rig, 'No rig is configured; see SPIKE4DGS_RIGS.');
+  list('captures', context.captures, capture, 'No captures yet. Record one with a rig.');
+  list('jobs', context.jobs.filter((item) => item.type !== 'look'), job, byId('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
   older('captures');
   older('jobs');
   for (const log of document.querySelectorAll('details[open] > pre[id^=log-text]')) {
     if (log.dataset.length !== String(log.textContent.length)) log.scrollTop = log.scrollHeight;
     log.dataset.length = log.textContent.length;
-  }
-}
-
-function taken({ rigs, captures, jobs }) {
-  Object.assign(state, { rigs: rigs.items, captures: captures.items, jobs: jobs.items, next: { captures: captures.next, jobs: jobs.next } });
-  context.captures = state.captures;
-  context.rigs = new Map(state.rigs.map((item) => [item.id, item]));
-  for (const item of [...state.captures, ...state.jobs]) context.names.set(item.id, item.name ?? item.id);
-  results.forgetAllBut(new Set(state.jobs.map((item) => item.id)));
-  for (const item of state.jobs) {
-    results.learn(item, draw);
-    if (!state.live) results.polled(item);
   }
 }
 
@@ -75,9 +62,12 @@ function refresh() {
 async function refreshed() {
   const status = byId('jobs-status').value;
   try {
-    const [rigs, captures, jobs] = await Promise.all([get('/rigs'), get(`/captures?limit=${state.limits.captures}`),
-      get(`/jobs?limit=${state.limits.jobs}${status && `&status=${status}`}`)]);
-    taken({ rigs, captures, jobs });
+    const [rigs, captures, jobs] = await Promise.all([get('/rigs'), get(`/captures?limit=${limits.captures}`),
+      get(`/jobs?limit=${limits.jobs}${status && `&status=${status}`}`)]);
+    Object.assign(context, { captures: captures.items, jobs: jobs.items, next: { captures: captures.next, jobs: jobs.next } });
+    context.rigs = new Map(rigs.items.map((item) => [item.id, item]));
+    for (const item of [...context.captures, ...context.jobs]) context.names.set(item.id, item.name ?? item.id);
+    results.learn(context.jobs, live, draw);
     lost('');
     await learnManifests();
   } catch (error) {
@@ -95,9 +85,9 @@ function lost(text) {
 }
 
 async function learnManifests() {
-  const verified = state.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
+  const verified = context.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
   const version = (id) => verified.filter((one) => one === id).length; // a later verification may have found damage
-  const missing = state.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
+  const missing = context.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
   for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
 }
 
@@ -106,7 +96,7 @@ const learnStatus = async (id) => context.statuses.set(id, await get(`/rigs/${id
 async function learnSlowly() {
   const ready = await get('/readyz').then(() => null, (error) => error.message);
   Object.assign(byId('ready'), { textContent: ready ? `Not ready: ${ready}` : 'Ready', className: ready ? 'failed' : 'done' });
-  for (const { id } of state.rigs) {
+  for (const id of context.rigs.keys()) {
     await learnStatus(id);
     context.calibrations.set(id, await learnCalibration(id).catch(() => null));
   }
@@ -139,28 +129,24 @@ async function look(id) {
 }
 
 async function watch(id, wanted) {
-  if (!wanted) { state.watched.delete(id); return; }
-  state.watched.add(id);
-  while (state.watched.has(id)) {
+  if (wanted) watched.add(id);
+  else watched.delete(id);
+  while (watched.has(id)) {
     const free = context.rigs.get(id)?.busy === null && !document.hidden;
-    try {
-      if (free) await look(id);
-    } catch (error) {
-      complain(error.message);
-    }
+    if (free) await look(id).catch((error) => complain(error.message));
     await wait(LOOK_MS);
   }
 }
 
 async function tail(id) {
-  if (state.tailing.has(id)) return;
-  state.tailing.add(id);
+  if (tailing.has(id)) return;
+  tailing.add(id);
   while (byId(`log-${id}`)?.open) {
     await results.readLog(id).catch(() => {});
     draw();
     await wait(TAIL_MS);
   }
-  state.tailing.delete(id);
+  tailing.delete(id);
 }
 
 async function every(pause, act) {
@@ -170,8 +156,8 @@ async function every(pause, act) {
   }
 }
 
-function heard(live) {
-  state.live = live;
+function heard(arrive) {
+  live = arrive;
   byId('news').textContent = live ? 'Live' : 'Asking once a second: this service sends no events.';
 }
 
@@ -187,13 +173,13 @@ async function begin() {
 
 async function start() {
   const { paths } = await (await request('/openapi.json')).json();
+  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
   const { schema } = paths['/v1/jobs'].get.parameters.find(({ name }) => name === 'status');
   byId('jobs-status').append(...schema.anyOf.find((one) => one.enum).enum.map((status) => new Option(status)));
-  [context.options, { stages: context.stages }] = await Promise.all([get('/options'), learnRole()]);
   byId('role').hidden = !looksOn();
   await refresh();
   follow('/v1/events', happened, heard);
-  every(() => (state.live ? SLOW_MS : QUICK_MS), refresh);
+  every(() => (live ? SLOW_MS : QUICK_MS), refresh);
   every(() => SLOW_MS, learnSlowly);
 }
 

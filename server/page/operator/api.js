@@ -32,11 +32,8 @@ export async function send(method, path, body, headers) {
 }
 
 // One key a click, so that a request sent twice is done once.
+const newKey = () => crypto.getRandomValues(new BigUint64Array(2)).join('-');
 export const post = (path, body = {}) => send('POST', path, body, { 'Idempotency-Key': newKey() });
-
-function newKey() {
-  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
-}
 
 // Learn what the token allows: with a viewer's the page offers no button that changes anything.
 let role = null;

@@ -15,10 +15,6 @@ export function of(id) {
   return known.get(id);
 }
 
-export function forgetAllBut(ids) {
-  for (const id of known.keys()) if (!ids.has(id)) known.delete(id);
-}
-
 const json = async (id, name) => (await request(artefact(id, name))).json();
 
 async function learnResults(item, found) {
@@ -47,25 +43,23 @@ async function learnHistory(item, draw) {
   await readEvents(`/v1/jobs/${item.id}/events?after=0`, told, { after: 0, signal: stop.signal });
 }
 
-// Ask for the details of a job that the page lacks; call `draw` when they arrive.
-export function learn(item, draw) {
-  const found = of(item.id);
-  if (found.state === item.status) return;
-  found.state = item.status;
-  if (item.status === 'queued') return;
-  if (ended(item)) work = work.then(() => learnResults(item, found)).then(draw, () => draw());
-  else learnHistory(item, draw).catch(() => draw()); // beside the others, which an endless stream would hold up
+// Ask for the details of jobs that the page lacks, and forget all other jobs; call `draw` when they arrive.
+// If the page is not `live`, take figures from the list, one a second.
+export function learn(jobs, live, draw) {
+  for (const id of known.keys()) if (!jobs.some((item) => item.id === id)) known.delete(id);
+  for (const item of jobs) {
+    const found = of(item.id), before = found.state;
+    found.state = item.status;
+    if (before !== item.status && ended(item)) work = work.then(() => learnResults(item, found)).then(draw, () => draw());
+    else if (before !== item.status && item.status === 'running') learnHistory(item, draw).catch(() => draw()); // beside the others, which an endless stream would hold up
+    if (!live && item.status === 'running' && item.stage === 'train') progressed(item.id, { kind: 'progress', seq: item.message, data: item });
+  }
 }
 
 export function progressed(id, event) {
   if (event.kind !== 'progress') return;
   const found = of(id);
   found.points = addFigure(found.points, event.data, event.seq);
-}
-
-// Take figures from the list, one a second, if there are no events.
-export function polled(item) {
-  if (item.status === 'running' && item.stage === 'train') progressed(item.id, { kind: 'progress', seq: item.message, data: item });
 }
 
 export async function readLog(id) {

@@ -110,11 +110,10 @@ function form(item) {
   const made = element('form', { id: `form-${item.id}`, className: 'fields capture' }, lengths(item),
     element('label', { className: 'check' }, endless, 'Until stopped'), kept, name, actions(record));
   const act = record.onclick;
-  record.type = 'submit';
-  record.onclick = null;
+  Object.assign(record, { type: 'submit', onclick: null });
   made.onsubmit = (event) => {
     event.preventDefault();
-    act({ currentTarget: byId(`record-${item.id}`) });
+    act({ currentTarget: byId(record.id) });
   };
   return made;
 }

@@ -140,10 +140,8 @@ async function loadParts() {
   await import('./vendor/spark.js').catch((error) => {
     throw new SceneError(`found no renderer (${error.message}); run "make viewer" and reload this page`);
   });
-  const [view, cameras, splats, picture, controls] = await Promise.all(
-    ['view', 'cameras', 'splats', 'picture', 'controls'].map((name) => import(`./${name}.js`)),
-  );
-  return { ...view, ...cameras, ...splats, ...picture, ...controls };
+  const modules = ['view', 'cameras', 'splats', 'picture', 'controls'].map((name) => import(`./${name}.js`));
+  return Object.assign({}, ...await Promise.all(modules));
 }
 
 async function start() {
