@@ -31,7 +31,7 @@ def middle_mean(recording: Recording, camera_id: str) -> NDArray[np.float32] | N
 def camera_picture(recording: Recording, camera_id: str) -> bytes:
     """One camera as PNG in its own size; black where it has no plane. Raises BadRecordingError for no such camera."""
     mean = middle_mean(recording, camera_id)
-    layout = recording.layout(camera_id)
+    layout = recording.manifest.camera(camera_id).layout
     if mean is None:
         return _png(Image.new("L", (layout.width, layout.height)))
     return _png(_shown(mean, _white(mean)))
@@ -48,7 +48,7 @@ def contact_sheet(recording: Recording) -> bytes:
     white = float(np.median(whites)) if whites else 1.0
     cells = {}
     for camera_id, mean in means.items():
-        layout = recording.layout(camera_id)
+        layout = recording.manifest.camera(camera_id).layout
         cell = Image.new("L", (layout.width, layout.height)) if mean is None else _shown(mean, white)
         cell.thumbnail((_CELL, _CELL))
         cells[camera_id] = cell

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from acquisition.errors import BadRecordingError
 from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, TRUTH_FOLDER, UNFINISHED, Manifest, load_manifest
-from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.stream import SpikeStream
 from rigs.rig import Rig
 from rigs.toml import load_rig
@@ -54,10 +53,6 @@ class Recording:
         """The folder with the ground truth of a simulated recording."""
         folder = self.path / TRUTH_FOLDER
         return folder if folder.is_dir() else None
-
-    def layout(self, camera_id: str) -> PlaneLayout:
-        """Return how the planes of one camera lie in bytes."""
-        return self.manifest.camera(camera_id).layout
 
     def stream(self, camera_id: str) -> SpikeStream:
         """Map the planes of one camera; raises BadRecordingError where the file is not what was recorded."""

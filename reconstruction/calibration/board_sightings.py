@@ -155,7 +155,7 @@ def _picture(stream: SpikeStream, plane: int, pixels: PixelCalibration | None) -
 
 def _refuse_other_sizes(recording: Recording) -> None:
     for camera in recording.rig.cameras:
-        layout = recording.layout(camera.id)
+        layout = recording.manifest.camera(camera.id).layout
         if (layout.width, layout.height) != (camera.width, camera.height):
             raise BadRunError(
                 f"found planes of {layout.width}x{layout.height}",

@@ -80,7 +80,7 @@ def test_a_rig_file_keeps_its_flag_unless_told(tmp_path, dats):
 def test_bit_and_row_order_go_into_the_layout(tmp_path, transforms, dats):
     options = ImportOptions(20_000.0, bit_order="msb", row_order="top")
     import_recording([str(d) for d in dats], transforms(), tmp_path / "rec", options)
-    layout = Recording.open(tmp_path / "rec").layout("cam00")
+    layout = Recording.open(tmp_path / "rec").manifest.camera("cam00").layout
     assert (layout.bit_order, layout.row_order) == ("msb", "top")
     assert_kept(tmp_path / "rec", dats)
 

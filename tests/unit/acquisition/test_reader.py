@@ -32,7 +32,7 @@ def test_a_recording_tells_what_it_holds(folder):
     assert recording.tick_rate_hz == 40_000
     assert recording.planes == 5
     assert recording.rig.poses == "nominal"
-    assert recording.layout("cam01") == LAYOUT
+    assert recording.manifest.camera("cam01").layout == LAYOUT
     assert recording.manifest.trigger == "software"
     assert recording.truth is None
     stream = recording.stream("cam01")
