@@ -1,6 +1,6 @@
 """Positions and opacities of Gaussians at one instant: one native pass forward and one back, and the same in torch.
 
-Letters: N still, M moving, K the order of the motion, s = instant - instants, all in clips. A moving Gaussian is at
+Letters: M Gaussians, K the order of the motion, s = instant - instants, all in clips. A Gaussian is at
 `means + sum_k coefficients[k - 1] * s^k`, k = 1..K, and its opacity is gated by exp(-(s / duration)^2 / 2).
 """
 
@@ -32,20 +32,19 @@ class Course(NamedTuple):
     coefficients: tuple[Tensor, ...]  # [M, 3] m per clip^k each
 
 
-def evaluated(means: Tensor, opacity_logits: Tensor, course: Course, instant: float) -> tuple[Tensor, Tensor]:
-    """Return positions [N + M, 3] in m and opacities [N + M] at `instant` in clips, held within FARTHEST.
+def evaluated(course: Course, instant: float) -> tuple[Tensor, Tensor]:
+    """Return positions [M, 3] in m and opacities [M] at `instant` in clips, held within FARTHEST.
 
-    `means` [N, 3] and `opacity_logits` [N] are of the still Gaussians, which come first. Differentiable in every
-    tensor; native for float32 on the CPU up to cubic motion, else the reference.
+    Differentiable in every tensor; native for float32 on the CPU up to cubic motion, else the reference.
     """
     instant = min(max(instant, -FARTHEST), FARTHEST)
-    tensors = (means, opacity_logits, *course[:4], *course.coefficients)
+    tensors = (*course[:4], *course.coefficients)
     if not fits(*tensors) or len(course.coefficients) > ORDERS:
-        return evaluated_reference(means, opacity_logits, course, instant)
+        return evaluated_reference(course, instant)
     return _Evaluate.apply(instant, *tensors)
 
 
-def evaluated_reference(means: Tensor, opacity_logits: Tensor, course: Course, instant: float) -> tuple[Tensor, Tensor]:
+def evaluated_reference(course: Course, instant: float) -> tuple[Tensor, Tensor]:
     """Compute `evaluated` in torch, for any float type and any order."""
     since = instant - course.instants
     offsets = torch.zeros_like(course.means)
@@ -53,45 +52,33 @@ def evaluated_reference(means: Tensor, opacity_logits: Tensor, course: Course, i
         offsets = (offsets + coefficients) * since[:, None]
     durations = course.log_durations.clamp(math.log(LEAST_DURATION), math.log(MOST_DURATION)).exp()
     gate = torch.exp(-0.5 * (since / durations).square())
-    return (
-        torch.cat([means, course.means + offsets]),
-        torch.cat([opacity_logits.sigmoid(), course.opacity_logits.sigmoid() * gate]),
-    )
+    return course.means + offsets, course.opacity_logits.sigmoid() * gate
 
 
 class _Motion(ctypes.Structure):
     _fields_ = (
-        ("tensors", ctypes.c_void_p * (ORDERS + 2)),
-        ("counts", ctypes.c_int64 * 2),
+        ("tensors", ctypes.c_void_p * (4 + ORDERS)),
+        ("count", ctypes.c_int64),
         ("numbers", ctypes.c_double * 3),
     )
 
 
-_MOTION = (ctypes.POINTER(_Motion), Addresses, Address, Address)
-_forward = kernel("motion_forward", *_MOTION, Int)
-_backward = kernel("motion_backward", *_MOTION, Addresses, Int)
-
-
-def _padded(coefficients: list[Tensor]) -> list[Tensor | None]:
-    return [*coefficients, *[None] * (ORDERS - len(coefficients))]
+_forward = kernel("motion_forward", ctypes.POINTER(_Motion), Address, Address, Int)
+_backward = kernel("motion_backward", ctypes.POINTER(_Motion), Address, Address, Addresses, Int)
 
 
 def _motion(instant: float, tensors: tuple[Tensor, ...]) -> _Motion:
-    means, _, moving, _, instants, log_durations, *coefficients = tensors
-    return _Motion(
-        addresses(*_padded(coefficients), instants, log_durations),
-        (ctypes.c_int64 * 2)(len(means), len(moving)),
-        (ctypes.c_double * 3)(instant, math.log(LEAST_DURATION), math.log(MOST_DURATION)),
-    )
+    missing = [None] * (4 + ORDERS - len(tensors))
+    numbers = (ctypes.c_double * 3)(instant, math.log(LEAST_DURATION), math.log(MOST_DURATION))
+    return _Motion(addresses(*tensors, *missing), len(tensors[0]), numbers)
 
 
 class _Evaluate(Function):
     @staticmethod
     def forward(ctx: Any, instant: float, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         tensors = tuple(t.contiguous() for t in tensors)
-        count = len(tensors[0]) + len(tensors[2])
-        means, opacities = torch.empty(count, 3), torch.empty(count)
-        _forward(_motion(instant, tensors), addresses(*tensors[:4]), means, opacities, torch.get_num_threads())
+        means, opacities = torch.empty_like(tensors[0]), torch.empty_like(tensors[1])
+        _forward(_motion(instant, tensors), means, opacities, torch.get_num_threads())
         ctx.save_for_backward(*tensors)
         ctx.instant = instant
         return means, opacities
@@ -101,10 +88,7 @@ class _Evaluate(Function):
     def backward(ctx: Any, to_means: Tensor, to_opacities: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         tensors = ctx.saved_tensors
         to_means, to_opacities = to_means.contiguous(), to_opacities.contiguous()
-        still, logits = len(tensors[0]), torch.empty_like(to_opacities)
-        instants, durations, *coefficients = (torch.empty_like(t) for t in tensors[4:])
-        out = addresses(*_padded(coefficients), instants, durations, logits)
-        given = (_motion(ctx.instant, tensors), addresses(*tensors[:4]), to_means, to_opacities)
-        _backward(*given, out, torch.get_num_threads())
-        through = (to_means[:still], logits[:still], to_means[still:], logits[still:])
-        return (None, *through, instants, durations, *coefficients)
+        found = [torch.empty_like(t) for t in tensors[1:]]
+        out = addresses(*found, *[None] * (4 + ORDERS - len(tensors)))
+        _backward(_motion(ctx.instant, tensors), to_means, to_opacities, out, torch.get_num_threads())
+        return (None, to_means, *found)

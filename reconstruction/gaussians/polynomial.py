@@ -55,5 +55,5 @@ class PolynomialMotion(MotionModel):
         bends = (self.accelerations / 2, self.jerks / 6) if len(self.accelerations) else ()
         coefficients = (self.velocities, *bends)
         course = Course(moving.means, moving.opacity_logits, self.instants, self.log_durations, coefficients)
-        means, opacities = evaluated(moving.means[:0], moving.opacity_logits[:0], course, u)
+        means, opacities = evaluated(course, u)
         return Instantaneous(means, moving.quats_wxyz, moving.log_scales, opacities, moving.intensities)

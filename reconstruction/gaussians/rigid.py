@@ -57,7 +57,7 @@ class RigidMotion(MotionModel):
         starts = torch.cat([places, moving.means[riders:]])
         velocities = torch.cat([torch.zeros_like(places), self.velocities])
         course = Course(starts, moving.opacity_logits, self.instants, self.log_durations, (velocities,))
-        means, opacities = evaluated(moving.means[:0], moving.opacity_logits[:0], course, u)
+        means, opacities = evaluated(course, u)
         quats = torch.cat([quats, moving.quats_wxyz[riders:]])
         return Instantaneous(means, quats, moving.log_scales, opacities, moving.intensities)
 
