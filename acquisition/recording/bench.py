@@ -23,6 +23,7 @@ from acquisition.errors import DiskError
 from acquisition.progress import Progress, silent
 from acquisition.recording.chunk_writer import StreamSpace
 from acquisition.recording.direct import DirectFile
+from acquisition.recording.flusher import EVERY_S, Flusher
 from acquisition.recording.manifest import Gap
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.spikes.layout import PlaneLayout
@@ -36,6 +37,7 @@ RING_BYTES = 64 << 20
 FRACTIONS = (0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 RAM_FOLDER = Path("/dev/shm")
 _WRITE_BYTES = 1 << 20
+_NEVER_S = 1e6
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,8 @@ def _measure(folder: Path, schedule: Schedule, progress: Progress) -> tuple[list
     before = disk_mb_s(folder, schedule.disk_s)
     progress(0.1, "60% of it")
     steady = paced_row(folder, "60 %", 0.6 * before, schedule.steady_s)
+    progress(0.4, "60% of it, never flushed")
+    unflushed = paced_row(folder, "60 %, never flushed", 0.6 * before, schedule.steady_s / 2, every_s=_NEVER_S)
     progress(0.5, "the highest rate without a loss")
     search = []
     for fraction in FRACTIONS:
@@ -109,11 +113,13 @@ def _measure(folder: Path, schedule: Schedule, progress: Progress) -> tuple[list
     ]
     lossfree = search[-1]["mb_s"] if not search[-1]["dropped_blocks"] else 0.0
     progress(1.0, f"{disk:.0f} MB/s")
-    return [*disk_rows, steady, *search, overload, ram], {
+    return [*disk_rows, steady, unflushed, *search, overload, ram], {
         "disk_mb_s": disk,
         "lossfree_fraction_of_disk": lossfree / disk,
         "drops_at_60_percent": steady["dropped_blocks"],
         "cores_at_60_percent": steady["cores"],
+        "flush_s_at_60_percent": steady["flush_s"],
+        "cores_for_flushing": steady["cores"] - unflushed["cores"],
         "drops_at_120_percent": overload["dropped_blocks"],
         "unreported_drops_at_120_percent": overload["unreported_blocks"],
         "ram_gb_s": ram["mb_s"] / 1e3,
@@ -140,11 +146,11 @@ def disk_mb_s(folder: Path, seconds: float) -> float:
     return written / (time.perf_counter() - start_s) / 1e6
 
 
-def paced_row(folder: Path, case: str, mb_s: float, seconds: float) -> dict:
-    """Run all streams at `mb_s` together, round the bounded files, hashed and journalled."""
+def paced_row(folder: Path, case: str, mb_s: float, seconds: float, every_s: float = EVERY_S) -> dict:
+    """Run all streams at `mb_s` together, round the bounded files, hashed, journalled, flushed every `every_s`."""
     space = StreamSpace(RING_BYTES, allows=lambda size: False, open_file=LapFile)
     blocks = max(1, round(mb_s * 1e6 * seconds / BLOCK_BYTES / STREAMS))
-    with _fed(folder / "paced", space, blocks, seconds / blocks) as (writers, spent, _):
+    with _fed(folder / "paced", space, blocks, seconds / blocks, every_s) as (writers, spent, _):
         lost = sum(gap.planes for writer in writers for gap in writer.gaps)
     found = {"offered_blocks": blocks * STREAMS, "dropped_blocks": lost // BLOCK_PLANES}
     return {"case": case, "mb_s": mb_s, **found, **spent}
@@ -187,7 +193,7 @@ def memcpy_gb_s() -> float:
 
 @contextlib.contextmanager
 def _fed(
-    folder: Path, space: StreamSpace, blocks: int, period_s: float
+    folder: Path, space: StreamSpace, blocks: int, period_s: float, every_s: float = EVERY_S
 ) -> Iterator[tuple[list[StreamWriter], dict[str, float], float]]:
     """Feed all streams, which begin one after another, in the new `folder`, which is removed at the end.
 
@@ -199,12 +205,14 @@ def _fed(
         pools = np.random.default_rng(blocks).integers(0, 256, (STREAMS, 4, BLOCK_PLANES, LAYOUT.plane_bytes), np.uint8)
         start_s, cpu_s = time.perf_counter(), time.process_time()
         starts_s = [start_s + n * period_s / STREAMS for n in range(STREAMS)]
-        with ThreadPoolExecutor(STREAMS) as threads:
+        with Flusher(folder, "*", every_s=every_s) as flusher, ThreadPoolExecutor(STREAMS) as threads:
             list(threads.map(_feed, writers, pools, starts_s, repeat(blocks), repeat(period_s)))
         cpu_s, offered_s = time.process_time() - cpu_s, time.perf_counter() - start_s
         for writer in writers:
             writer.close()
-        yield writers, {"cores": cpu_s / offered_s, "seconds": offered_s}, time.perf_counter() - start_s
+        flush_s = flusher.spent_s / max(1, flusher.rounds)
+        spent = {"cores": cpu_s / offered_s, "seconds": offered_s, "flush_s": flush_s}
+        yield writers, spent, time.perf_counter() - start_s
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -3,10 +3,10 @@
 A line is JSON: `{"block": 3, "planes": 80, "xxh3": "..."}` once all bytes of the block were written,
 `{"gap": [first plane, planes, layer]}` before the block in which the gap ends; older ones have `{"skew_s": ...}`.
 
-Neither the journal nor a `.dat` is flushed (fsync) while it grows: that would stall all writers, and a recorder that is
-killed loses nothing by it. When the machine itself goes down, lines may be there without their bytes, or bytes without
-their lines; so `finalise` reads every block back and compares it with the line's digest. The manifest is flushed when
-the cameras are armed and started, and everything once at the end, before the recording takes its name.
+A recorder that is killed loses no line. When the machine itself goes down, the last second is lost, since files are
+flushed once a second (`flusher`). Behind that, lines may be there without their bytes, or bytes without their lines; so
+`finalise` reads every block back and compares it with the line's digest. The manifest is flushed when the cameras are
+armed and started, and everything once at the end, before the recording takes its name.
 """
 
 import json

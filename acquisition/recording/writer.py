@@ -19,6 +19,7 @@ from typing import Literal
 from acquisition.durable import flush, write_durably
 from acquisition.errors import BadRecordingError, DiskError
 from acquisition.recording.chunk_writer import RING_BYTES, StreamSpace
+from acquisition.recording.flusher import Flusher
 from acquisition.recording.journal import SUFFIX
 from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, CameraFile, Manifest, Trigger, dump_manifest
 from acquisition.recording.stream_writer import StreamWriter
@@ -63,6 +64,7 @@ class RecordingWriter:
         self._use = use if isinstance(use, DiskUse) else DiskUse(use)
         self._lock = -1
         self._streams: list[StreamWriter] = []
+        self._flusher = Flusher(self.folder, "*.dat", f"*{SUFFIX}")
 
     def __enter__(self) -> RecordingWriter:
         refuse_taken(self.path)
@@ -76,11 +78,14 @@ class RecordingWriter:
         self._refuse_left_over()
         for left_over in self.folder.iterdir():  # of a writer that was killed
             shutil.rmtree(left_over) if left_over.is_dir() else left_over.unlink()
+        flush(self.folder.parent)
+        self._flusher.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
         for stream in self._streams:
             stream.abandon()
+        self._flusher.__exit__()
         if self.folder.exists():
             shutil.rmtree(self.folder)
         os.close(self._lock)
@@ -100,6 +105,8 @@ class RecordingWriter:
     def commit(self, cameras: list[CameraFile], trigger: Trigger) -> Manifest:
         """Write manifest and rig, bring everything to the disk, and give the recording its name."""
         self.problems += [stream.damage for stream in self._streams if stream.damage]
+        if self._flusher.failure is not None:
+            self.problems.append(f"the disk refused to keep what was written ({self._flusher.failure.strerror})")
         manifest = Manifest(
             **self._fields(trigger),
             cameras=tuple(cameras),
@@ -141,6 +148,7 @@ class RecordingWriter:
                 shutil.copyfile(pixels, self.folder / pixels.name)
         write_durably(self.folder / RIG_FILE, dump_rig(self.rig))
         write_durably(self.folder / MANIFEST_FILE, dump_manifest(manifest))
+        flush(self.folder)
 
     def _allows(self, size: int) -> bool:
         """Return whether `size` more bytes leave free what is to be kept free: the disk guard."""
