@@ -13,8 +13,8 @@ from sqlalchemy.exc import OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from server.settings import ServiceSettings
+from server.store.migration import migrate
 from server.store.soundness import DatabaseError, expect_sound
-from server.store.tables import metadata
 
 _BUSY_S = 30
 _CONNECT_S = 5
@@ -60,7 +60,7 @@ def _create_tables(settings: ServiceSettings, engine: sa.Engine) -> None:
     DBOS.migrate(settings.engine_url)
     with engine.begin() as connection:
         lock_writers(connection)  # two processes may start at once
-        metadata.create_all(connection)
+        migrate(connection, settings.database_name)
 
 
 def _may_come(error: SQLAlchemyError) -> bool:

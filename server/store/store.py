@@ -30,12 +30,13 @@ class Store:
 
     def __init__(self, settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> None:
         settings.data.mkdir(parents=True, exist_ok=True)
-        self._in_use = ExitStack()
-        try:
-            self._in_use.enter_context(shared(settings.data))
-        except BlockingIOError as error:
-            raise DatabaseError("found it being restored", "that done", where=settings.data) from error
-        self.database = prepare_database(settings, pause)
+        with ExitStack() as opened:
+            try:
+                opened.enter_context(shared(settings.data))
+            except BlockingIOError as error:
+                raise DatabaseError("found it being restored", "that done", where=settings.data) from error
+            self.database = prepare_database(settings, pause)
+            self._opened = opened.pop_all()
         self.clock = DatabaseClock(self.database)
         self.folder = DataFolder(settings.data)
         self.disk = Disk(settings.data, settings.keep_free_bytes)
@@ -54,4 +55,4 @@ class Store:
     def close(self) -> None:
         """Let go of the database."""
         self.database.dispose()
-        self._in_use.close()
+        self._opened.close()

@@ -6,6 +6,7 @@ from pathlib import Path
 from acquisition.durable import write_durably
 from acquisition.recording.finalise import left_planes
 from acquisition.recording.reader import read_manifest
+from acquisition.recording.writer import partial_of
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.commands import record_arguments
@@ -29,6 +30,7 @@ class Beginning:
         self._store = store
         self._asked = entry.created
         self._begun = folder / "begun"
+        self._partial = partial_of(store.folder.recording(entry.id))
         self.earlier = False
 
     def is_now(self) -> bool:
@@ -36,7 +38,7 @@ class Beginning:
 
         Raises StageError where it was stopped before, or was asked for too long ago.
         """
-        self.earlier = self._begun.exists()
+        self.earlier = self._begun.exists() or self._partial.exists()  # workers of old left no mark
         if self.earlier:
             return False
         if self.control.stop.exists():

@@ -40,3 +40,8 @@ def test_one_stopped_before_it_began_does_not_begin(beginning_of):
 def test_one_that_nobody_took_up_is_missed(beginning_of):
     with pytest.raises(StageError, match=r"took it up for 100 s, expected one within 60 s; record again"):
         beginning_of(100).is_now()
+
+
+def test_one_that_a_worker_of_old_has_begun_does_not_begin_again(beginning_of, tmp_path):
+    (tmp_path / "captures" / "c1.partial").mkdir(parents=True)
+    assert not beginning_of(100).is_now()

@@ -11,6 +11,7 @@ from server.store.tables import Entry, metadata
 
 COLUMNS = {
     "artefacts": "bytes entry media_type modified_ns name sha256",
+    "catalogue_format": "number",
     "calibrations": "created document job report rig sha256 source version",
     "current_calibrations": "revision rig version",
     "deliveries": "attempts body event next said status webhook",
@@ -30,6 +31,7 @@ KEYS = {
     "entries": "id",
     "events": "seq",
     "idempotency": "key",
+    "catalogue_format": "number",
     "tokens": "id",
     "uploads": "id",
     "webhooks": "id",
