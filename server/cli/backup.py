@@ -6,6 +6,7 @@ import click
 
 from server.cli.options import PATH, data_folder
 from server.settings import settings_of
+from server.store.backup import back_up, restore
 
 
 @click.command()
@@ -16,8 +17,6 @@ def backup_command(out: Path, data: Path | None) -> None:
 
     Recordings, uploads and results are files under their own names: copy them with a tool for files.
     """
-    from server.store.backup import back_up
-
     back_up(settings_of(rig=None, devices=None, data=data), out)
 
 
@@ -26,8 +25,6 @@ def backup_command(out: Path, data: Path | None) -> None:
 @data_folder
 def restore_command(backup: Path, data: Path | None) -> None:
     """Put a backup into a data folder, whose service and workers are stopped. The databases there are moved aside."""
-    from server.store.backup import restore
-
     replaced, orphans = restore(backup, settings_of(rig=None, devices=None, data=data))
     if replaced is not None:
         click.echo(f"the databases that were there are in {replaced}")

@@ -30,7 +30,7 @@ function draw() {
 }
 
 function list(id, items, make, nothing) {
-  const none = () => [element('li', { className: 'quiet', data: { key: 'nothing' } }, nothing)];
+  const none = () => [element('li', { className: 'quiet', id: `no-${id}` }, nothing)];
   patchChildren(byId(id), items.length ? items.map((item) => make(item, context)) : none());
 }
 

@@ -5,11 +5,7 @@ const MOST_KEPT = 200; // pictures fetched with a token
 const fetched = new Map(); // path to promise of a blob's address
 
 export const token = () => sessionStorage.getItem(KEY);
-
-export function setToken(text) {
-  if (text) sessionStorage.setItem(KEY, text);
-  else sessionStorage.removeItem(KEY);
-}
+export const setToken = (text) => sessionStorage.setItem(KEY, text);
 
 const refused = (status, detail) => Object.assign(new Error(detail), { status });
 
@@ -74,8 +70,8 @@ export async function readEvents(path, onEvent, { after, signal } = {}) {
     const parts = (pending + value.replace(/\r/g, '')).split('\n\n');
     pending = parts.pop();
     for (const part of parts) {
-      const lines = part.split('\n').filter((line) => line.startsWith('data:'));
-      if (lines.length) onEvent(JSON.parse(lines.map((line) => line.slice(5)).join('\n')));
+      const data = /^data:(.*)$/m.exec(part); // every event is one line of data
+      if (data) onEvent(JSON.parse(data[1]));
     }
   }
 }

@@ -22,7 +22,7 @@ async function choose(rig, version) {
 function versions(item, context, current) {
   const listed = context.calibrations.get(item.id)?.items ?? [];
   const all = [...listed, { version: 0, source: 'nominal', created: null }];
-  return element('ul', { className: 'rows' }, all.map((one) => element('li', { className: 'choice', data: { key: String(one.version) } }, element('span', {}, inWords(one)),
+  return element('ul', { className: 'rows' }, all.map((one) => element('li', { className: 'choice', id: `version-${item.id}-${one.version}` }, element('span', {}, inWords(one)),
     one.version === current.version ? element('strong', {}, 'in use')
       : actions(button('Use', `use-${item.id}-${one.version}`, () => choose(item.id, one.version), { done: `Version ${one.version} is in use` })))));
 }

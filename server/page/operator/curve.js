@@ -5,7 +5,7 @@ const W = 420, H = 150, LEFT = 44, RIGHT = 20, TOP = 8, BOTTOM = 24;
 const METRICS = { psnr_db: ['PSNR', 'dB'], loss: ['loss', ''], 'counts.rmse': ['count error', 'spikes'] };
 
 // Return {metric, value} of a training's message, such as "step 10, loss 0.0312, PSNR 21.30 dB", or null.
-export function figureIn(message) {
+function figureIn(message) {
   const found = /PSNR (-?\d+(?:\.\d+)?) dB/.exec(message);
   if (found) return { metric: 'psnr_db', value: Number(found[1]) };
   const loss = /loss (\d+(?:\.\d+)?(?:e-?\d+)?)/.exec(message);

@@ -7,9 +7,7 @@ const OWN = { DETAILS: ['open'], INPUT: ['value', 'disabled'], BUTTON: ['aria-bu
 export const byId = (id) => document.getElementById(id);
 
 export function element(tag, properties = {}, ...children) {
-  const { data, ...rest } = properties;
-  const made = Object.assign(document.createElement(tag), rest);
-  if (data) Object.assign(made.dataset, data);
+  const made = Object.assign(document.createElement(tag), properties);
   made.append(...children.flat().filter((child) => child != null && child !== false));
   return made;
 }
@@ -17,11 +15,11 @@ export function element(tag, properties = {}, ...children) {
 export function drawing(tag, attributes = {}, ...children) {
   const made = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  made.append(...children.filter((child) => child != null));
+  made.append(...children);
   return made;
 }
 
-const same = (a, b) => a.nodeName === b.nodeName && (a.id ?? '') === (b.id ?? '') && a.dataset?.key === b.dataset?.key;
+const same = (a, b) => a.nodeName === b.nodeName && (a.id ?? '') === (b.id ?? '');
 
 function patchAttributes(live, wanted) {
   const own = OWN[live.nodeName] ?? [];
@@ -36,12 +34,11 @@ function patchAttributes(live, wanted) {
 }
 
 // Make `live`, a node on the page, look like `wanted`, a new one of the same kind.
-export function patch(live, wanted) {
+function patch(live, wanted) {
   if (live.nodeType !== Node.ELEMENT_NODE) {
     if (live.nodeValue !== wanted.nodeValue) live.nodeValue = wanted.nodeValue;
     return;
   }
-  if (live.dataset.kept !== undefined && live.dataset.kept === wanted.dataset.kept) return;
   patchAttributes(live, wanted);
   patchChildren(live, [...wanted.childNodes]);
 }
@@ -100,10 +97,9 @@ export function size(bytes) {
 }
 
 const AGES = [[86400, 'day'], [3600, 'hour'], [60, 'minute']];
+const AGO = new Intl.RelativeTimeFormat('en');
 
 export function ago(age_s) {
-  const found = AGES.find(([unit]) => age_s >= unit);
-  if (!found) return 'just now';
-  const count = Math.floor(age_s / found[0]);
-  return `${count} ${found[1]}${count > 1 ? 's' : ''} ago`;
+  const [unit_s, unit] = AGES.find(([least_s]) => age_s >= least_s) ?? [];
+  return unit ? AGO.format(-Math.floor(age_s / unit_s), unit) : 'just now';
 }

@@ -14,6 +14,8 @@ function cameraLine(one) {
     known(one.skew_us, `skew ${one.skew_us?.toFixed(1)} µs`)].filter(Boolean).join(', ');
 }
 
+const row = (good, head, ...text) => element('li', { className: good === false ? 'failed' : '' }, element('strong', {}, head), ...text);
+
 function cameras(status) {
   const listed = status.cameras ?? [];
   const known = listed.filter((one) => one.connected !== null);
@@ -21,8 +23,8 @@ function cameras(status) {
   const lost = listed.filter((one) => one.connected === false);
   const skews = listed.map((one) => one.skew_us).filter((skew) => skew !== null && skew !== undefined);
   const skew = skews.length ? `, skew up to ${Math.max(...skews.map(Math.abs)).toFixed(1)} µs` : '';
-  const rows = listed.map((one) => element('li', { className: one.connected === false ? 'failed' : '' },
-    element('strong', {}, one.id), ` ${one.connected === null ? 'unknown' : one.connected ? 'connected' : 'not connected'} `, element('span', { className: 'quiet' }, cameraLine(one))));
+  const rows = listed.map((one) => row(one.connected, one.id,
+    ` ${one.connected === null ? 'unknown' : one.connected ? 'connected' : 'not connected'} `, element('span', { className: 'quiet' }, cameraLine(one))));
   return [
     lost.length > 0 && failure(lost.map((one) => `${one.id}: ${one.fault ?? 'not connected'}`).join('; ')),
     fold(`cameras-${status.rig}`, `${listed.length - lost.length} of ${listed.length} cameras connected${skew}`, element('ul', { className: 'rows' }, rows)),
@@ -33,8 +35,7 @@ function checks(status) {
   if (!status.preflight) return null;
   const { checks: found, age_s, ready } = status.preflight;
   const failed = found.filter((check) => check.passed === false);
-  const rows = found.map((check) => element('li', { className: check.passed === false ? 'failed' : '' },
-    element('strong', {}, `${check.passed === null ? '–' : check.passed ? 'pass' : 'fail'} ${check.name}`), `: ${check.found}`));
+  const rows = found.map((check) => row(check.passed, `${check.passed === null ? '–' : check.passed ? 'pass' : 'fail'} ${check.name}`, `: ${check.found}`));
   return [
     ...failed.map((check) => failure(`${check.name}: found ${check.found}, expected ${check.expected}; ${check.change}`)),
     fold(`checks-${status.rig}`, `Preflight: ${ready ? `${found.length} checks passed` : `${failed.length} of ${found.length} checks failed`}, ${ago(age_s)}`, element('ul', { className: 'rows' }, rows)),
