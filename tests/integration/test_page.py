@@ -61,7 +61,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     data = tmp_path_factory.mktemp("page") / "data"
-    fake = {"SPIKE4DGS_STAGE_COMMAND": json.dumps(FAKE), "FAKE_STEPS": "150", "FAKE_RESULTS": "yes"}
+    fake = {"SPIKE4DGS_STAGE_COMMAND": json.dumps(FAKE), "FAKE_STEPS": "250", "FAKE_RESULTS": "yes"}
     command = [sys.executable, "-m", "server.cli", "serve", "--port", "0", "--data", str(data), "--with-worker"]
     with subprocess.Popen(command, env=os.environ | fake, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

@@ -22,28 +22,23 @@ function frustum(camera, depth) {
   const material = new LineBasicMaterial({ color: camera.held_out ? HELD_OUT : TRAINING, depthTest: false });
   const lines = new LineSegments(geometry, material);
   lines.frustumCulled = false;
-  return { lines, centre, camera };
+  return { lines, centre };
 }
 
 export class Cameras {
   /** `names` and `edge` are elements over the picture: one holds the names, one outlines a camera's picture. */
   constructor({ cameras, centre }, names, edge) {
     this.scene = new Scene();
-    this.names = names;
     this.edge = edge;
     this.shown = true;
     this.items = cameras.map((camera) => {
       const distance = poseOf(camera).centre.distanceTo(new Vector3(...centre));
-      return { ...frustum(camera, LONG * distance), label: this.#label(camera) };
+      const text = camera.held_out ? `${camera.id} held\u00a0out` : camera.id;
+      const label = element('span', { className: camera.held_out ? 'held-out' : '', hidden: true }, text);
+      return { ...frustum(camera, LONG * distance), label };
     });
     this.scene.add(...this.items.map((item) => item.lines));
-  }
-
-  #label(camera) {
-    const text = camera.held_out ? `${camera.id} held\u00a0out` : camera.id;
-    const label = element('span', { className: camera.held_out ? 'held-out' : '', hidden: true }, text);
-    this.names.append(label);
-    return label;
+    names.append(...this.items.map((item) => item.label));
   }
 
   /** Put names and edge in their places in this view; the view of a camera shows no frustums. */

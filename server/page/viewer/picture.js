@@ -57,13 +57,12 @@ export function lacking() {
   return floats ? null : 'found no floating-point pictures in WebGL 2; use a current browser or another GPU';
 }
 
-function developer(depth) {
+function developer() {
   const geometry = new BufferGeometry();
   geometry.setAttribute('position', new Float32BufferAttribute([-1, -1, 0, 3, -1, 0, -1, 3, 0], 3));
   const colours = DEPTH_COLOURS.map((hex) => new Vector3(...rgb(hex)));
   const uniforms = {
-    frame: { value: null }, showDepth: { value: false }, colours: { value: colours },
-    inverseDepths: { value: new Vector2(1 / depth[0], 1 / depth[1]) },
+    frame: { value: null }, showDepth: { value: false }, colours: { value: colours }, inverseDepths: { value: new Vector2() },
   };
   const material = new RawShaderMaterial({
     glslVersion: '300 es', vertexShader: COVER, fragmentShader: DEVELOP, uniforms, depthTest: false, depthWrite: false,
@@ -94,7 +93,7 @@ export class Picture {
     });
     this.scene = new Scene();
     this.scene.add(this.spark, mesh);
-    this.developer = developer(depth);
+    this.developer = developer();
     this.camera = new PerspectiveCamera();
     Object.assign(this.camera, { near: 0.02 * depth[0], far: 50 * depth[1], matrixAutoUpdate: false });
   }

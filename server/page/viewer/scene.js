@@ -3,6 +3,7 @@ import { request } from '../operator/api.js';
 import { artefact } from '../operator/media.js';
 
 const VERSION = 1;
+const OPTIONAL = ['accelerations', 'jerks', 'key_scales'];
 const MOTIONS = ['static', 'polynomial', 'keyframes'];
 
 export class SceneError extends Error {}
@@ -65,27 +66,22 @@ const numbers = (list, length) => Array.isArray(list) && list.length === length 
 const isCamera = (camera) => numbers([camera.fx, camera.fy, camera.cx, camera.cy], 4)
   && camera.width > 0 && camera.height > 0 && numbers([camera.cam_from_rig].flat(2), 16);
 
-/** Return the shapes of the arrays that a manifest must list, and of those it may list. */
-function expectedShapes({ count, moving, motion, keyframes }) {
-  const shapes = { means: [count, 3], quats_wxyz: [count, 4], scales: [count, 3], opacities: [count], intensities: [count] };
-  if (moving === 0 || motion === 'static') return { shapes, optional: {} };
-  if (motion === 'polynomial') {
-    Object.assign(shapes, { velocities: [moving, 3], instants: [moving], durations: [moving] });
-    return { shapes, optional: { accelerations: [moving, 3], jerks: [moving, 3] } };
-  }
-  Object.assign(shapes, {
-    key_means: [keyframes, moving, 3], key_quats: [keyframes, moving, 4], key_opacities: [keyframes, moving],
-  });
-  return { shapes, optional: { key_scales: [keyframes, moving, 3] } };
+/** Return the shapes of the arrays that a manifest lists. */
+function shapesOf({ count, moving, motion, keyframes }) {
+  const stored = { means: [count, 3], quats_wxyz: [count, 4], scales: [count, 3], opacities: [count], intensities: [count] };
+  const vector = [moving, 3];
+  if (moving === 0 || motion === 'static') return stored;
+  if (motion === 'polynomial') return { ...stored, velocities: vector, accelerations: vector, jerks: vector, instants: [moving], durations: [moving] };
+  const keys = { key_means: [keyframes, moving, 3], key_quats: [keyframes, moving, 4], key_opacities: [keyframes, moving], key_scales: [keyframes, moving, 3] };
+  return { ...stored, ...keys };
 }
 
 function arraysOf(manifest, bytes) {
-  const { shapes, optional } = expectedShapes(manifest);
   const arrays = {};
-  for (const [name, shape] of [...Object.entries(shapes), ...Object.entries(optional)]) {
+  for (const [name, shape] of Object.entries(shapesOf(manifest))) {
     const entry = manifest.arrays?.[name];
     if (entry) arrays[name] = view(name, entry, shape, bytes);
-    else if (name in shapes) fault(`no array ${name}`, 'one');
+    else if (!OPTIONAL.includes(name)) fault(`no array ${name}`, 'one');
   }
   return arrays;
 }

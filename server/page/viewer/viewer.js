@@ -5,10 +5,7 @@ import { SceneError, loadScene } from './scene.js';
 const PASS_S = 4; // seconds that a clip lasts on the screen at speed 1
 
 function say(text, failed = false) {
-  byId('message').textContent = text;
-  byId('message').hidden = !text;
-  byId('message').className = failed ? 'failed' : '';
-  byId('message').setAttribute('role', failed ? 'alert' : 'status');
+  Object.assign(byId('message'), { textContent: text, hidden: !text, className: failed ? 'failed' : '', role: failed ? 'alert' : 'status' });
 }
 
 /** The time shown: u in [0, 1] of the clip, and whether it runs. */
@@ -26,12 +23,10 @@ class Clock {
 
   tell() {
     const text = `${(this.u * this.lasts_ms).toFixed(2)} of ${this.lasts_ms.toFixed(2)} ms`;
-    byId('time').value = this.u;
-    byId('time').setAttribute('aria-valuetext', text);
+    Object.assign(byId('time'), { value: this.u, ariaValueText: text });
     byId('instant').textContent = text;
     byId('slowness').textContent = this.factor >= 1 ? `slowed ${Math.round(this.factor)} times` : '';
-    byId('play').textContent = this.running ? 'Pause' : 'Play';
-    byId('play').setAttribute('aria-pressed', this.running);
+    Object.assign(byId('play'), { textContent: this.running ? 'Pause' : 'Play', ariaPressed: this.running });
   }
 
   seek(u) {
@@ -106,10 +101,9 @@ function fillForm(manifest, nameOf) {
 }
 
 function toggle(id, action) {
-  byId(id).onclick = () => {
-    const on = byId(id).getAttribute('aria-pressed') !== 'true';
-    byId(id).setAttribute('aria-pressed', on);
-    action(on);
+  byId(id).onclick = ({ currentTarget: pressed }) => {
+    pressed.ariaPressed = pressed.ariaPressed !== 'true';
+    action(pressed.ariaPressed === 'true');
   };
 }
 
