@@ -137,6 +137,11 @@ class ServiceSettings(BaseSettings):
         return bool(self.hosts) or not ipaddress.ip_address(self.host).is_loopback
 
     @property
+    def own_rigs(self) -> dict[str, RigSource]:
+        """Return the rigs that this process was given; a worker that was given none asks the service's catalogue."""
+        return self.rigs if "rigs" in self.model_fields_set else {}
+
+    @property
     def engine_url(self) -> str:
         """Return where the job engine keeps its tables."""
         return self.database or f"sqlite:///{self.data / 'dbos.sqlite'}"

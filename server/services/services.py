@@ -1,5 +1,7 @@
 """All services of one web process."""
 
+from rigs.rig import Rig
+from rigs.toml import dump_rig
 from server.engine import Engine
 from server.services.access import AccessService
 from server.services.admission import Admission
@@ -22,6 +24,7 @@ from server.services.watchdog import Watchdog
 from server.services.webhooks import WebhookService
 from server.settings import ServiceSettings
 from server.store.store import Store
+from server.store.tables import KnownRig
 from server.work.keeper import Keeper
 
 
@@ -34,6 +37,7 @@ class Services:
         self.store = Store(settings)
         self.engine = Engine(settings)
         self.store.disk.keep_reserve()
+        self._tell_rigs(rigs)
         queue, space = Queue(self.store, self.engine), Space(self.store, rigs)
         self.rigs = RigService(self.store, self.engine, queue, space, settings.rigs)
         self.captures = CaptureService(self.store, self.engine, queue)
@@ -52,6 +56,12 @@ class Services:
         self.metrics = Metrics(settings, self.store, self.engine)
         retention = Retention(self.store, self.engine, self.jobs, settings.keep_days)
         self.announcer = Announcer(self.store, self.engine, queue, retention)
+
+    def _tell_rigs(self, rigs: dict[str, Rig]) -> None:
+        """Note the rigs where workers of all machines read them, with their pixel maps in the shared folder."""
+        documents = {rig_id: dump_rig(self.store.rig_files.adopt_pixels(rig_id, rig)) for rig_id, rig in rigs.items()}
+        sources = self.settings.rigs
+        self.store.known_rigs.replace([KnownRig(i, text, sources[i].devices) for i, text in documents.items()])
 
     def start(self) -> None:
         """Start the work beside the requests; call it in the event loop."""

@@ -1,6 +1,7 @@
 """The databases: the job engine's and the service's own tables, in two SQLite files or one PostgreSQL database."""
 
 import logging
+import os
 import sqlite3
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from sqlalchemy.exc import OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from server.settings import ServiceSettings
+from server.store.files import locked
 from server.store.migration import migrate
 from server.store.soundness import DatabaseError, expect_sound
 
@@ -33,12 +35,13 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
     and ends the wait where it returns something true. Returns a pool of connections to the service's own tables.
     Raises DatabaseError naming the database.
     """
-    expect_sound(settings)
     engine = open_database(settings)
     deadline, waits = time.monotonic() + _START_S, False
     while True:
         try:
-            _create_tables(settings, engine)
+            with locked(settings.data / ".opening", os.O_RDWR | os.O_CREAT, wait=True):  # processes start at once
+                expect_sound(settings)
+                _create_tables(settings, engine)
             return engine
         except SQLAlchemyError as error:
             reason = reason_of(error)
@@ -59,7 +62,7 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
 def _create_tables(settings: ServiceSettings, engine: sa.Engine) -> None:
     DBOS.migrate(settings.engine_url)
     with engine.begin() as connection:
-        lock_writers(connection)  # two processes may start at once
+        lock_writers(connection)
         migrate(connection, settings.database_name)
 
 

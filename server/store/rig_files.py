@@ -1,6 +1,7 @@
 """The calibrations of a rig as files: the rig file that captures use, the pixel maps, and the pictures.
 
 DATA/rigs/RIG/calibration.toml         the current calibration; absent where the rig is used as it was drawn
+DATA/rigs/RIG/drawn.toml               the rig as it was drawn
 DATA/rigs/RIG/camRC-pixels-SHA.npz     pixel maps, named by what is in them, so that none is ever overwritten
 DATA/rigs/RIG/pictures/JID.png         the residuals of the calibration that a job found
 """
@@ -15,14 +16,16 @@ from rigs.rig import Rig
 from server.errors import RigMismatchError
 from server.store.calibrations import Calibrations
 from server.store.files import DataFolder, locked
+from server.store.known_rigs import KnownRigs
 
 
 class RigFiles:
     """The files of one service's rigs."""
 
-    def __init__(self, folder: DataFolder, calibrations: Calibrations) -> None:
+    def __init__(self, folder: DataFolder, calibrations: Calibrations, known_rigs: KnownRigs) -> None:
         self._folder = folder
         self._calibrations = calibrations
+        self._known_rigs = known_rigs
 
     def path(self, rig_id: str) -> Path:
         """Return where the current calibration lies, if there is one."""
@@ -40,6 +43,14 @@ class RigFiles:
                 path.unlink(missing_ok=True)
             elif not path.exists() or path.read_text() != stored.document:
                 write_durably(path, stored.document)
+        return path
+
+    def drawn(self, rig_id: str) -> Path:
+        """Return the rig file as it was drawn, brought up to date; raises NotFoundError, DiskError."""
+        document = self._known_rigs.get(rig_id).document
+        path = self._folder.rig(rig_id) / "drawn.toml"
+        if not path.exists() or path.read_text() != document:
+            write_durably(path, document)
         return path
 
     def adopt_pixels(self, rig_id: str, rig: Rig) -> Rig:

@@ -14,6 +14,7 @@ from server.store.entries import Entries
 from server.store.events import Events
 from server.store.files import DataFolder, shared
 from server.store.idempotency import Idempotency
+from server.store.known_rigs import KnownRigs
 from server.store.rig_files import RigFiles
 from server.store.soundness import DatabaseError
 from server.store.tokens import Tokens
@@ -46,7 +47,8 @@ class Store:
         self.idempotency = Idempotency(self.database, self.clock)
         self.workers = Workers(self.database, self.clock, settings.dead_s)
         self.calibrations = Calibrations(self.database, self.clock)
-        self.rig_files = RigFiles(self.folder, self.calibrations)
+        self.known_rigs = KnownRigs(self.database, self.clock)
+        self.rig_files = RigFiles(self.folder, self.calibrations, self.known_rigs)
         self.uploads = Uploads(self.database, self.clock)
         self.tokens = Tokens(self.database, self.clock)
         self.webhooks = Webhooks(self.database, self.clock)

@@ -107,6 +107,15 @@ class Worker:
 
 
 @dataclass(frozen=True)
+class KnownRig:
+    """A rig of the service: `document` is the RIG.toml it was drawn in, `devices` the URI of its cameras."""
+
+    id: RigId
+    document: Long
+    devices: Long
+
+
+@dataclass(frozen=True)
 class Found:
     """A calibration to be kept, and the job that found it."""
 
@@ -211,6 +220,7 @@ workers = _table("workers", Worker)
 # A job finds one calibration of a rig.
 calibrations = _table("calibrations", StoredCalibration, UniqueConstraint("rig", "job"), key=("rig", "version"))
 current_calibrations = _table("current_calibrations", Current, key=("rig",))
+known_rigs = _table("known_rigs", KnownRig)
 uploads = _table("uploads", StoredUpload)
 webhooks = _table("webhooks", StoredWebhook)
 deliveries = _table("deliveries", Delivery, Index("deliveries_due", "status", "next"), key=("webhook", "event"))

@@ -6,23 +6,21 @@ from pathlib import Path
 from acquisition.durable import write_durably
 from rigs.rig import Rig
 from rigs.toml import dump_rig, load_rig, parse_rig
-from server.settings import ServiceSettings
 from server.store.rig_files import fitted, with_pixels_of, without_pixels
 from server.store.store import Store
 from server.store.tables import Entry, Found, Source, StoredCalibration
-from server.work.supervisor import StageError
 
 
-def keep_calibration(store: Store, settings: ServiceSettings, entry: Entry, out: Path) -> StoredCalibration | None:
+def keep_calibration(store: Store, entry: Entry, out: Path) -> StoredCalibration | None:
     """Keep and return what a job has left in `out`, once however often it is done again; None where it names no rig.
 
-    Poses come with the current pixel maps, pixel maps with the current poses. Raises StageError, RigError,
-    RigMismatchError and DiskError.
+    Poses come with the current pixel maps, pixel maps with the current poses. Raises NotFoundError,
+    RigError, RigMismatchError and DiskError.
     """
     rig_id = entry.request.get("rig")
     if rig_id is None:
         return None
-    rig = store.rig_files.adopt_pixels(rig_id, nominal_rig(settings, rig_id))
+    rig = drawn_rig(store, rig_id)
     measured = store.rig_files.adopt_pixels(rig_id, fitted(load_rig(out / "rig.toml"), rig))
     said = json.loads((out / "result.json").read_text())
     report = {name: value for name, value in said.items() if name not in ("rig", "picture")}  # paths of this host
@@ -42,19 +40,16 @@ def keep_calibration(store: Store, settings: ServiceSettings, entry: Entry, out:
     return stored
 
 
-def write_current(store: Store, settings: ServiceSettings, rig_id: str, out: Path) -> Path:
+def write_current(store: Store, rig_id: str, out: Path) -> Path:
     """Write a rig's current rig file into `out`, named by its version and without pixel maps; return its path."""
     current, stored = store.calibrations.current(rig_id)
     folder = store.folder.rig(rig_id)
-    rig = parse_rig(stored.document, "the current calibration", folder) if stored else nominal_rig(settings, rig_id)
+    rig = parse_rig(stored.document, "the current calibration", folder) if stored else drawn_rig(store, rig_id)
     path = out / f"calibration-{current.version}.toml"
     write_durably(path, dump_rig(without_pixels(rig)))
     return path
 
 
-def nominal_rig(settings: ServiceSettings, rig_id: str) -> Rig:
-    """Return the rig as it was drawn; raises StageError where this worker does not know it."""
-    source = settings.rigs.get(rig_id)
-    if source is None:
-        raise StageError(f"found no rig {rig_id} in this worker's settings", "the service's own rigs")
-    return source.load()
+def drawn_rig(store: Store, rig_id: str) -> Rig:
+    """Return the rig as it was drawn; raises NotFoundError where the service has none of this name."""
+    return load_rig(store.rig_files.drawn(rig_id))

@@ -13,6 +13,7 @@ from acquisition.durable import write_durably
 from acquisition.recording.reader import Recording
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import contact_sheet
+from server.errors import NotFoundError
 from server.settings import ServiceSettings
 from server.store import database
 from server.store.artefacts import is_plain, plain_files
@@ -84,6 +85,9 @@ class Stages:
                 if entry.kind == "capture" and self._folder.recording(entry_id).exists():
                     return self._moments.tell_losses(entry, stage)  # made by a worker that was killed
                 return await self._by_type.get(entry.type, self._task)(entry, stage)
+            except NotFoundError as error:
+                Reporter(self._store, entry_id, stage).close(str(error))
+                raise
             except SQLAlchemyError as error:
                 if database.is_full(error):
                     raise no_room(self._settings.database_name) from error
@@ -146,7 +150,7 @@ class Stages:
             printed = out / "result.json" if "--json" in arguments else None
             await self._processes.run(entry, stage, arguments, stdout=printed)
             if entry.type == "calibrate":
-                keep_calibration(self._store, self._settings, entry, out)
+                keep_calibration(self._store, entry, out)
         except (Spike4dgsError, OSError) as error:
             Reporter(self._store, entry.id, stage).close(str(error))
             raise
@@ -160,7 +164,7 @@ class Stages:
         run = folder.run(request["job"]) if "job" in request else None
         dark = folder.recording(request["dark"]) if request.get("dark") else None
         of_rig = entry.type == "check-rig" and request.get("rig")
-        rig = write_current(self._store, self._settings, of_rig, out) if of_rig else None
+        rig = write_current(self._store, of_rig, out) if of_rig else None
         cameras = folder.upload(request["cameras"]) / "data" if entry.type == "render" else None
         return task_arguments(request, recording, run, out, dark=dark, rig=rig, cameras=cameras)
 
@@ -169,13 +173,12 @@ class Stages:
         return self._folder.recording(entry.capture)
 
     def _rig(self, entry: Entry) -> tuple[str, str, Path]:
-        """Return the rig's file or name, its devices, and the folder whose flock keeps others from its cameras."""
-        source = self._settings.rigs.get(entry.rig or "")
-        if source is None or entry.rig is None:
-            raise StageError(f"found no rig {entry.rig} in this worker's settings", "the service's own rigs")
-        calibrated = self._store.rig_files.refresh(entry.rig)
-        rig = str(calibrated) if calibrated.exists() else source.rig
-        return rig, source.devices, self._folder.rig(entry.rig)
+        """Return the rig's file, its devices, and the folder whose flock keeps others from its cameras."""
+        assert entry.rig is not None
+        drawn, calibrated = (path(entry.rig) for path in (self._store.rig_files.drawn, self._store.rig_files.refresh))
+        mine = self._settings.own_rigs.get(entry.rig)
+        devices = mine.devices if mine else self._store.known_rigs.get(entry.rig).devices
+        return str(calibrated if calibrated.exists() else drawn), devices, self._folder.rig(entry.rig)
 
     def _fresh_out(self, entry: Entry) -> Path:
         """Return an empty folder for what a job makes, whatever an attempt that was interrupted left."""

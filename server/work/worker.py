@@ -44,7 +44,7 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
     with _exclusive(settings, name):
         while not stop.is_set():
             try:
-                return _serve(settings, name, kinds, stop)
+                _serve(settings, name, kinds, stop)
             except SQLAlchemyError as error:  # lost while the worker was starting: it starts again, and waits for it
                 if not is_outage(error):
                     raise
@@ -52,15 +52,18 @@ def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop:
 
 
 def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: threading.Event) -> None:
+    """Work until told to stop, or until the rigs are others and nothing is in hand."""
     store = Store(settings, pause=stop.wait)
     try:
-        queues = _queues(settings, kinds)
+        rigs = _rigs(settings, store, stop) if "captures" in kinds else []
+        queues = [*map(capture_queue, rigs), *(name for name in (RECONSTRUCTIONS, TASKS) if name in kinds)]
         me = store.workers.enter(name, queues)
         stages = Stages(settings, store)
         try:
-            _refresh(settings, store)
+            _refresh(store, rigs)
             _launch(settings, stages, name, queues)
-            _work(settings, store, me, stages, stop)
+            watched = rigs if "captures" in kinds and not settings.own_rigs else None
+            _work(settings, store, me, stages, stop, watched)
         finally:
             logging.getLogger("dbos").setLevel(logging.ERROR)  # it warns of every stage that is stopped here
             DBOS.destroy()
@@ -70,17 +73,39 @@ def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: thr
         store.close()
 
 
-def _refresh(settings: ServiceSettings, store: Store) -> None:
+def _rigs(settings: ServiceSettings, store: Store, stop: threading.Event) -> list[str]:
+    """Return the rigs to record with: this worker's own or, where it names none, all that the service knows."""
+    waits = False
+    while not (rigs := list(settings.own_rigs) or [rig.id for rig in store.known_rigs.all()]):
+        if not waits:
+            logging.getLogger(__name__).warning("the worker waits for the service to name its rigs")
+        waits = True
+        if stop.wait(_POLL_S):
+            break
+    return rigs
+
+
+def _refresh(store: Store, rigs: Sequence[str]) -> None:
     """Mend the files of calibrations that a process chose and died before it wrote them."""
-    for rig_id in settings.rigs:
+    for rig_id in rigs:
         try:
             store.rig_files.refresh(rig_id)
         except (DiskError, OSError):  # other work may need no disk, and a capture tries again
             logging.getLogger(__name__).exception("the calibration of %s is not up to date", rig_id)
 
 
-def _work(settings: ServiceSettings, store: Store, me: Worker, stages: Stages, stop: threading.Event) -> None:
-    """Beat until told to stop, through outages of the database; raises WorkerRunningError."""
+def _work(
+    settings: ServiceSettings,
+    store: Store,
+    me: Worker,
+    stages: Stages,
+    stop: threading.Event,
+    rigs: list[str] | None,
+) -> None:
+    """Beat until told to stop or, with nothing in hand, until the service has other `rigs`; raises WorkerRunningError.
+
+    Outages of the database are waited for.
+    """
     engine = Engine(settings)
     heir = Heir(store, engine, me, stages.busy)
     try:
@@ -88,17 +113,14 @@ def _work(settings: ServiceSettings, store: Store, me: Worker, stages: Stages, s
             try:
                 store.workers.beat(me)
                 heir.look()
+                if rigs is not None and not stages.busy and [rig.id for rig in store.known_rigs.all()] != rigs:
+                    return
             except SQLAlchemyError as error:
                 heir.pause(reason_of(error))
             if stop.wait(store.workers.beat_s):
                 return
     finally:
         engine.close()
-
-
-def _queues(settings: ServiceSettings, kinds: Sequence[str]) -> list[str]:
-    captures = [capture_queue(rig_id) for rig_id in settings.rigs] if "captures" in kinds else []
-    return [*captures, *(name for name in (RECONSTRUCTIONS, TASKS) if name in kinds)]
 
 
 def _launch(settings: ServiceSettings, stages: Stages, name: str, queues: Sequence[str]) -> None:

@@ -1,5 +1,6 @@
 """Several workers on one database: they share the work, inherit from each other, and outlive the database."""
 
+import json
 import os
 import random
 import signal
@@ -201,6 +202,28 @@ def test_a_worker_whose_clock_is_a_minute_off_is_told_so_and_works(tmp_path: Pat
             assert all(one.age_s < 4.0 for one in client.workers())
         for name, way in (("late", "60 s behind"), ("early", "60 s ahead of")):
             assert f"this machine's clock is {way}" in (deployment.data / f"{name}.log").read_text()
+        assert deployment.dead() == []
+    finally:
+        deployment.close()
+
+
+def test_a_worker_learns_the_rigs_of_the_service(tmp_path: Path) -> None:
+    def with_rig(name: str) -> dict[str, str]:
+        return {"SPIKE4DGS_RIGS": json.dumps({name: {"rig": "ci3x3", "devices": "mock:fan_and_ball"}})}
+
+    deployment = Deployment(tmp_path / "data", postgresql=False, dead_s=4.0)
+    try:
+        deployment.start("a")
+        log = deployment.data / "a.log"
+        wait_for(lambda: "waits for the service to name its rigs" in log.read_text())
+        for name in ("first", "of another name"):
+            deployment.start("api", environment=with_rig(name))
+            with ServiceClient.at(deployment.address) as client:
+                wait_for(lambda: answers(client) and [one.id for one in client.workers()] == ["a"])
+                made = client.start_capture(name, CaptureRequest(ticks=5))
+                wait_for(lambda: client.capture(made.id).status == "done")  # noqa: B023
+            assert (deployment.data / "rigs" / name / "drawn.toml").exists()
+            deployment.kill("api")
         assert deployment.dead() == []
     finally:
         deployment.close()

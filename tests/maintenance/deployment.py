@@ -50,13 +50,13 @@ class Deployment:
         if self.database is not None:
             self._environment["SPIKE4DGS_DATABASE"] = self.database.url
 
-    def start(self, name: str, late_s: float = 0.0) -> None:
-        """Start the web process, `api`, or a worker, on a machine whose clock is `late_s` behind."""
+    def start(self, name: str, late_s: float = 0.0, environment: Mapping[str, str] | None = None) -> None:
+        """Start the web process, `api`, or a worker: with more variables, and with a clock that is `late_s` behind."""
         command = ["serve", "--port", str(self.port)] if name == "api" else ["worker", "--name", name]
         with (self.data / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(
                 [sys.executable, "-P", *_program(late_s), *command, "--data", str(self.data)],
-                env=self._environment,
+                env=self._environment | dict(environment or {}),
                 stdout=log,
                 stderr=log,
             )

@@ -10,6 +10,7 @@ from server.store.store import Store
 from server.store.tables import Entry, metadata
 
 COLUMNS = {
+    "known_rigs": "devices document id",
     "artefacts": "bytes entry media_type modified_ns name sha256",
     "catalogue_format": "number",
     "calibrations": "created document job report rig sha256 source version",
@@ -31,6 +32,7 @@ KEYS = {
     "entries": "id",
     "events": "seq",
     "idempotency": "key",
+    "known_rigs": "id",
     "catalogue_format": "number",
     "tokens": "id",
     "uploads": "id",
