@@ -13,6 +13,7 @@ from server.middleware.headers import SecurityHeaders
 from server.middleware.limits import BodyLimit
 from server.middleware.measured import Measured
 from server.routes import calibrations, captures, events, jobs, page, rigs, system, uploads, webhooks
+from server.routes.parameters import KNOWN_QUERY
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.telemetry import trace_requests
@@ -33,13 +34,21 @@ def create_app(settings: ServiceSettings, keeper: Keeper | None = None) -> FastA
         services.close()
 
     # The framework's interactive pages load scripts from elsewhere, so only /openapi.json is offered.
-    app = FastAPI(title="spike4dgs", version=version("spike4dgs"), docs_url=None, redoc_url=None, lifespan=lifespan)
+    app = FastAPI(
+        title="spike4dgs",
+        version=version("spike4dgs"),
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+        generate_unique_id_function=lambda route: route.name,
+    )
     app.state.services = services
     for module in (system, rigs, calibrations, uploads, captures, jobs, events, webhooks):
-        app.include_router(module.router, prefix="/v1")
-    app.include_router(system.metrics_router)
+        app.include_router(module.router, prefix="/v1", dependencies=[KNOWN_QUERY])
+    app.include_router(system.metrics_router, dependencies=[KNOWN_QUERY])
     app.include_router(page.router)
-    problems.install(app)
+    app.webhooks.post("entry-changed")(webhooks.tell_entry_changed)
+    problems.install(app, services.store.folder.hidden)
     document.describe(app)
     app.add_middleware(BodyLimit, settings=settings)  # the last added meets a request first
     app.add_middleware(Gate, access=services.access, settings=settings)

@@ -73,6 +73,14 @@ class NoRoomError(ServiceError):
     """The disk has no room for what is asked for, beside what it has promised already."""
 
 
+class RangeError(ServiceError):
+    """A Range makes no sense, or has none of the `size` bytes that there are."""
+
+    def __init__(self, found: str, size: int) -> None:
+        super().__init__(f"found the Range {found[:60]!r}", f"bytes=FIRST-LAST within {size} bytes")
+        self.headers = {"Content-Range": f"bytes */{size}"}
+
+
 class DigestError(ServiceError):
     """The bytes that were sent are not the ones that were announced."""
 

@@ -1,14 +1,38 @@
 """The web server, which waits for requests under way when it stops, but not for streams that have no end."""
 
+import asyncio
 import socket
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from server.settings import ServiceSettings
 from server.telemetry import configure_logs
 
 _PATIENCE_S = 10  # for downloads
+_HEADERS_S = 10.0  # for the head of a request
+_MOST_CONNECTIONS = 1000
+_NEW = object()
+
+
+class _Protocol(AutoHTTPProtocol):
+    """Closes a connection whose client does not send the head of a request: the server alone would wait for ever."""
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._look(transport, _NEW)
+
+    def _look(self, transport: asyncio.Transport, last: object) -> None:
+        """Close the connection if no request has come since `last` was answered, and look again later."""
+        if transport.is_closing():
+            return
+        cycle: Any = getattr(self, "cycle", None)  # of the request under way or answered last
+        if cycle is last and (cycle is None or cycle.response_complete):
+            transport.close()
+        else:
+            asyncio.get_running_loop().call_later(_HEADERS_S, self._look, transport, cycle)
 
 
 class _Server(uvicorn.Server):
@@ -19,6 +43,8 @@ class _Server(uvicorn.Server):
             log_level="warning" if text else None,
             access_log=not text,
             server_header=False,
+            http=_Protocol,
+            limit_concurrency=_MOST_CONNECTIONS,
             timeout_graceful_shutdown=_PATIENCE_S,
         )
         super().__init__(config)

@@ -99,7 +99,7 @@ class ServiceSettings(BaseSettings):
     the service's own, such as https://lab.example before a proxy. The body of a request has at most `body_bytes` and
     `body_s` seconds; a client may send `read_burst` reads at once and `read_rate` a second, and writes alike.
     Webhooks reach public addresses only, but any address of a host that `webhook_hosts` names. Jobs that ended more
-    than `keep_days` ago are deleted.
+    than `keep_days` ago are deleted, uploads that nothing at work uses after `keep_upload_days`.
     `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
     A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
@@ -128,6 +128,7 @@ class ServiceSettings(BaseSettings):
     log: Literal["text", "json"] = "text"
     otel: Annotated[str, AfterValidator(_collector)] | None = None
     webhook_hosts: Annotated[tuple[Annotated[str, AfterValidator(_host_name)], ...], *_LISTED] = ()
+    keep_upload_days: float = Field(default=7.0, gt=0, le=36_500, allow_inf_nan=False)
     keep_days: Annotated[float | None, Field(gt=0, le=36_500, allow_inf_nan=False)] = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
 

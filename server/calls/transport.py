@@ -49,7 +49,7 @@ class Transport:
         self._http.auth = Patience()
 
     def _send(self, method: str, path: str, **request: Any) -> httpx.Response:
-        return self._checked(self._http.request(method, f"/v1{path}", **request))
+        return self._checked(self._http.send(self._http.build_request(method, f"/v1{path}", **request)))
 
     def _ask(self, model: type[_M], method: str, path: str, **request: Any) -> _M:
         return model.model_validate_json(self._send(method, path, **request).content)

@@ -17,7 +17,8 @@ _POLL_S = 0.1  # between looks at standard input
 def operator_control(*, saves: bool) -> Iterator[Control]:
     """Yield a control whose `stop` the first SIGINT or SIGTERM sets; the second one interrupts as usual.
 
-    SIGUSR1 sets `cut_off`: the worker that started this process is gone, or is told to end.
+    SIGUSR1 sets `cut_off`: the worker that started this process is gone, or is told to end. The kernel may send it for
+    each thread of a worker that dies, so it may come again.
     If it `saves`, the first line on standard input sets `save`; the end of standard input does not.
     """
     control = Control()
@@ -27,7 +28,8 @@ def operator_control(*, saves: bool) -> Iterator[Control]:
 
     def stop(number: int, frame: object) -> None:
         orders[signal.Signals(number)].set()
-        signal.signal(number, before[signal.Signals(number)])
+        if number != signal.SIGUSR1:
+            signal.signal(number, before[signal.Signals(number)])
 
     for number in before:
         signal.signal(number, stop)

@@ -1,5 +1,6 @@
 """`serve` runs the web service, `worker` its queued work."""
 
+import logging
 import re
 import signal
 import socket
@@ -80,6 +81,9 @@ def serve_command(
     if settings.exposed:
         with closing(Store(settings)) as store:
             AccessService(store.tokens, settings).check_exposure()
+        logging.getLogger(__name__).warning(
+            "tokens reach this service in clear: put a proxy with TLS before it, as the guide describes"
+        )
     with listening(settings.host, settings.port) as listener:
         flags = shared | {"data": settings.data}
         arguments = [text for name, value in flags.items() if value is not None for text in (f"--{name}", str(value))]

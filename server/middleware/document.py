@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from server import errors
 from server.middleware.gate import is_guarded
 from server.middleware.problems import ProblemResponse, problem_of
+from server.schemas.progress import Event, Progress
 
 
 class Fault(BaseModel):
@@ -57,6 +58,7 @@ REFUSALS: tuple[tuple[str, Exception], ...] = (
         errors.PreconditionError('found version "lab3x3-4" in use', '"lab3x3-3"', "look again before you change it"),
     ),
     ("The body is too long.", errors.TooLargeError("found a body of 2000000 bytes", "at most 1048576")),
+    ("There is no such Range.", errors.RangeError("bytes=900-", 800)),
     ("The request does not fit.", errors.UnknownReferenceError("found the camera cam99", "one of cam00, cam01, cam02")),
     (
         "The request does not say what it changes.",
@@ -73,7 +75,9 @@ def describe(app: FastAPI) -> None:
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
-            document = get_openapi(title=app.title, version=app.version, routes=app.routes)
+            document = get_openapi(
+                title=app.title, version=app.version, routes=app.routes, webhooks=app.webhooks.routes
+            )
             _complete(document)
             app.openapi_schema = document
         return app.openapi_schema
@@ -86,8 +90,9 @@ def _complete(document: dict[str, Any]) -> None:
     schemas = components.setdefault("schemas", {})
     for name in ("HTTPValidationError", "ValidationError"):  # the framework's own refusals are answered as ours
         schemas.pop(name, None)
-    found = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
-    schemas |= found.pop("$defs") | {"Problem": found}
+    for model in (Problem, Event, Progress):
+        found = model.model_json_schema(ref_template="#/components/schemas/{model}")
+        schemas |= found.pop("$defs", {}) | {model.__name__: found}
     components["securitySchemes"] = {
         "token": {
             "type": "http",
@@ -100,6 +105,9 @@ def _complete(document: dict[str, Any]) -> None:
         for method, operation in item.items():
             if is_guarded(path):
                 operation["security"] = [{"token": []}, {}]
+            stream = operation["responses"].get("200", {}).get("content", {}).get("text/event-stream")
+            if stream:  # the framework calls it a string beside
+                stream["schema"].pop("type", None)
             for status in _statuses(path, method, operation):
                 known = operation["responses"].get(str(status), {}).get("content", {})
                 if status == 422 or not known:
@@ -112,8 +120,9 @@ def _statuses(path: str, method: str, operation: dict[str, Any]) -> Iterator[int
         yield from (401, 503)
     if "{" in path:
         yield from (404, 409)
-    if "{" in path or operation.get("parameters") or "requestBody" in operation:
-        yield 422
+    yield 422
+    if "416" in operation["responses"]:
+        yield 416
     if any(parameter["name"].lower() == "if-match" for parameter in operation.get("parameters", ())):
         yield from (412, 428)
     if method not in ("get", "head"):
@@ -128,6 +137,7 @@ def _refusals() -> dict[int, dict[str, Any]]:
         schema = {"$ref": "#/components/schemas/Problem"}
         content = {ProblemResponse.media_type: {"schema": schema, "example": json.loads(bytes(answer.body))}}
         described[answer.status_code] = {"description": when, "content": content}
+    described[416]["headers"] = {"Content-Range": {"schema": {"type": "string"}}}
     described[429]["headers"] = {"Retry-After": {"schema": {"type": "integer", "minimum": 1}}}
     described[401]["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}}}
     return described

@@ -2,7 +2,9 @@
 
 import errno
 import json
+import logging
 import re
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any
 
@@ -11,13 +13,16 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from acquisition.errors import DiskError
 from rigs.errors import RigError, Spike4dgsError
 from server import errors
 from server.middleware.headers import protect
-from server.store.database import is_full, reason_of
+from server.store.database import is_full, is_outage, reason_of
 
+_LOG = logging.getLogger(__name__)
+_METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
 _MOST_FAULTS = 20  # of one request, so that an answer stays short
 _STATUS: dict[int, tuple[type[Exception], ...]] = {
     400: (errors.MalformedError,),
@@ -28,6 +33,7 @@ _STATUS: dict[int, tuple[type[Exception], ...]] = {
     409: (errors.OffsetError, errors.RigBusyError, errors.StateError),
     412: (errors.PreconditionError,),
     413: (errors.TooLargeError, errors.UploadSizeError),
+    416: (errors.RangeError,),
     422: (
         errors.DigestError,
         errors.IdempotencyError,
@@ -66,31 +72,36 @@ def problem(status: int, detail: str, kind: str = "", **members: Any) -> JSONRes
     return ProblemResponse(body, status)
 
 
-def problem_of(error: Exception) -> JSONResponse:
-    """Return the problem document of an error of this project or of the database."""
+def problem_of(error: Exception, shown: Callable[[str], str] = str) -> JSONResponse:
+    """Return the problem document of an error of this project or of the database, in words that are `shown`."""
     if isinstance(error, SQLAlchemyError):
         if is_full(error):
             return problem(507, "No space left for the database; free some", "disk-full")
+        if is_outage(error):  # its words may name the server's address
+            _LOG.warning("the database does not answer: %s", reason_of(error))
+            return problem(503, "the database does not answer; the service's log says more", "database")
         return problem(503, f"the database refused: {reason_of(error)[:200]}", "database")
     status = next(STATUS[kind] for kind in type(error).__mro__ if kind in STATUS)
     name = type(error).__name__.removesuffix("Error")
-    response = problem(status, str(error), re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower())
+    response = problem(status, shown(str(error)), re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower())
     response.headers.update(getattr(error, "headers", {}))
     return response
 
 
-def install(app: FastAPI) -> None:
-    """Let `app` answer every error with a problem document."""
+def install(app: FastAPI, shown: Callable[[str], str] = str) -> None:
+    """Let `app` answer every error with a problem document, in words that are `shown`."""
 
     @app.exception_handler(Spike4dgsError)
     @app.exception_handler(SQLAlchemyError)
     def expected(request: Request, error: Exception) -> JSONResponse:
-        return problem_of(error)
+        return problem_of(error, shown)
 
     @app.exception_handler(HTTPException)
     def http(request: Request, error: HTTPException) -> JSONResponse:
         response = problem(error.status_code, str(error.detail))
         response.headers.update(error.headers or {})
+        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+            response.headers["Allow"] = _allowed(app, request)
         return response
 
     @app.exception_handler(RequestValidationError)
@@ -121,3 +132,9 @@ def install(app: FastAPI) -> None:
 
 def _cut(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def _allowed(app: FastAPI, request: Request) -> str:
+    """Return all methods that a path has; the framework's own answer names those of its first route."""
+    asked = {method: {**request.scope, "method": method} for method in _METHODS}
+    return ", ".join(m for m in asked if any(route.matches(asked[m])[0] == Match.FULL for route in app.routes))

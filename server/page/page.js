@@ -23,7 +23,7 @@ const context = {
   },
   look, watch, tail,
 };
-let drawn = 0, live = false;
+let drawn = 0, live = false, seen = new Date();
 
 function draw() {
   if (!drawn) drawn = requestAnimationFrame(() => { drawn = 0; keepingFocus(drawNow); });
@@ -79,7 +79,9 @@ async function refreshed() {
 // Show a fault of the connection until it is over; a complaint about a request stays to be read.
 function lost(text) {
   const notice = byId('notice');
-  if (text) complain(text);
+  if (!text) seen = new Date();
+  document.body.classList.toggle('away', Boolean(text));
+  if (text) complain(`${text}. What is shown is of ${seen.toLocaleTimeString()}.`);
   else if (notice.dataset.lost) complain('');
   notice.dataset.lost = text ? 'yes' : '';
 }

@@ -23,7 +23,7 @@ IfMatch = Annotated[str | None, Header(alias="If-Match", max_length=500)]
 
 
 @router.post("/calibrations", status_code=202)
-def calibrate(
+def start_calibration(
     rig_id: str, request: CalibrationRequest, response: Response, services: TheServices, key: IdempotencyKey = None
 ) -> Job:
     """Queue a calibration; its job is at Location, and its result becomes a version."""
@@ -31,32 +31,32 @@ def calibrate(
 
 
 @router.get("/calibrations")
-def calibrations(rig_id: str, services: TheServices) -> Calibrations:
+def list_calibrations(rig_id: str, services: TheServices) -> Calibrations:
     """List all calibrations of the rig, newest first."""
     return services.calibrations.list(rig_id)
 
 
 @router.get("/calibrations/{version}")
-def version(rig_id: str, version: Version, services: TheServices) -> Calibration:
+def get_calibration_version(rig_id: str, version: Version, services: TheServices) -> Calibration:
     """Return one calibration: when and how it was found, and how good each camera is."""
     return services.calibrations.get(rig_id, version)
 
 
 @router.get("/calibrations/{version}/rig.toml", response_class=Response)
-def document(rig_id: str, version: Version, services: TheServices) -> Response:
+def get_calibration_file(rig_id: str, version: Version, services: TheServices) -> Response:
     """Return the rig file of a calibration."""
     found = services.calibrations.document(rig_id, version)
     return Response(found.document, media_type="application/toml", headers={"ETag": tag(found.sha256)})
 
 
 @router.get("/calibrations/{version}/picture", response_class=FileResponse)
-def picture(rig_id: str, version: Version, services: TheServices) -> FileResponse:
+def get_calibration_picture(rig_id: str, version: Version, services: TheServices) -> FileResponse:
     """Return a picture of the residuals: how far from its place each camera saw each point."""
     return FileResponse(services.calibrations.picture(rig_id, version), media_type="image/png")
 
 
 @router.get("/calibration", response_model=CurrentCalibration)
-def current(
+def get_calibration(
     rig_id: str, response: Response, services: TheServices, if_none_match: IfNoneMatch = None
 ) -> CurrentCalibration | Response:
     """Return the calibration in use, or 304 if its ETag is in If-None-Match."""
@@ -67,7 +67,7 @@ def current(
 
 
 @router.put("/calibration")
-def choose(
+def choose_calibration(
     rig_id: str, choice: CalibrationChoice, response: Response, services: TheServices, if_match: IfMatch = None
 ) -> CurrentCalibration:
     """Use another version or a rig file; 428 without If-Match, 412 if the calibration has changed since."""
@@ -77,7 +77,7 @@ def choose(
 
 
 @router.post("/calibration/check", status_code=202)
-def check(
+def check_calibration(
     rig_id: str, request: RigCheckRequest, response: Response, services: TheServices, key: IdempotencyKey = None
 ) -> Job:
     """Queue a comparison of the current calibration with a capture; the job's `result.json` has the answer."""

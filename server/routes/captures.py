@@ -1,24 +1,27 @@
 """Captures, made or in the making."""
 
+from typing import Annotated
+
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
 from server.routes import parameters
-from server.routes.parameters import MAKES_ROOM, IdempotencyKey, IfNoneMatch, TheServices, located, png
+from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
 from server.schemas.progress import Status
 from server.store.entries import Filter
 
+Cursor = Annotated[str | None, parameters.cursor_of("c")]
 router = APIRouter(tags=["captures"])
 
 
 @router.get("/captures", response_model=Captures)
-def captures(
+def list_captures(
     services: TheServices,
     rig: parameters.Word = None,
     name: parameters.Named = None,
     status: Status | None = None,
-    cursor: parameters.Cursor = None,
+    cursor: Cursor = None,
     limit: parameters.Limit = 100,
 ) -> Response:
     """List captures, newest first."""
@@ -27,7 +30,7 @@ def captures(
 
 
 @router.get("/captures/{capture_id}")
-def capture(capture_id: str, services: TheServices) -> Capture:
+def get_capture(capture_id: str, services: TheServices) -> Capture:
     """Return one capture."""
     return services.captures.get(capture_id)
 
@@ -41,19 +44,19 @@ def import_capture(
 
 
 @router.get("/captures/{capture_id}/manifest")
-def manifest(capture_id: str, services: TheServices) -> ManifestInfo:
+def get_manifest(capture_id: str, services: TheServices) -> ManifestInfo:
     """Tell what a capture holds and lacks: planes, drops by layer, gaps, skew, and whether it was verified."""
     return services.previews.manifest(capture_id)
 
 
 @router.get("/captures/{capture_id}/preview", responses=parameters.PNG, response_class=Response)
-def preview(capture_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
+def get_preview(capture_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
     """Show all cameras in one PNG: the mean of planes from the middle, brightened for the eye."""
     return png(if_none_match, services.previews.sheet(capture_id))
 
 
 @router.get("/captures/{capture_id}/preview/{camera_id}", responses=parameters.PNG, response_class=Response)
-def camera_preview(
+def get_camera_preview(
     capture_id: str, camera_id: str, services: TheServices, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Show one camera as a PNG in its own size."""
@@ -61,21 +64,21 @@ def camera_preview(
 
 
 @router.get("/captures/{capture_id}/log", response_class=PlainTextResponse)
-def log(capture_id: str, services: TheServices) -> str:
+def get_capture_log(capture_id: str, services: TheServices) -> str:
     """Return the log of making a capture, as text; it has the warnings of an import."""
     return services.captures.log(capture_id)
 
 
 @router.post("/captures/{capture_id}/cancel", dependencies=[MAKES_ROOM])
-def cancel(capture_id: str, services: TheServices) -> Capture:
-    """Give up an import, or stop a recording and keep what it has."""
-    return services.captures.cancel(capture_id)
+def cancel_import(capture_id: str, services: TheServices, again: Again) -> Capture:
+    """Give up an import that is queued or running."""
+    return services.captures.get(capture_id) if again else services.captures.cancel(capture_id)
 
 
 @router.post("/captures/{capture_id}/finalise", status_code=202)
-def finalise(capture_id: str, services: TheServices) -> Capture:
+def finalise_capture(capture_id: str, services: TheServices, again: Again) -> Capture:
     """Make a recording of the planes that a recorder which failed has left: `partial_planes` of the capture."""
-    return services.captures.finalise(capture_id)
+    return services.captures.get(capture_id) if again else services.captures.finalise(capture_id)
 
 
 @router.delete("/captures/{capture_id}", status_code=204, dependencies=[MAKES_ROOM])

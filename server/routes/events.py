@@ -16,7 +16,10 @@ from server.services.hub import Hub
 router = APIRouter(tags=["events"])
 _SEND_S = 10.0  # seconds for one event; a reader who takes longer is gone
 _SHOWN: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/event-stream": {}}, "description": "`id` is the number, `data` an Event as JSON."},
+    200: {
+        "content": {"text/event-stream": {"schema": {"$ref": "#/components/schemas/Event"}}},
+        "description": "`id` is the number, `data` an Event as JSON.",
+    },
     204: {"description": "It has ended and the client has seen every event: an EventSource does not reconnect."},
 }
 
@@ -50,7 +53,7 @@ class EventStream(StreamingResponse):
 
 
 @router.get("/events", status_code=200, response_class=EventStream, responses={200: _SHOWN[200]})
-async def events(services: TheServices, last: LastEventId = None, after: After = None) -> Response:
+async def stream_events(services: TheServices, last: LastEventId = None, after: After = None) -> Response:
     """Stream the events of all captures and jobs, from a number on or, without one, from now on."""
     seq = last if last is not None else after
     if seq is None:
@@ -59,13 +62,15 @@ async def events(services: TheServices, last: LastEventId = None, after: After =
 
 
 @router.get("/jobs/{job_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
-async def job_events(job_id: str, services: TheServices, last: LastEventId = None, after: After = None) -> Response:
+async def stream_job_events(
+    job_id: str, services: TheServices, last: LastEventId = None, after: After = None
+) -> Response:
     """Stream the events of one job, from its beginning or from a number on, until it ends."""
     return await _of_entry(services.hub, services.jobs.get, last or after or 0, job_id)
 
 
 @router.get("/captures/{capture_id}/events", status_code=200, response_class=EventStream, responses=_SHOWN)
-async def capture_events(
+async def stream_capture_events(
     capture_id: str, services: TheServices, last: LastEventId = None, after: After = None
 ) -> Response:
     """Stream the events of one capture, from its beginning or from a number on, until it ends."""

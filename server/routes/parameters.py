@@ -1,10 +1,14 @@
 """Parameters and answers that several routes share, and their way to the services."""
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
 from typing import Annotated, Any, Protocol, TypeVar
 
 from fastapi import Depends, Header, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.dependencies.models import Dependant
 
+from server.errors import UnknownReferenceError
 from server.etags import matches
 from server.schemas.captures import SHOWN
 from server.services.previews import Picture
@@ -23,7 +27,24 @@ def _making_room(services: TheServices) -> Iterator[None]:
         yield
 
 
+def _expect_known_query(request: Request) -> None:
+    """Raise UnknownReferenceError for a name in the query that the route does not know, or that comes twice."""
+    known = _query_names(request.scope["route"].dependant)
+    for name, number in Counter(name for name, _ in request.query_params.multi_items()).items():
+        if name not in known:
+            expected = f"one of {', '.join(sorted(known))}" if known else "none here"
+            raise UnknownReferenceError(f"found the query parameter {name[:60]!r}", expected)
+        if number > 1:
+            raise UnknownReferenceError(f"found the query parameter {name} {number} times", "it once")
+
+
+def _query_names(dependant: Dependant) -> set[str]:
+    names = {field.alias for field in dependant.query_params}
+    return names.union(*map(_query_names, dependant.dependencies))
+
+
 MAKES_ROOM = Depends(_making_room)  # of routes that must work on a full disk
+KNOWN_QUERY = Depends(_expect_known_query)
 IdempotencyKey = Annotated[
     str | None,
     Header(
@@ -36,9 +57,30 @@ IdempotencyKey = Annotated[
 ]
 IfNoneMatch = Annotated[str | None, Header(alias="If-None-Match", max_length=4000)]
 Limit = Annotated[int, Query(ge=1, le=1000, description="Entries of a page.")]
-Cursor = Annotated[str | None, Query(pattern="^[!-~]{1,40}$", description="`next` of the page before.")]
 Word = Annotated[str | None, Query(pattern="^[!-~]{1,80}$")]  # an id or a type, to list what has it
 Named = Annotated[str | None, Query(min_length=1, max_length=80, pattern=SHOWN)]
+
+
+async def _again(request: Request, services: TheServices, key: IdempotencyKey = None) -> AsyncIterator[bool]:
+    """Tell whether a request comes again under its key, and note it once it has succeeded."""
+    if key is None:
+        yield False
+        return
+    asked = f"{request.method} {request.url.path} {(await request.body()).decode(errors='replace')}"
+    known = services.store.idempotency
+    again = await run_in_threadpool(known.seen, key, asked)
+    yield again
+    if not again:
+        await run_in_threadpool(known.note, key, asked)
+
+
+Again = Annotated[bool, Depends(_again)]  # of routes that change what is there: True, and nothing is to be changed
+
+
+def cursor_of(letter: str) -> Any:
+    """Return the description of a cursor of a list whose ids begin with `letter`."""
+    pattern = rf"^{letter}\d{{8}}-\d{{6}}-[0-9a-f]{{8}}$"
+    return Query(pattern=pattern, description="`next` of the page before.")
 
 
 class _HasId(Protocol):

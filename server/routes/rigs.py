@@ -2,7 +2,8 @@
 
 from fastapi import APIRouter, Response
 
-from server.routes.parameters import MAKES_ROOM, PNG, IdempotencyKey, IfNoneMatch, TheServices, located, png
+from server.routes import parameters
+from server.routes.parameters import MAKES_ROOM, PNG, Again, IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.jobs import Job
@@ -12,13 +13,13 @@ router = APIRouter(prefix="/rigs", tags=["rigs"])
 
 
 @router.get("")
-def rigs(services: TheServices) -> Rigs:
+def list_rigs(services: TheServices) -> Rigs:
     """List all rigs."""
     return services.rigs.list()
 
 
 @router.get("/{rig_id}")
-def rig(rig_id: str, services: TheServices) -> RigInfo:
+def get_rig(rig_id: str, services: TheServices) -> RigInfo:
     """Return one rig: its cameras, its devices, and whether it is recording."""
     return services.rigs.get(rig_id)
 
@@ -32,25 +33,25 @@ def start_capture(
 
 
 @router.post("/{rig_id}/captures/{capture_id}/stop", dependencies=[MAKES_ROOM])
-def stop_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
+def stop_capture(rig_id: str, capture_id: str, services: TheServices, again: Again) -> Capture:
     """End a recording and keep what it has."""
-    return services.captures.tell(rig_id, capture_id, "stop")
+    return services.captures.get(capture_id) if again else services.captures.tell(rig_id, capture_id, "stop")
 
 
 @router.post("/{rig_id}/captures/{capture_id}/save")
-def save_capture(rig_id: str, capture_id: str, services: TheServices) -> Capture:
+def save_capture(rig_id: str, capture_id: str, services: TheServices, again: Again) -> Capture:
     """Keep what the pre-trigger holds, and record on from there."""
-    return services.captures.tell(rig_id, capture_id, "save")
+    return services.captures.get(capture_id) if again else services.captures.tell(rig_id, capture_id, "save")
 
 
 @router.get("/{rig_id}/status")
-def status(rig_id: str, services: TheServices) -> RigStatus:
+def get_rig_status(rig_id: str, services: TheServices) -> RigStatus:
     """Tell what a rig is doing, its room on the disk, its calibration, and what the last preflight found."""
     return services.rig_jobs.status(rig_id)
 
 
 @router.post("/{rig_id}/preflight", status_code=202)
-def preflight(
+def start_preflight(
     rig_id: str,
     response: Response,
     services: TheServices,
@@ -63,7 +64,7 @@ def preflight(
 
 
 @router.post("/{rig_id}/look", status_code=202)
-def look(
+def start_look(
     rig_id: str,
     response: Response,
     services: TheServices,
@@ -75,6 +76,8 @@ def look(
 
 
 @router.get("/{rig_id}/look.png", responses=PNG, response_class=Response)
-def look_picture(rig_id: str, services: TheServices, if_none_match: IfNoneMatch = None) -> Response:
-    """Show what the cameras saw at the last look."""
+def get_look_picture(
+    rig_id: str, services: TheServices, if_none_match: IfNoneMatch = None, of: parameters.Word = None
+) -> Response:
+    """Show what the cameras saw at the last look; `of` is any word that makes the address a new one."""
     return png(if_none_match, services.rig_jobs.picture(rig_id))

@@ -18,7 +18,7 @@ metrics_router = APIRouter(tags=["system"])
 
 
 @router.get("/info")
-def info(request: Request) -> Info:
+def get_info(request: Request) -> Info:
     """Return name, version, the stages of a reconstruction, and what the request's token allows."""
     token: Token | None = request.state.token
     role = token.role if token else None
@@ -26,25 +26,25 @@ def info(request: Request) -> Info:
 
 
 @router.get("/options")
-def options() -> dict[str, dict[str, object]]:
+def get_options() -> dict[str, dict[str, object]]:
     """Return the JSON Schema of every type of job."""
     return {name: model.model_json_schema() for name, model in JOB_TYPES.items()}
 
 
 @router.get("/workers")
-def workers(services: TheServices) -> Workers:
+def list_workers(services: TheServices) -> Workers:
     """List the workers that are alive."""
     return services.health.workers()
 
 
 @router.get("/healthz")
-def healthz() -> dict[str, bool]:
+def get_health() -> dict[str, bool]:
     """Answer: the process is alive."""
     return {"ok": True}
 
 
 @router.get("/readyz", response_model=dict[str, Check])
-def readyz(services: TheServices) -> dict[str, Check] | JSONResponse:
+def get_readiness(services: TheServices) -> dict[str, Check] | JSONResponse:
     """Tell whether a job would run: database, disk and worker. 503 if one of them is not ready."""
     checks = services.health.checks()
     faults = [f"{name}: {check.found}" for name, check in checks.items() if not check.ok]
@@ -55,6 +55,6 @@ def readyz(services: TheServices) -> dict[str, Check] | JSONResponse:
 
 
 @metrics_router.get("/metrics", response_class=PlainTextResponse)
-def metrics(services: TheServices) -> Response:
+def get_metrics(services: TheServices) -> Response:
     """Report queues, stages, failures, drops, disk, workers, accelerators and requests in Prometheus' text format."""
     return Response(services.metrics.text(), media_type=CONTENT_TYPE_LATEST)

@@ -4,9 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 
-from server.routes.parameters import MAKES_ROOM, Cursor, Limit, TheServices, located
+from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, Limit, TheServices, cursor_of, located
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 
+Cursor = Annotated[str | None, cursor_of("u")]
 router = APIRouter(prefix="/uploads", tags=["uploads"])
 Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, lt=2**63, description="Where the body begins in the file.")]
 Length = Annotated[int | None, Header(alias="Content-Length", ge=0, include_in_schema=False)]
@@ -14,21 +15,23 @@ _BODY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"ty
 
 
 @router.post("", status_code=201)
-def create(request: UploadRequest, response: Response, services: TheServices) -> Upload:
+def begin_upload(
+    request: UploadRequest, response: Response, services: TheServices, key: IdempotencyKey = None
+) -> Upload:
     """Begin an upload; 413 if it is longer than uploads may be, 507 if the disk has no room for it."""
-    upload = services.uploads.create(request)
+    upload = services.uploads.create(request, key)
     _tell(response, upload)
     return located(response, "uploads", upload)
 
 
 @router.get("")
-def uploads(services: TheServices, cursor: Cursor = None, limit: Limit = 100) -> Uploads:
+def list_uploads(services: TheServices, cursor: Cursor = None, limit: Limit = 100) -> Uploads:
     """List uploads, newest first."""
     return services.uploads.list(cursor, limit)
 
 
 @router.get("/{upload_id}")
-def upload(upload_id: str, response: Response, services: TheServices) -> Upload:
+def get_upload(upload_id: str, response: Response, services: TheServices) -> Upload:
     """Return one upload and how much of it has arrived."""
     found = services.uploads.get(upload_id)
     _tell(response, found)
@@ -36,7 +39,7 @@ def upload(upload_id: str, response: Response, services: TheServices) -> Upload:
 
 
 @router.head("/{upload_id}")
-def offset(upload_id: str, services: TheServices) -> Response:
+def get_upload_offset(upload_id: str, services: TheServices) -> Response:
     """Tell how much of an upload has arrived, as the header Upload-Offset."""
     response = Response(headers={"Cache-Control": "no-store"})
     _tell(response, services.uploads.get(upload_id))
@@ -44,7 +47,7 @@ def offset(upload_id: str, services: TheServices) -> Response:
 
 
 @router.patch("/{upload_id}", openapi_extra=_BODY)
-async def append(
+async def append_to_upload(
     upload_id: str, request: Request, response: Response, services: TheServices, at: Offset, length: Length = None
 ) -> Upload:
     """Append the body; 409, with the right Upload-Offset, if it does not begin at the end of the last piece."""
@@ -54,13 +57,13 @@ async def append(
 
 
 @router.post("/{upload_id}/commit")
-def commit(upload_id: str, services: TheServices) -> Upload:
+def commit_upload(upload_id: str, services: TheServices, again: Again) -> Upload:
     """Finish an upload: check its size and SHA-256, and let it be imported."""
-    return services.uploads.commit(upload_id)
+    return services.uploads.get(upload_id) if again else services.uploads.commit(upload_id)
 
 
 @router.delete("/{upload_id}", status_code=204, dependencies=[MAKES_ROOM])
-def delete(upload_id: str, services: TheServices) -> None:
+def delete_upload(upload_id: str, services: TheServices) -> None:
     """Delete an upload, committed or not; 409 while it is written or imported."""
     services.uploads.delete(upload_id)
 

@@ -87,6 +87,7 @@ class Capture(Progress):
     type: str
     rig: str | None
     ticks: int | None
+    pre_trigger_ms: float | None = None
     name: str | None
     created: str
     status: Status

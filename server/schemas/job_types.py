@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from reconstruction.export.catalogue import FORMATS
@@ -17,7 +17,16 @@ from server.schemas.progress import Request, example
 
 CameraId = Annotated[str, Field(pattern=r"^cam\d\d$")]
 EntryId = Annotated[str, Field(max_length=40)]
-Planes = Annotated[str, Field(pattern=r"^\d{1,8}:\d{1,8}(:\d{1,8})?$")]
+
+
+def _some_planes(text: str) -> str:
+    first, end, step = (*map(int, text.split(":")), 1)[:3]
+    if first >= end or step < 1:
+        raise ValueError(f"found {text}, expected A:B or A:B:STEP with A < B and STEP > 0")
+    return text
+
+
+Planes = Annotated[str, Field(pattern=r"^\d{1,8}:\d{1,8}(:\d{1,8})?$"), AfterValidator(_some_planes)]
 RigId = Annotated[str, Field(min_length=1, max_length=64)]
 _CAPTURE = {"capture": "c20260101-120000-0a1b2c3d"}
 _JOB = {"job": "j20260101-121500-4e5f6a7b"}

@@ -47,6 +47,13 @@ class Progress(BaseModel):
     warnings: list[str] = []
 
 
+class StatusChange(BaseModel):
+    """A new status of a capture or job, with the reason where it failed."""
+
+    status: Status
+    error: str | None = None
+
+
 class Event(BaseModel):
     """Something that happened to a capture or job; `seq` grows, `at` is in seconds since 1970.
 
@@ -56,5 +63,5 @@ class Event(BaseModel):
     seq: int
     entry: str
     at: float
-    kind: str
-    data: dict[str, object]
+    kind: Literal["status", "progress"]
+    data: Progress | StatusChange

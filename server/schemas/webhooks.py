@@ -35,6 +35,25 @@ class Webhooks(Items[Webhook]):
     """All webhooks."""
 
 
+class Happened(BaseModel):
+    """The capture or job that a message is about; `seq` is the number of the event, `work` its type."""
+
+    seq: int
+    id: str
+    name: str | None
+    work: str
+    status: Status
+    error: str | None = None
+
+
+class WebhookMessage(BaseModel):
+    """The body of a message: `type` is `capture.` or `job.` and the status. A test has the type `test`."""
+
+    type: Annotated[str, Field(pattern=r"^((capture|job)\.[a-z]+|test)$")]
+    timestamp: str
+    data: Happened
+
+
 class Delivery(BaseModel):
     """An event on its way to a webhook: `said` is the last answer or fault, `due_in_s` when it is tried again."""
 

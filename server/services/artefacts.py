@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from zipstream import ZipStream
 
 from server.engine import Engine
 from server.errors import NotFoundError, StateError
+from server.etags import tag
 from server.schemas.jobs import Artefact
 from server.schemas.progress import ACTIVE
 from server.store.artefacts import described, is_plain
 from server.store.store import Store
 from server.store.tables import Entry, StoredArtefact
+
+
+class Archive(NamedTuple):
+    """A zip of `size` bytes in `parts`; `etag` names its content."""
+
+    size: int
+    etag: str
+    parts: Iterator[bytes]
 
 
 class ArtefactService:
@@ -36,8 +47,8 @@ class ArtefactService:
                 return path, described(entry.id, path, name, one)  # a job at work may have written it again
         raise NotFoundError(f"found no artefact {name[:60]}", f"one that GET /v1/jobs/{job_id}/artefacts lists")
 
-    def archive(self, job_id: str) -> tuple[int, Iterator[bytes]]:
-        """Return the length of a zip of all artefacts, and its bytes, made while they are read.
+    def archive(self, job_id: str) -> Archive:
+        """Return a zip of all artefacts, whose bytes are made while they are read.
 
         Raises StateError while the job may still change them.
         """
@@ -50,7 +61,8 @@ class ArtefactService:
         for one in known:
             if is_plain(root, one.name):
                 archive.add_path(root / one.name, f"{job_id}/{one.name}")
-        return len(archive), iter(archive)
+        digest = hashlib.sha256("".join(f"{one.name} {one.sha256} " for one in known).encode()).hexdigest()
+        return Archive(len(archive), tag(digest), iter(archive))
 
     def thumbnail(self, job_id: str) -> str:
         """Return the name of a small picture of the reconstructed scene; raises NotFoundError."""

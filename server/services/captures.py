@@ -90,8 +90,9 @@ class CaptureService:
         """Return one capture; raises NotFoundError."""
         entry = self._store.entries.get("capture", capture_id)
         status = self._engine.status(entry)
-        known = {"status": status, "ticks": entry.request.get("ticks"), "partial_planes": self._left(entry, status)}
-        return Capture.model_validate(vars(entry) | entry.progress | known)
+        asked = {name: entry.request.get(name) for name in ("ticks", "pre_trigger_ms")}
+        known = {"status": status, "partial_planes": self._left(entry, status)}
+        return Capture.model_validate(vars(entry) | entry.progress | asked | known)
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
         """Return a page of captures, newest first: `Captures` as JSON."""

@@ -43,7 +43,7 @@ class HealthService:
             expect_present(self._settings)
             self._engine.check()
         except DatabaseError as error:
-            return Check(ok=False, found=str(error))
+            return Check(ok=False, found=self._store.folder.hidden(str(error)))
         return Check(ok=True, found="answers")
 
     def _worker(self) -> Check:

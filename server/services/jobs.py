@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
 from server.errors import StateError, UnknownReferenceError
 from server.schemas.job_types import JOB_TYPES, RIG_JOB_TYPES, JobBase
-from server.schemas.jobs import Job, Steps
+from server.schemas.jobs import Job, Jobs, Steps
 from server.schemas.progress import ACTIVE, ENDED, Status
 from server.services.admission import Admission
 from server.services.listing import job_document, page_of
@@ -28,8 +28,9 @@ class JobService:
     def submit(self, requests: Sequence[JobBase], key: Key = None) -> list[str]:
         """Queue jobs, all of them or none; return their ids. Raises as `Admission.target`, and IdempotencyError."""
         ids = self._queue.ids("job", requests, key, "jobs")
+        known = {entry.id for entry in self._store.entries.find(ids)}
         pairs = zip(ids, requests, strict=True)
-        self.add({job_id: request for job_id, request in pairs if not self._queue.known(job_id)})
+        self.add({job_id: request for job_id, request in pairs if job_id not in known})
         return ids
 
     def add(self, requests: Mapping[str, JobBase], *, waits: bool = False) -> None:
@@ -40,17 +41,21 @@ class JobService:
         entries = [self._entry(job_id, request, waits) for job_id, request in requests.items()]
         for entry in entries:
             self._store.folder.job(entry.id).mkdir(exist_ok=True)
-            if waits:
-                self._store.entries.add(entry)
-            else:
-                self._queue.add(entry)
+        if waits:
+            self._store.entries.add_all(entries)
+        else:
+            self._queue.add_all(entries)
 
     def get(self, job_id: str) -> Job:
         """Return one job; raises NotFoundError."""
         entry = self._store.entries.get("job", job_id)
-        request = (JOB_TYPES | RIG_JOB_TYPES)[entry.type].model_validate(entry.request)
-        known = {"status": self._engine.status(entry), "request": request}
-        return Job.model_validate(vars(entry) | entry.progress | known)
+        return _shown(entry, self._engine.status(entry))
+
+    def find(self, job_ids: Sequence[str]) -> Jobs:
+        """Return those of the jobs that exist, in the order of their ids."""
+        entries = sorted(self._store.entries.find(job_ids), key=lambda entry: entry.id)
+        states = self._engine.statuses(entries)
+        return Jobs(items=[_shown(entry, states[entry.id]) for entry in entries])
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
         """Return a page of jobs, newest first: `Jobs` as JSON."""
@@ -100,10 +105,7 @@ class JobService:
     def prioritise(self, job_id: str, priority: int) -> Job:
         """Give a queued job another priority; raises NotFoundError, StateError."""
         entry = self._expected(job_id, "queued")
-        if entry.told == "new":
-            self._store.entries.change(job_id, priority=priority)
-        else:
-            self._queue.prioritise(entry, priority)
+        self._queue.prioritise(entry, priority)
         return self.get(job_id)
 
     def delete(self, job_id: str) -> None:
@@ -143,3 +145,8 @@ class JobService:
             capture=target.id if target.kind == "capture" else target.capture,
             queue=RECONSTRUCTIONS if kind == "reconstruct" else TASKS,
         )
+
+
+def _shown(entry: Entry, status: Status) -> Job:
+    request = (JOB_TYPES | RIG_JOB_TYPES)[entry.type].model_validate(entry.request)
+    return Job.model_validate(vars(entry) | entry.progress | {"status": status, "request": request})

@@ -54,7 +54,7 @@ def job_document(entry: Listed, status: Status) -> Document:
 
 def capture_document(entry: Listed, status: Status) -> Document:
     """Return an entry as a `Capture` in JSON."""
-    return _shown(entry, status) | {"ticks": _ticks(entry.request)}
+    return _shown(entry, status) | _length(entry.request)
 
 
 def _shown(entry: Listed, status: Status) -> Document:
@@ -75,5 +75,6 @@ def _progress(text: str) -> Document:
 
 
 @lru_cache(_TEXTS)
-def _ticks(text: str) -> int | None:
-    return json.loads(text).get("ticks")
+def _length(text: str) -> Document:
+    request = json.loads(text)
+    return {name: request.get(name) for name in ("ticks", "pre_trigger_ms")}

@@ -3,8 +3,9 @@
 import json
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -24,8 +25,9 @@ class Queue:
         self._store = store
         self._engine = engine
         self._moving = threading.Lock()
+        self._starter = ThreadPoolExecutor(1, "starter")  # where it fails, `requeue` mends it
 
-    def ids(self, kind: Kind, asked: Sequence[BaseModel], key: Key, scope: str) -> list[str]:
+    def ids(self, kind: Kind | Literal["upload"], asked: Sequence[BaseModel], key: Key, scope: str) -> list[str]:
         """Return an id for each request; raises IdempotencyError where `key` came with other ones before."""
 
         def new() -> list[str]:
@@ -57,6 +59,19 @@ class Queue:
         if self._store.entries.add(entry):
             self.start(entry)
 
+    def add_all(self, entries: Sequence[Entry]) -> None:
+        """Keep entries in one transaction, and queue them in their order: many of them beside the request."""
+        added = self._store.entries.add_all(entries)
+        if len(added) > 1:
+            self._starter.submit(self._start_new, [entry.id for entry in added])
+        else:
+            for entry in added:
+                self.start(entry)
+
+    def close(self) -> None:
+        """Queue what is still to be queued."""
+        self._starter.shutdown()
+
     def expect_unused(self, name: str) -> None:
         """Raise StateError while an entry at work uses the capture, job or upload `name`."""
         for entry in self._at_work():
@@ -78,7 +93,7 @@ class Queue:
         """
         old = [entry for entry in self._store.entries.find(entry_ids) if is_old(entry)] if entry_ids else []
         known = self._engine.known(old)
-        for entry in old:
+        for entry in reversed(old):
             cancelled = entry.told == "new" and known[entry.id] == "cancelled"
             if (entry.told == "new" or (entry.told in ACTIVE and known[entry.id] is None)) and not self._waits(entry):
                 self._start_again(entry, cancelled=cancelled)
@@ -86,7 +101,10 @@ class Queue:
     def prioritise(self, entry: Entry, priority: int) -> None:
         """Queue a queued entry anew: the engine has no other way. `requeue` mends what a crash leaves half done."""
         with self._moving:
+            (latest,) = self._store.entries.find([entry.id])
             self._store.entries.change(entry.id, priority=priority, told="new")
+            if latest.told == "new":  # it is still to be queued
+                return
             self._engine.cancel(entry.id)  # nobody can take it from the queue now
             self._engine.forget(entry.id)
             self.start(self._store.entries.find([entry.id])[0])
@@ -111,6 +129,13 @@ class Queue:
         told = self._store.entries.get(entry.kind, entry.id).told
         if told not in ACTIVE:
             self._store.events.tell(entry.id, told, "queued", {})
+
+    def _start_new(self, entry_ids: Sequence[str]) -> None:
+        for entry_id in entry_ids:
+            with self._moving:
+                for latest in self._store.entries.find([entry_id]):
+                    if latest.told == "new":
+                        self.start(latest)
 
     def _at_work(self) -> list[Entry]:
         """Return the entries queued or running as the engine knows it: announcements lag by half a second."""

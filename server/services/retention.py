@@ -1,8 +1,12 @@
 """Deletes what is old: reports of progress, keys, deliveries, the engine's own memory and, if asked for, old jobs."""
 
+from contextlib import suppress
+
 from server.engine import Engine
 from server.errors import ServiceError
 from server.services.jobs import JobService
+from server.services.uploads import UploadService
+from server.store.records import iso
 from server.store.store import Store
 
 _DAY_S = 24 * 3600.0
@@ -13,11 +17,21 @@ _PAGE = 500
 class Retention:
     """Deletes what is old; the announcer calls it once an hour."""
 
-    def __init__(self, store: Store, engine: Engine, jobs: JobService, keep_days: float | None) -> None:
+    def __init__(
+        self,
+        store: Store,
+        engine: Engine,
+        jobs: JobService,
+        uploads: UploadService,
+        keep_days: float | None,
+        keep_upload_days: float,
+    ) -> None:
         self._store = store
         self._engine = engine
         self._jobs = jobs
+        self._uploads = uploads
         self._keep_days = keep_days
+        self._keep_upload_days = keep_upload_days
 
     def tidy(self) -> None:
         """Delete everything that is due."""
@@ -26,14 +40,18 @@ class Retention:
         self._store.deliveries.prune()
         if self._keep_days is not None:
             self._delete_jobs(self._store.clock() - self._keep_days * _DAY_S)
+        self._delete_uploads(self._store.clock() - self._keep_upload_days * _DAY_S)
         self._forget_deleted()
+
+    def _delete_uploads(self, before: float) -> None:
+        for upload in self._store.uploads.before(iso(before)):
+            with suppress(ServiceError):  # in use: its time will come
+                self._uploads.delete(upload.id)
 
     def _delete_jobs(self, before: float) -> None:
         for job_id in self._store.events.ended_before(before):
-            try:
+            with suppress(ServiceError):  # at work again, or in use: its time will come
                 self._jobs.delete(job_id)
-            except ServiceError:  # at work again, or in use: its time will come
-                continue
 
     def _forget_deleted(self) -> None:
         known = self._engine.ended()

@@ -38,7 +38,8 @@ class Services:
         self.engine = Engine(settings)
         self.store.disk.keep_reserve()
         self._tell_rigs(rigs)
-        queue, space = Queue(self.store, self.engine), Space(self.store, rigs)
+        self.queue = queue = Queue(self.store, self.engine)
+        space = Space(self.store, rigs)
         self.rigs = RigService(self.store, self.engine, queue, space, settings.rigs)
         self.captures = CaptureService(self.store, self.engine, queue)
         self.jobs = JobService(self.store, self.engine, queue, Admission(self.store, self.engine, self.rigs))
@@ -54,7 +55,9 @@ class Services:
         self.hub = Hub(self.store)
         self.webhooks = WebhookService(self.store, settings.webhook_hosts)
         self.metrics = Metrics(settings, self.store, self.engine)
-        retention = Retention(self.store, self.engine, self.jobs, settings.keep_days)
+        retention = Retention(
+            self.store, self.engine, self.jobs, self.uploads, settings.keep_days, settings.keep_upload_days
+        )
         self.announcer = Announcer(self.store, self.engine, queue, retention)
 
     def _tell_rigs(self, rigs: dict[str, Rig]) -> None:
@@ -76,5 +79,6 @@ class Services:
         self.hub.close()
         self.announcer.thread.stop()
         self.webhooks.thread.stop()
+        self.queue.close()
         self.engine.close()
         self.store.close()

@@ -9,7 +9,7 @@ from starlette.requests import ClientDisconnect
 
 from server.errors import DigestError, OffsetError, StateError, UploadSizeError
 from server.schemas.uploads import Upload, UploadRequest, Uploads
-from server.services.queue import Queue
+from server.services.queue import Key, Queue
 from server.services.space import Space
 from server.store.store import Store
 from server.store.tables import StoredUpload
@@ -29,12 +29,15 @@ class UploadService:
         self._most_bytes = most_bytes
         self._keep_free = keep_free
 
-    def create(self, request: UploadRequest) -> Upload:
-        """Begin an upload; raises UploadSizeError where it is too long, NoRoomError."""
+    def create(self, request: UploadRequest, key: Key = None) -> Upload:
+        """Begin an upload; raises UploadSizeError where it is too long, NoRoomError, IdempotencyError."""
         if request.bytes > self._most_bytes:
             raise UploadSizeError(f"found {request.bytes} bytes", f"at most {self._most_bytes} of an upload")
         uploads = self._store.uploads
-        upload = StoredUpload(uploads.dated_id("u"), uploads.now(), request.name, request.bytes, request.sha256)
+        (upload_id,) = self._queue.ids("upload", [request], key, "uploads")
+        if uploads.has(upload_id):
+            return self.get(upload_id)
+        upload = StoredUpload(upload_id, uploads.now(), request.name, request.bytes, request.sha256)
         path = self.path(upload.id)
         with self._space.promised(upload.bytes):
             path.parent.mkdir()

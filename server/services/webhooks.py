@@ -46,11 +46,17 @@ class WebhookService:
         self._clock = clock
         self.thread = Repeated("webhooks", lambda: self.look() == _TOGETHER, _LOOK_S)
 
-    def add(self, request: WebhookRequest) -> NewWebhook:
-        """Keep a new webhook; return it with its secret. Raises TargetError for an address it may not have."""
+    def add(self, request: WebhookRequest, key: str | None = None) -> NewWebhook:
+        """Keep a new webhook; return it with its secret.
+
+        Raises TargetError for an address it may not have, IdempotencyError.
+        """
         target = target_of(request.url)
         allowed_address(target, self._resolve(target), self._hosts)
-        made = self._store.webhooks.add(request.url, list(dict.fromkeys(request.statuses)))
+        known, new_id = self._store.webhooks, self._store.webhooks.new_id
+        asked = f"webhook {request.model_dump_json()}"
+        (webhook_id,) = self._store.idempotency.claim(key, asked, lambda: [new_id()]) if key else (new_id(),)
+        made = known.find(webhook_id) or known.add(request.url, list(dict.fromkeys(request.statuses)), webhook_id)
         return NewWebhook.model_validate(vars(made))
 
     def list(self) -> Webhooks:

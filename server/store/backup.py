@@ -44,7 +44,7 @@ def back_up(settings: ServiceSettings, out: Path) -> None:
     for name in DATABASES:
         expect_whole(settings.data / name)
     with made_aside(out) as folder:
-        folder.mkdir()
+        folder.mkdir(mode=0o700)
         for name in DATABASES:  # the engine's first: what is kept but unknown to it is queued again
             with (
                 closing(sqlite3.connect(settings.data / name)) as source,

@@ -57,11 +57,16 @@ class Entries(Records[Entry]):
 
     def add(self, entry: Entry) -> bool:
         """Keep a new entry; return False where one of its id is there already."""
+        return bool(self.add_all([entry]))
+
+    def add_all(self, new: Sequence[Entry]) -> list[Entry]:
+        """Keep those of new entries whose ids are not there yet, all or none; return them, in their order."""
         with self.writing() as connection:
-            if self.rows(connection, entries.c.id == entry.id):
-                return False
-            connection.execute(entries.insert(), vars(entry))
-        return True
+            there = {entry.id for entry in self.rows(connection, entries.c.id.in_([entry.id for entry in new]))}
+            added = [entry for entry in new if entry.id not in there]
+            if added:
+                connection.execute(entries.insert(), [vars(entry) for entry in added])
+        return added
 
     def get(self, kind: Kind, entry_id: str) -> Entry:
         """Return one entry; raises NotFoundError."""

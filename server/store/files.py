@@ -32,6 +32,10 @@ class DataFolder:
         folder.mkdir(exist_ok=True)
         return folder
 
+    def hidden(self, text: str) -> str:
+        """Return a text that others may read: names inside the folder, and not where it lies on this machine."""
+        return text.replace(f"{self.path}/", "").replace(str(self.path), "the data folder")
+
     def log(self, entry_id: str) -> Path:
         """Return the path that the stages of an entry wrote."""
         return self.path / "entries" / entry_id / "log.txt"
@@ -39,7 +43,7 @@ class DataFolder:
     def logged(self, entry_id: str) -> str:
         """Return what the stages of an entry wrote so far."""
         path = self.log(entry_id)
-        return path.read_text(errors="replace") if path.exists() else ""
+        return self.hidden(path.read_text(errors="replace")) if path.exists() else ""
 
     def recording(self, capture_id: str) -> Path:
         """Return the recording folder of a capture."""
@@ -81,6 +85,13 @@ class DataFolder:
         aside = Path(tempfile.mkdtemp(prefix=".removed-", dir=self.path))
         folder.rename(aside / folder.name)
         shutil.rmtree(aside)
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder that only its owner enters; one that another user owns stays as it is."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if folder.stat().st_uid == os.geteuid():
+        folder.chmod(0o700)
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Reads and writes the rows of a table: what all tables of the service have in common."""
 
 import secrets
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,11 +14,21 @@ from server.store.database import lock_writers
 
 Row = TypeVar("Row")
 Clause = sa.ColumnElement[bool]
+_latest_us = 0
+_one_at_a_time = threading.Lock()
 
 
 def iso(at: float) -> str:
     """Return a time in seconds since 1970 as ISO 8601 in UTC, with milliseconds."""
     return datetime.fromtimestamp(at, UTC).isoformat("T", "milliseconds")
+
+
+def _next_microsecond(at: float) -> int:
+    """Return a time in microseconds since 1970, later than any that this process was given."""
+    global _latest_us
+    with _one_at_a_time:
+        _latest_us = max(round(at * 1e6), _latest_us + 1)
+        return _latest_us
 
 
 class Records(Generic[Row]):
@@ -35,9 +46,10 @@ class Records(Generic[Row]):
         return iso(self._clock())
 
     def dated_id(self, letter: str) -> str:
-        """Return an id that nobody has; ids of a letter sort by time."""
-        at = datetime.fromtimestamp(self._clock(), UTC)
-        return f"{letter}{at:%Y%m%d-%H%M%S}-{secrets.token_hex(4)}"
+        """Return an id that nobody has; ids of a letter sort by time, those of one process in their order."""
+        seconds, micros = divmod(_next_microsecond(self._clock()), 10**6)
+        at = datetime.fromtimestamp(seconds, UTC)
+        return f"{letter}{at:%Y%m%d-%H%M%S}-{micros:05x}{secrets.randbelow(16**3):03x}"
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:

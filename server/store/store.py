@@ -12,7 +12,7 @@ from server.store.database import prepare_database
 from server.store.disk import Disk
 from server.store.entries import Entries
 from server.store.events import Events
-from server.store.files import DataFolder, shared
+from server.store.files import DataFolder, make_private, shared
 from server.store.idempotency import Idempotency
 from server.store.known_rigs import KnownRigs
 from server.store.rig_files import RigFiles
@@ -30,13 +30,15 @@ class Store:
     """
 
     def __init__(self, settings: ServiceSettings, pause: Callable[[float], object] = time.sleep) -> None:
-        settings.data.mkdir(parents=True, exist_ok=True)
+        make_private(settings.data)
         with ExitStack() as opened:
             try:
                 opened.enter_context(shared(settings.data))
             except BlockingIOError as error:
                 raise DatabaseError("found it being restored", "that done", where=settings.data) from error
             self.database = prepare_database(settings, pause)
+            for path in settings.data.glob("*.sqlite*"):
+                path.chmod(0o600)
             self._opened = opened.pop_all()
         self.clock = DatabaseClock(self.database)
         self.folder = DataFolder(settings.data)

@@ -14,6 +14,10 @@ class Uploads(Records[StoredUpload]):
 
     table, row = uploads, StoredUpload
 
+    def has(self, upload_id: str) -> bool:
+        """Return whether there is such an upload."""
+        return bool(self.select(uploads.c.id == upload_id))
+
     def get(self, upload_id: str) -> StoredUpload:
         """Return one upload; raises NotFoundError."""
         found = self.select(uploads.c.id == upload_id) if _ID.fullmatch(upload_id) else []
@@ -37,6 +41,10 @@ class Uploads(Records[StoredUpload]):
     def open(self) -> list[StoredUpload]:
         """Return those that are still being sent."""
         return self.select(uploads.c.state == "open")
+
+    def before(self, created: str) -> list[StoredUpload]:
+        """Return those that were begun before a moment, as rows carry it."""
+        return self.select(uploads.c.created < created)
 
     def commit(self, upload_id: str, sha256: str) -> None:
         """Note that the upload is whole, and its digest."""

@@ -19,10 +19,15 @@ class Webhooks(Records[StoredWebhook]):
 
     table, row = webhooks, StoredWebhook
 
-    def add(self, url: str, statuses: list[str]) -> StoredWebhook:
+    @staticmethod
+    def new_id() -> str:
+        """Return an id that nobody has."""
+        return f"w{secrets.token_hex(8)}"
+
+    def add(self, url: str, statuses: list[str], webhook_id: str | None = None) -> StoredWebhook:
         """Keep a new webhook with a new secret."""
         secret = f"whsec_{base64.b64encode(secrets.token_bytes(32)).decode()}"
-        made = StoredWebhook(f"w{secrets.token_hex(8)}", self.now(), url, secret, statuses)
+        made = StoredWebhook(webhook_id or self.new_id(), self.now(), url, secret, statuses)
         self.insert(made)
         return made
 
@@ -32,10 +37,14 @@ class Webhooks(Records[StoredWebhook]):
 
     def get(self, webhook_id: str) -> StoredWebhook:
         """Return one webhook; raises NotFoundError."""
-        found = self.select(webhooks.c.id == webhook_id)
-        if not found:
+        found = self.find(webhook_id)
+        if found is None:
             raise NotFoundError(f"found no webhook {webhook_id[:60]}", "one that GET /v1/webhooks lists")
-        return found[0]
+        return found
+
+    def find(self, webhook_id: str) -> StoredWebhook | None:
+        """Return one webhook, if it is there."""
+        return next(iter(self.select(webhooks.c.id == webhook_id)), None)
 
     def remove(self, webhook_id: str) -> None:
         """Forget a webhook and what it is still owed; raises NotFoundError."""

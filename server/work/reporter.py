@@ -30,7 +30,7 @@ class Reporter:
 
     def __call__(self, fraction: float, message: str) -> None:
         """Note the progress of the stage."""
-        self._latest = Progress(stage=self._stage, fraction=fraction, message=message)
+        self._latest = Progress(stage=self._stage, fraction=fraction, message=self._store.folder.hidden(message))
         if time.monotonic() < self._next:
             return
         try:
@@ -49,7 +49,7 @@ class Reporter:
 
     def close(self, error: str | None = None) -> None:
         """Note that the stage is over, done or with an error."""
-        end: dict[str, object] = {"fraction": 1.0} if error is None else {"error": error}
+        end: dict[str, object] = {"fraction": 1.0} if error is None else {"error": self._store.folder.hidden(error)}
         self._latest = self._latest.model_copy(update=end)
         self._write()
 

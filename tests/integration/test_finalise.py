@@ -27,7 +27,8 @@ HERE = Path(__file__).parent
 SMALL = PlaneLayout(9, 5)
 PLANES = np.random.default_rng(0).integers(0, 256, (1000, SMALL.plane_bytes), dtype=np.uint8)
 # The ring, the chunk being filled, the block being filled and the one in the camera's hands, in planes of 12,500 B.
-MOST_LOST = ((4 << 20) + (1 << 20)) // 12_500 + 80 + 3 * 8
+STALL_S = 0.1  # in which a flush may hold the disk while planes come
+MOST_LOST = ((4 << 20) + (1 << 20)) // 12_500 + 80 + 3 * 8 + round(STALL_S * 16_000)
 
 
 def record_and_kill(folder: Path, after_s: float) -> np.ndarray:

@@ -188,7 +188,7 @@ def test_what_is_old_is_let_go(http: TestClient, services: Services, imported: s
 
     def tidy(days: float | None, now: float) -> None:
         store.clock = lambda: now
-        Retention(store, services.engine, services.jobs, days).tidy()
+        Retention(store, services.engine, services.jobs, services.uploads, days, 7.0).tidy()
 
     tidy(None, time.time())
     assert [event.kind for event in store.events.after(0, kept.id)].count("progress") == 1
@@ -327,7 +327,7 @@ def test_a_capture_is_told_to_save_and_to_stop(client: ServiceClient, data: Path
     wait_for(lambda: client.capture(capture.id).message == "saved")
     assert client.stop_capture(capture).status == "running"
     events = list(client.capture_events(capture.id))
-    assert events[-1].data["status"] == client.capture(capture.id).status == "done"
+    assert events[-1].data.status == client.capture(capture.id).status == "done"
     assert json.loads((data / "captures" / capture.id / "recording.json").read_text()) == {"saved": True}
     with pytest.raises(RefusedError, match="done, expected it recording"):
         client.stop_capture(capture)

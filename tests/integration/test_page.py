@@ -394,7 +394,7 @@ def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any])
     with page.expect_download() as download:
         page.locator(f"#results-{done}").get_by_role("link", name="metrics.json").click()
     assert json.loads(Path(download.value.path()).read_text())["psnr_db"] == 32.5
-    assert page.evaluate("[localStorage.length, sessionStorage.length, document.cookie]") == [0, 1, ""]
+    assert page.evaluate("[localStorage.length, sessionStorage.length, document.cookie]") == [1, 0, ""]
     page.locator(f"#report-{done}").click()
     expect(page.locator("#report")).to_have_attribute("srcdoc", "<title>report</title>")
 

@@ -447,7 +447,7 @@ def test_depth_colours_follow_a_view_that_stands_farther_away(open_page) -> None
 
 def test_a_token_goes_with_what_the_viewer_asks_for(open_page) -> None:
     sent: list[str | None] = []
-    view = open_page(script="sessionStorage.setItem('spike4dgs-token', 'secret');")
+    view = open_page(script="localStorage.setItem('spike4dgs-token', 'secret');")
     view.on("request", lambda asked: sent.append(asked.headers.get("authorization")) if "/v1/" in asked.url else None)
     view.reload()
     settle(view)

@@ -79,6 +79,7 @@ def clock() -> Clock:
 def services(tmp_path: Path, clock: Clock) -> Iterator[Services]:
     """Services whose threads do not run; lab.example is the receiver's host, and allowed."""
     services = Services(ServiceSettings(data=tmp_path))
+    object.__setattr__(services.store, "clock", clock)
     object.__setattr__(services.store, "deliveries", Deliveries(services.store.database, clock))
     services.webhooks = WebhookService(services.store, ("lab.example",), lambda target: ["127.0.0.1"], clock)
     yield services

@@ -1,11 +1,11 @@
-// Requests of the page to the service, with the token that a person entered; it is kept for this tab only.
+// Requests of the page to the service, with the token that a person entered; this browser keeps it for all its tabs.
 const KEY = 'spike4dgs-token';
 const AGAIN_MS = 2000; // between looks for events
 const MOST_KEPT = 200; // pictures fetched with a token
 const fetched = new Map(); // path to promise of a blob's address
 
-export const token = () => sessionStorage.getItem(KEY);
-export const setToken = (text) => sessionStorage.setItem(KEY, text);
+export const token = () => localStorage.getItem(KEY);
+export const setToken = (text) => localStorage.setItem(KEY, text);
 
 const refused = (status, detail) => Object.assign(new Error(detail), { status });
 

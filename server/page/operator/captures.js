@@ -44,7 +44,7 @@ function running(item) {
     item.message && element('p', {}, item.message),
     item.type === 'record' && actions(
       button('Stop', `stop-${item.id}`, () => post(`${path}/stop`), { plain: false, done: 'The recording ends' }),
-      button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
+      item.pre_trigger_ms !== null && button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
 }
 
 function offered(item, context) {

@@ -6,6 +6,7 @@ import { ago, bar, byId, card, element, failure, fold, quiet, seconds, size, tit
 import { picture } from './media.js';
 
 const LEAST_S = 10; // seconds of recording that should fit on the disk
+const SENSITIVITY = [['threshold', 'Threshold (‰ of nominal)'], ['exposure', 'Exposure (‰ of a tick)']]; // kept in the cameras
 
 function cameraLine(one) {
   const known = (value, text) => (value === null || value === undefined ? null : text);
@@ -96,6 +97,7 @@ function requested(item) {
   return {
     ...(open ? { until_stopped: true } : { ticks: Number(byId(`ticks-${item.id}`).value) }),
     ...(kept && { pre_trigger_ms: Number(kept) }),
+    ...Object.fromEntries(SENSITIVITY.map(([key]) => [key, byId(`${key}-${item.id}`).value]).filter(([, value]) => value).map(([key, value]) => [key, Number(value)])),
     ...(name && { name }),
   };
 }
@@ -106,10 +108,11 @@ function form(item) {
     for (const id of [`ticks-${item.id}`, `ms-${item.id}`]) byId(id).disabled = event.currentTarget.checked;
   };
   const [kept] = number(`pre-${item.id}`, 'Pre-trigger (ms)', { min: 0, max: 60000, step: 'any', placeholder: 'none' });
+  const sensitivity = SENSITIVITY.map(([key, label]) => number(`${key}-${item.id}`, label, { min: 1, step: 1, placeholder: 'as it is' })[0]);
   const name = element('label', { htmlFor: `name-${item.id}` }, 'Name', element('input', { id: `name-${item.id}`, type: 'text', maxLength: 80, autocomplete: 'off' }));
   const record = button('Record', `record-${item.id}`, () => post(`/rigs/${item.id}/captures`, requested(item)), { plain: false, disabled: item.busy !== null, done: 'The rig records' });
   const made = element('form', { id: `form-${item.id}`, className: 'fields capture' }, lengths(item),
-    element('label', { className: 'check' }, endless, 'Until stopped'), kept, name, actions(record));
+    element('label', { className: 'check' }, endless, 'Until stopped'), kept, sensitivity, name, actions(record));
   const act = record.onclick;
   Object.assign(record, { type: 'submit', onclick: null });
   made.onsubmit = (event) => {

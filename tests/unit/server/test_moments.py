@@ -1,9 +1,11 @@
 """Tests when a capture may begin."""
 
+import signal
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from server.cli.operator import operator_control
 from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.tables import Entry
@@ -45,3 +47,11 @@ def test_one_that_nobody_took_up_is_missed(beginning_of):
 def test_one_that_a_worker_of_old_has_begun_does_not_begin_again(beginning_of, tmp_path):
     (tmp_path / "captures" / "c1.partial").mkdir(parents=True)
     assert not beginning_of(100).is_now()
+
+
+def test_being_cut_off_twice_is_being_cut_off():
+    with operator_control(saves=False) as control:
+        for _ in range(3):
+            signal.raise_signal(signal.SIGUSR1)
+        assert control.cut_off.is_set()
+        assert not control.stop.is_set()
