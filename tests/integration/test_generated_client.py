@@ -86,10 +86,11 @@ class Day:
 
 
 @pytest.fixture
-def day(address: str, generated: None) -> Day:
+def day(address: str, generated: None) -> Iterator[Day]:
     day = Day(address)
-    day.until(lambda: bool(day("system.list_workers").items))
-    return day
+    with day.client:
+        day.until(lambda: bool(day("system.list_workers").items))
+        yield day
 
 
 def test_an_operators_day(day: Day) -> None:
