@@ -93,14 +93,14 @@ async function learnManifests() {
   for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
 }
 
-const learnStatus = async (id) => context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => ({})));
+const learnStatus = async (id) => context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => context.statuses.get(id) ?? {}));
 
 async function learnSlowly() {
   const ready = await get('/readyz').then(() => null, (error) => error.message);
   Object.assign(byId('ready'), { textContent: ready ? `Not ready: ${ready}` : 'Ready', className: ready ? 'failed' : 'done' });
   for (const id of context.rigs.keys()) {
     await learnStatus(id);
-    context.calibrations.set(id, await learnCalibration(id).catch(() => null));
+    context.calibrations.set(id, await learnCalibration(id).catch(() => context.calibrations.get(id) ?? null));
   }
   draw();
 }
@@ -160,7 +160,7 @@ async function every(pause, act) {
 
 function heard(arrive) {
   live = arrive;
-  byId('news').textContent = live ? 'Live' : 'Asking once a second: this service sends no events.';
+  byId('news').textContent = live ? 'Up to date' : 'Asking once a second: no events arrive.';
 }
 
 async function begin() {
