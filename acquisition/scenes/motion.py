@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,7 +30,7 @@ class BodyPoses(NamedTuple):
         return BodyPoses(self.rotations @ body_from_part.rotation, moved)
 
 
-class Movement:
+class Movement(ABC):
     """The pose of a rigid thing at any instant; a subclass states it in `_poses`."""
 
     @property
@@ -41,8 +42,8 @@ class Movement:
         """Return the poses at `instants_s` [n]."""
         return BodyPoses(*self._poses(np.asarray(instants_s, dtype=np.float64)))
 
-    def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]:
-        raise NotImplementedError
+    @abstractmethod
+    def _poses(self, instants_s: Floats) -> tuple[Floats, Floats]: ...
 
 
 @dataclass(frozen=True, eq=False)

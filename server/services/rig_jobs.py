@@ -6,7 +6,6 @@ import shutil
 import time
 from datetime import datetime
 
-from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, StateError
@@ -17,6 +16,7 @@ from server.services.captures import RigService
 from server.services.jobs import JobService
 from server.services.previews import Picture
 from server.services.queue import Key, Queue
+from server.services.space import tick_bytes
 from server.store.entries import Filter
 from server.store.store import Store
 
@@ -96,8 +96,7 @@ class RigJobService:
         return Work.model_validate(vars(found[0]) | known)
 
     def _room(self, rig: Rig) -> Room:
-        plane_bytes = sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)
-        rate = plane_bytes * rig.tick_rate_hz
+        rate = tick_bytes(rig) * rig.tick_rate_hz
         free = shutil.disk_usage(self._store.folder.path).free
         return Room(free_bytes=free, bytes_per_s=rate, seconds=free / rate)
 

@@ -36,7 +36,7 @@ class Space:
         seconds = (request.get("pre_trigger_ms") or 0) / 1e3 + _SHORTEST_S
         described = self.rigs[rig]
         ticks = request["ticks"] or round(seconds * described.tick_rate_hz)
-        return ticks * sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in described.cameras)
+        return ticks * tick_bytes(described)
 
     def _to_come(self) -> int:
         """Return the bytes that open uploads and captures under way were promised and have not filled yet."""
@@ -49,3 +49,8 @@ class Space:
             return 0
         filled = sum(file.stat().st_size for file in partial_of(self._store.folder.recording(entry.id)).glob("*.dat"))
         return max(0, self.recording_bytes(entry.rig, entry.request) - filled)
+
+
+def tick_bytes(rig: Rig) -> int:
+    """Return the bytes that all cameras of a rig send in one tick."""
+    return sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)

@@ -79,19 +79,25 @@ def fill(disk: Path, left: int) -> Path:
     return filler
 
 
+def in_training(client: ServiceClient, deployment: Deployment) -> tuple[str, str]:
+    """Record a capture and let a job train on it; return their ids."""
+    wait_for(lambda: ready(client))
+    capture = client.start_capture("lab3x3", CaptureRequest(ticks=5)).id
+    wait_for(lambda: client.capture(capture).status == "done")
+    job = client.submit(ReconstructRequest(capture=capture)).id
+    trace = deployment.data / "jobs" / job / "trace.txt"
+    wait_for(lambda: trace.exists() and "begin train" in trace.read_text())
+    return capture, job
+
+
 @pytest.mark.parametrize("left", [0, 64 * 1024], ids=["progress", "artefact"])
 def test_a_job_outlives_a_full_disk(deployment: Deployment, disk: Path, left: int) -> None:
     """No room at all stops the checkpoints and, on SQLite, the progress; some room only the artefacts of the report."""
     for name in ("api", "a"):
         deployment.start(name)
     with ServiceClient.at(deployment.address) as client:
-        wait_for(lambda: ready(client))
-        capture = client.start_capture("lab3x3", CaptureRequest(ticks=5)).id
-        wait_for(lambda: client.capture(capture).status == "done")
-        job = client.submit(ReconstructRequest(capture=capture)).id
+        _, job = in_training(client, deployment)
         folder = deployment.data / "jobs" / job
-        trace = folder / "trace.txt"
-        wait_for(lambda: trace.exists() and "begin train" in trace.read_text())
         filler = fill(disk, left)
         time.sleep(5.0)  # longer than the rest of the job takes
         during = seen(client, job)
@@ -121,13 +127,8 @@ def test_a_full_disk_is_emptied_from_the_service(deployment: Deployment, disk: P
     for name in ("api", "a"):
         deployment.start(name)
     with ServiceClient.at(deployment.address) as client:
-        wait_for(lambda: ready(client))
-        capture = client.start_capture("lab3x3", CaptureRequest(ticks=5)).id
-        wait_for(lambda: client.capture(capture).status == "done")
-        job = client.submit(ReconstructRequest(capture=capture)).id
+        capture, job = in_training(client, deployment)
         waiting = client.submit(ReconstructRequest(capture=capture)).id
-        trace = deployment.data / "jobs" / job / "trace.txt"
-        wait_for(lambda: trace.exists() and "begin train" in trace.read_text())
         upload = client.begin_upload(UploadRequest(name="a", bytes=1000)).id
         fill(disk, 0)
         with pytest.raises(RefusedError) as refused:
