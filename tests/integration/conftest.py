@@ -1,6 +1,7 @@
 import sys
 
 import pytest
+from maintenance.operator_page import capture, chromium, done, open_page, seen, service  # noqa: F401  fixtures
 
 from acquisition.devices.open import Simulation
 from acquisition.session.record import simulate

@@ -1,136 +1,18 @@
 """The operator's page in a real browser, before a real service whose stages are played by fake_stage.py."""
 
 import json
-import os
-import shutil
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from maintenance.operator_page import BROWSER, CONTRAST, EVIL, LONG_MS, Seen, Service, drawn, expect, newest, wait_for
 
-from server.client import ServiceClient
-from server.schemas.captures import Capture, CaptureRequest
+from server.schemas.captures import Capture
 from server.schemas.job_types import ReconstructRequest
 
-playwright = pytest.importorskip("playwright.sync_api", reason="found no playwright; install it with the dev extra")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="found no chromium on the path; install it"),
-]
-FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
-EVIL = "<img src=x onerror=alert(1)> & <b>bold</b>"
-LONG_MS = 60_000
+pytestmark = BROWSER
 VIEWER = "A viewer's token only looks on; this needs an operator's."
-
-
-@dataclass
-class Service:
-    """A service with its worker; `client` talks to it beside the browser."""
-
-    address: str
-    data: Path
-    client: ServiceClient
-
-    def wait(self, job_id: str, status: str) -> None:
-        wait_for(lambda: self.client.job(job_id).status == status)
-
-
-@dataclass
-class Seen:
-    """Holds the lines of a page's console and the hosts it asked."""
-
-    faults: list[str] = field(default_factory=list)
-    hosts: set[str] = field(default_factory=set)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    data = tmp_path_factory.mktemp("page") / "data"
-    fake = {"SPIKE4DGS_STAGE_COMMAND": json.dumps(FAKE), "FAKE_STEPS": "250", "FAKE_RESULTS": "yes"}
-    command = [sys.executable, "-m", "server.cli", "serve", "--port", "0", "--data", str(data), "--with-worker"]
-    with subprocess.Popen(command, env=os.environ | fake, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().strip()
-        with ServiceClient.at(address) as client:
-            wait_for(lambda: client.checks()["worker"].ok)
-            yield Service(address, data, client)
-        process.terminate()
-
-
-@pytest.fixture(scope="module")
-def capture(service: Service) -> Capture:
-    """A finished capture whose name looks like HTML."""
-    made = service.client.start_capture("lab3x3", CaptureRequest(ticks=40, name=EVIL))
-    wait_for(lambda: service.client.capture(made.id).status == "done")
-    return service.client.capture(made.id)
-
-
-@pytest.fixture(scope="module")
-def done(service: Service, capture: Capture) -> str:
-    """A finished reconstruction."""
-    job = service.client.submit(ReconstructRequest(capture=capture.id, holdout="cam11"))
-    service.wait(job.id, "done")
-    return job.id
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with playwright.sync_playwright() as runner:
-        browser = runner.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def seen() -> Seen:
-    return Seen()
-
-
-@pytest.fixture
-def open_page(service: Service, chromium: Any, seen: Seen) -> Iterator[Callable[..., Any]]:
-    """Opens the page in a window of its own; its faults go to `seen`."""
-    contexts = []
-
-    def opened(width: int = 1280, scheme: str = "light", prepare: Callable[[Any], None] | None = None) -> Any:
-        context = chromium.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-        context.set_default_timeout(LONG_MS)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda said: seen.faults.append(said.text) if said.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: seen.faults.append(str(error)))
-        page.on("request", lambda request: seen.hosts.add("/".join(request.url.split("/")[:3])))
-        if prepare:
-            prepare(page)
-        page.goto(service.address)
-        return page
-
-    yield opened
-    for context in contexts:
-        context.close()
-
-
-def expect(locator: Any) -> Any:
-    playwright.expect.set_options(timeout=LONG_MS)
-    return playwright.expect(locator)
-
-
-def newest(service: Service) -> str:
-    return service.client.jobs(limit=1)[0].id
 
 
 def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., Any], seen: Seen) -> None:
@@ -201,12 +83,6 @@ def test_a_rig_is_looked_at_checked_and_calibrated(
     expect(rig.locator("#use-lab3x3-2")).to_be_visible()
     assert service.client.current_calibration("lab3x3").version == 0
     assert seen.faults == []
-
-
-def drawn(page: Any, selector: str) -> None:
-    """Wait for a picture, and for its pixels."""
-    page.locator(selector).scroll_into_view_if_needed()
-    page.wait_for_function("(s) => document.querySelector(s)?.naturalWidth > 100", arg=selector)
 
 
 def test_a_viewers_token_changes_nothing(capture: Capture, done: str, open_page: Callable[..., Any]) -> None:
@@ -340,32 +216,6 @@ def test_it_fits_and_can_be_read(width: int, scheme: str, done: str, open_page: 
         !(one.textContent.trim() || one.ariaLabel || one.labels?.length)).map((one) => one.outerHTML)""")
     assert unnamed == []
     assert seen.faults == []
-
-
-# Texts whose contrast with what is behind them is below 4.5 (WCAG 2.2, 1.4.3), and those contrasts.
-CONTRAST = """() => {
-  const parts = (text) => text.match(/[\\d.]+/g).map(Number);
-  const light = (text) => {
-    const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
-    const [r, g, b] = parts(text).map((v) => linear(v / 255));
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  };
-  const behind = (one) => {
-    for (; one; one = one.parentElement) {
-      const found = getComputedStyle(one).backgroundColor;
-      if ((parts(found)[3] ?? 1) === 1) return found;
-    }
-    return 'rgb(255, 255, 255)';
-  };
-  const found = [];
-  for (const one of document.querySelectorAll('p, h1, h2, h3, li, button, a, summary, label, figcaption, span, pre')) {
-    if (!one.textContent.trim() || one.disabled || !one.checkVisibility()) continue;
-    const [a, b] = [light(getComputedStyle(one).color), light(behind(one))];
-    const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-    if (contrast < 4.5) found.push([one.outerHTML.slice(0, 80), contrast]);
-  }
-  return found;
-}"""
 
 
 def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any]) -> None:
