@@ -10,6 +10,8 @@ from PIL import Image, ImageDraw
 from acquisition.recording.reader import Recording
 from reconstruction.report.display import grey
 from rigs.toml import GRID_ID
+from server.figures import figures_of
+from server.schemas.pictures import CameraFigures
 
 WINDOW_PLANES = 200  # 10 ms at 20 kHz: enough spikes to see by, and little blur
 _CELL = 400  # pixels a side, at most
@@ -20,12 +22,18 @@ _LEAST_WHITE = 1e-3  # spikes per tick; what is darker than that stays dark
 
 def middle_mean(recording: Recording, camera_id: str) -> NDArray[np.float32] | None:
     """Mean of the planes in the middle of a stream, spikes per tick [H, W]; None where there is no plane."""
-    if not recording.manifest.camera(camera_id).planes:
-        return None
-    stream = recording.stream(camera_id)
-    first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
-    last = min(len(stream), first + WINDOW_PLANES)
-    return stream.counts(first, last).astype(np.float32) / np.float32(last - first)
+    counts, planes = _middle_counts(recording, camera_id)
+    return counts.astype(np.float32) / np.float32(planes) if planes else None
+
+
+def figures(recording: Recording) -> list[CameraFigures]:
+    """Return the sharpness and light of the pictures of all cameras."""
+    found = []
+    for camera_id, (row, column) in _places(list(recording.camera_ids)).items():
+        counts, planes = _middle_counts(recording, camera_id)
+        known = {"id": camera_id, "row": row, "column": column, "planes": planes, "width": counts.shape[1]}
+        found.append(CameraFigures.model_validate(known | {"height": len(counts)} | figures_of(counts, planes)))
+    return found
 
 
 def camera_picture(recording: Recording, camera_id: str) -> bytes:
@@ -53,6 +61,17 @@ def contact_sheet(recording: Recording) -> bytes:
         cell.thumbnail((_CELL, _CELL))
         cells[camera_id] = cell
     return _png(_arranged(cells))
+
+
+def _middle_counts(recording: Recording, camera_id: str) -> tuple[NDArray[np.uint32], int]:
+    """Spikes [H, W] of the planes in the middle of a stream, and how many planes those are."""
+    entry = recording.manifest.camera(camera_id)
+    if not entry.planes:
+        return np.zeros((entry.layout.height, entry.layout.width), np.uint32), 0
+    stream = recording.stream(camera_id)
+    first = max(0, len(stream) // 2 - WINDOW_PLANES // 2)
+    last = min(len(stream), first + WINDOW_PLANES)
+    return stream.counts(first, last), last - first
 
 
 def _arranged(cells: dict[str, Image.Image]) -> Image.Image:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from server.calls.transport import Transport
 from server.schemas.captures import Capture, CaptureRequest, Captures, ImportRequest, ManifestInfo
+from server.schemas.pictures import CaptureFigures
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 
 _PIECE_BYTES = 16 << 20
@@ -57,6 +58,10 @@ class CaptureCalls(Transport):
         """Return a PNG of all cameras of a capture, or of one of them."""
         camera = "" if camera_id is None else f"/{camera_id}"
         return self._send("GET", f"/captures/{capture_id}/preview{camera}").content
+
+    def figures(self, capture_id: str) -> CaptureFigures:
+        """Tell how sharp and how bright each camera's preview is."""
+        return self._get(f"/captures/{capture_id}/figures", CaptureFigures)
 
     def capture_log(self, capture_id: str) -> str:
         """Return the log of making a capture."""

@@ -13,6 +13,7 @@ from server.schemas.calibrations import (
 )
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.jobs import Job
+from server.schemas.pictures import LookFigures
 from server.schemas.rigs import RigInfo, Rigs, RigStatus
 
 
@@ -39,9 +40,13 @@ class RigCalls(Transport):
         """Take a picture with all cameras."""
         return self._post(f"/rigs/{rig_id}/look", Job, request)
 
-    def look_picture(self, rig_id: str) -> bytes:
-        """Return what the cameras saw at the last look, as PNG."""
-        return self._send("GET", f"/rigs/{rig_id}/look.png").content
+    def look_picture(self, rig_id: str, camera_id: str | None = None) -> bytes:
+        """Return what all cameras, or one of them, saw at the last look, as PNG."""
+        return self._send("GET", f"/rigs/{rig_id}/look{'.png' if camera_id is None else f'/{camera_id}'}").content
+
+    def look_figures(self, rig_id: str) -> LookFigures:
+        """Tell how sharp and how bright each camera's picture of the last look is."""
+        return self._get(f"/rigs/{rig_id}/look", LookFigures)
 
     def calibrate(self, rig_id: str, request: CalibrationRequest) -> Job:
         """Queue a calibration of a rig."""

@@ -8,6 +8,7 @@ from fastapi.responses import PlainTextResponse
 from server.routes import parameters
 from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, IfNoneMatch, TheServices, located, png
 from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
+from server.schemas.pictures import CaptureFigures
 from server.schemas.progress import Status
 from server.store.entries import Filter
 
@@ -61,6 +62,12 @@ def get_camera_preview(
 ) -> Response:
     """Show one camera as a PNG in its own size."""
     return png(if_none_match, services.previews.camera(capture_id, camera_id))
+
+
+@router.get("/captures/{capture_id}/figures")
+def get_figures(capture_id: str, services: TheServices) -> CaptureFigures:
+    """Tell how sharp and how bright each camera's preview is."""
+    return services.previews.figures(capture_id)
 
 
 @router.get("/captures/{capture_id}/log", response_class=PlainTextResponse)

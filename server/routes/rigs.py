@@ -7,6 +7,7 @@ from server.routes.parameters import MAKES_ROOM, PNG, Again, IdempotencyKey, IfN
 from server.schemas.captures import Capture, CaptureRequest
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.jobs import Job
+from server.schemas.pictures import LookFigures
 from server.schemas.rigs import RigInfo, Rigs, RigStatus
 
 router = APIRouter(prefix="/rigs", tags=["rigs"])
@@ -75,9 +76,27 @@ def start_look(
     return located(response, "jobs", services.jobs.get(services.rig_jobs.start(rig_id, request or LookRequest(), key)))
 
 
+@router.get("/{rig_id}/look")
+def get_look(rig_id: str, services: TheServices) -> LookFigures:
+    """Tell how sharp and how bright each camera's picture of the last look is."""
+    return services.looks.figures(rig_id)
+
+
 @router.get("/{rig_id}/look.png", responses=PNG, response_class=Response)
 def get_look_picture(
     rig_id: str, services: TheServices, if_none_match: IfNoneMatch = None, of: parameters.Word = None
 ) -> Response:
     """Show what the cameras saw at the last look; `of` is any word that makes the address a new one."""
-    return png(if_none_match, services.rig_jobs.picture(rig_id))
+    return png(if_none_match, services.looks.sheet(rig_id))
+
+
+@router.get("/{rig_id}/look/{camera_id}", responses=PNG, response_class=Response)
+def get_camera_look(
+    rig_id: str,
+    camera_id: str,
+    services: TheServices,
+    if_none_match: IfNoneMatch = None,
+    of: parameters.Word = None,
+) -> Response:
+    """Show what one camera saw at the last look, as a PNG in its own size, as bright as it needs."""
+    return png(if_none_match, services.looks.camera(rig_id, camera_id))

@@ -1,11 +1,12 @@
-"""Pictures of recordings, each made once, and their manifests."""
+"""Pictures of recordings and their figures, each made once, and manifests."""
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +16,12 @@ from acquisition.errors import BadRecordingError
 from acquisition.recording.manifest import CameraFile
 from acquisition.recording.reader import Recording
 from rigs.errors import RigError
-from server.contact_sheet import camera_picture, contact_sheet
+from server.contact_sheet import camera_picture, contact_sheet, figures
 from server.engine import Engine
 from server.errors import NotFoundError, StateError
 from server.etags import tag
 from server.schemas.captures import CameraFileInfo, ManifestInfo, Verified
+from server.schemas.pictures import CaptureFigures
 from server.store.entries import Filter
 from server.store.store import Store
 
@@ -40,7 +42,7 @@ class Picture:
 
 
 class PreviewService:
-    """Pictures and manifests of captures that are done.
+    """Pictures, figures and manifests of captures that are done.
 
     Its methods raise NotFoundError, and StateError where a capture is not done or cannot be read.
     """
@@ -58,6 +60,15 @@ class PreviewService:
         """Return a picture of one camera of a capture."""
         return self._picture(capture_id, camera_id)
 
+    def figures(self, capture_id: str) -> CaptureFigures:
+        """Return how sharp and how bright the cameras of a capture are."""
+        recording = self._recording(capture_id)
+
+        def made() -> bytes:
+            return CaptureFigures(capture=capture_id, cameras=figures(recording)).model_dump_json().encode()
+
+        return CaptureFigures.model_validate_json(self._kept(capture_id, recording.path, "figures.json", made))
+
     def manifest(self, capture_id: str) -> ManifestInfo:
         """Return what a capture holds and lacks."""
         manifest = self._recording(capture_id).manifest
@@ -73,14 +84,21 @@ class PreviewService:
         if camera_id is not None and camera_id not in recording.camera_ids:
             known = ", ".join(recording.camera_ids)
             raise NotFoundError(f"found no camera {camera_id[:60]} in {capture_id}", f"one of {known}")
-        name = "preview.png" if camera_id is None else f"preview-{camera_id}.png"
+        if camera_id is None:
+            name, made = "preview.png", functools.partial(contact_sheet, recording)
+        else:
+            name, made = f"preview-{camera_id}.png", functools.partial(camera_picture, recording, camera_id)
+        return Picture.of(self._kept(capture_id, recording.path, name, made))
+
+    def _kept(self, capture_id: str, recording: Path, name: str, make: Callable[[], bytes]) -> bytes:
+        """Return a file of a capture, which is made once."""
         kept = self._store.folder.entry(capture_id) / name
         with self._one_at_a_time:  # several requests for a new one make it once
             if not kept.exists():
-                with _readable(capture_id, recording.path):
-                    made = contact_sheet(recording) if camera_id is None else camera_picture(recording, camera_id)
+                with _readable(capture_id, recording):
+                    made = make()
                 write_durably(kept, made)
-            return Picture.of(kept.read_bytes())
+            return kept.read_bytes()
 
     def _recording(self, capture_id: str) -> Recording:
         entry = self._store.entries.get("capture", capture_id)

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import shutil
-import time
 from datetime import datetime
 
 from rigs.rig import Rig
@@ -11,10 +10,10 @@ from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, StateError
 from server.schemas.job_types import LookRequest, PreflightRequest
 from server.schemas.progress import ACTIVE
-from server.schemas.rigs import CameraState, Look, Preflight, RigStatus, Room, Work
+from server.schemas.rigs import CameraState, Preflight, RigStatus, Room, Work
 from server.services.captures import RigService
 from server.services.jobs import JobService
-from server.services.previews import Picture
+from server.services.looks import LookService
 from server.services.queue import Key, Queue
 from server.services.space import tick_bytes
 from server.store.entries import Filter
@@ -33,12 +32,14 @@ class RigJobService:
         queue: Queue,
         rigs: RigService,
         jobs: JobService,
+        looks: LookService,
     ) -> None:
         self._store = store
         self._engine = engine
         self._queue = queue
         self._rigs = rigs
         self._jobs = jobs
+        self._looks = looks
 
     def start(self, rig_id: str, request: PreflightRequest | LookRequest, key: Key = None) -> str:
         """Queue a look at a rig; return its id. Raises RigBusyError while the rig is busy."""
@@ -59,16 +60,6 @@ class RigJobService:
             self._forget_older_looks(rig_id, job_id)
         return job_id
 
-    def picture(self, rig_id: str) -> Picture:
-        """Return the picture of the last look; raises NotFoundError before the first."""
-        self._rigs.rig(rig_id)
-        try:
-            return Picture.of((self._store.folder.rig(rig_id) / "look.png").read_bytes())
-        except FileNotFoundError as error:
-            raise NotFoundError(
-                f"found no picture of rig {rig_id}", "a look before", f"POST /v1/rigs/{rig_id}/look makes one"
-            ) from error
-
     def status(self, rig_id: str) -> RigStatus:
         """Return the state of a rig."""
         rig = self._rigs.rig(rig_id)
@@ -83,7 +74,7 @@ class RigJobService:
             "cameras": [
                 CameraState.model_validate({"id": camera_id} | facts.get(camera_id, {})) for camera_id in rig.ids
             ],
-            "look": self._look(rig_id),
+            "look": self._looks.newest(rig_id),
         }
         return RigStatus.model_validate(shown, from_attributes=True)
 
@@ -109,12 +100,6 @@ class RigJobService:
                 known = {"job": entry.id, "created": entry.created, "age_s": age_s}
                 return Preflight.model_validate(result | known), {camera["id"]: camera for camera in result["cameras"]}
         return None, {}
-
-    def _look(self, rig_id: str) -> Look | None:
-        path = self._store.folder.rig(rig_id) / "look.png"
-        if not path.exists():
-            return None
-        return Look(age_s=max(0.0, time.time() - path.stat().st_mtime), etag=self.picture(rig_id).etag)
 
     def _forget_older_looks(self, rig_id: str, job_id: str) -> None:
         """Delete the older looks that ended: a page that looks every few seconds leaves one job, not thousands."""

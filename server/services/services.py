@@ -13,6 +13,7 @@ from server.services.health import HealthService
 from server.services.hub import Hub
 from server.services.imports import ImportService
 from server.services.jobs import JobService
+from server.services.looks import LookService
 from server.services.metrics import Metrics
 from server.services.previews import PreviewService
 from server.services.queue import Queue
@@ -50,7 +51,8 @@ class Services:
         self.uploads = UploadService(self.store, queue, space, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
-        self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs)
+        self.looks = LookService(self.store, self.rigs)
+        self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs, self.looks)
         self.access = AccessService(self.store.tokens, settings)
         self.hub = Hub(self.store)
         self.webhooks = WebhookService(self.store, settings.webhook_hosts)

@@ -12,11 +12,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from acquisition.durable import write_durably
 from acquisition.recording.reader import Recording
 from rigs.errors import Spike4dgsError
-from server.contact_sheet import contact_sheet
+from server.contact_sheet import camera_picture, contact_sheet, figures
 from server.errors import NotFoundError
 from server.settings import ServiceSettings
 from server.store import database
 from server.store.artefacts import is_plain, plain_files
+from server.store.looks import keep_look
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.calibrations import keep_calibration, write_current
@@ -127,9 +128,7 @@ class Stages:
             except StageError:
                 if not recording.exists():  # else a camera failed, and the others are worth seeing
                     raise
-            png = await asyncio.to_thread(lambda: contact_sheet(Recording.open(recording)))
-            for folder in (out, lock):
-                write_durably(folder / "look.png", png)
+            await asyncio.to_thread(_keep_look, Recording.open(recording), out, lock)
         finally:
             self._folder.remove(recording)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
@@ -186,6 +185,15 @@ class Stages:
         self._folder.remove(out)
         out.mkdir(parents=True)
         return out
+
+
+def _keep_look(recording: Recording, out: Path, rig: Path) -> None:
+    """Keep what the cameras saw in the folder of a rig, and the picture of all of them in that of the job, too."""
+    pictures = {camera_id: camera_picture(recording, camera_id) for camera_id in recording.camera_ids}
+    keep_look(rig, figures(recording), pictures)
+    png = contact_sheet(recording)
+    for folder in (out, rig):  # last, because its tag tells that there is a new look
+        write_durably(folder / "look.png", png)
 
 
 def _run_artefacts(run: Path) -> Iterator[str]:

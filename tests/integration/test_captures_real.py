@@ -145,6 +145,11 @@ def test_a_look_leaves_a_picture_and_nothing_else(client: ServiceClient, data: P
     assert sheet.std() > 20
     assert [artefact.name for artefact in client.artefacts(first.id)] == ["look.png"]
     assert sorted(path.name for path in (data / "jobs" / first.id).iterdir()) == ["out"]
+    seen = client.look_figures("small")
+    assert {one.planes for one in seen.cameras} == {30}
+    assert all(one.focus and one.focus > 0 and sum(one.histogram) == pytest.approx(1) for one in seen.cameras)
+    alone = np.asarray(Image.open(io.BytesIO(client.look_picture("small", "cam11"))))
+    assert alone.shape == (seen.cameras[4].height, seen.cameras[4].width)
     before = client.rig_status("small").look
     second = client.look("small", LookRequest(ticks=60))
     finished(client, second.id)
@@ -152,6 +157,7 @@ def test_a_look_leaves_a_picture_and_nothing_else(client: ServiceClient, data: P
     assert before is not None
     assert after is not None
     assert before.etag != after.etag
+    assert client.look_figures("small").etag != seen.etag
     assert [job.id for job in client.jobs(type="look")] == [second.id]
     assert not list((data / "captures").glob("*look*"))
 
