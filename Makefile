@@ -3,6 +3,8 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 EXTRAS ?= reconstruction,server,otel,dev
+# Nothing in its place copies the packages, so that the virtual environment needs no sources: make install EDITABLE=
+EDITABLE ?= --editable
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
 SPARK := server/page/viewer
@@ -18,7 +20,7 @@ install: $(STAMP)
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
 $(STAMP): pyproject.toml constraints.txt $(NATIVE) $(SPARK)/package-lock.json $(SPARK)/bundle.js
 	test -x $(PY) || python3 -m venv $(VENV)
-	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	$(PY) -m pip install --quiet --constraint constraints.txt $(EDITABLE) '.[$(EXTRAS)]'
 	test -z "$(VIEWER)" || $(MAKE) --no-print-directory viewer || echo "warning: the viewer's renderer was not fetched; run make viewer" >&2
 	touch $@
 
@@ -37,10 +39,10 @@ demo: install
 PYTEST = $(PY) -m pytest -n 2 --dist loadfile
 
 test: install
-	$(PYTEST) -m "not slow and not images"
+	$(PYTEST) -m "not slow"
 
 test-slow: install
-	$(PYTEST) -m "slow and not images and not long"
+	$(PYTEST) -m "slow and not long"
 
 test-long: install
 	$(PY) -m pytest -m long
@@ -51,8 +53,9 @@ fuzz: install
 usbvm: install
 	SPIKE4DGS_USBVM=tests/contract/qemu.sh $(PY) -m pytest -m usbvm
 
+# Docker, Podman or Buildah. Where no registry is reached: make images BASE=--local-base
 images: install
-	$(PY) -m pytest -m images
+	PYTHONPATH=tests $(PY) -m maintenance.images $(BASE)
 
 check: install
 	$(VENV)/bin/ruff check .

@@ -124,7 +124,7 @@ def find_box() -> TriggerBox | None:
         device.open_path(found[0]["path"])
     except OSError as error:
         where = f"trigger box at {found[0]['path'].decode()}"
-        raise DeviceError("access was denied", do="allow this user to open it (a udev rule)", where=where) from error
+        raise DeviceError("access was denied", do="install docker/70-spike4dgs.rules", where=where) from error
     try:
         return TriggerBox(device)
     except DeviceError:

@@ -20,7 +20,7 @@ from rigs.camera import Camera
 
 _ADVICE = {
     errno.ENODEV: ("it is not connected any more", "check its cable and power"),
-    errno.EACCES: ("access was denied", "allow this user to open the device (a udev rule)"),
+    errno.EACCES: ("access was denied", "install docker/70-spike4dgs.rules"),
     errno.EBUSY: ("another program holds it", "stop that program"),
     errno.EIO: ("the transfer failed on the wire", "change its cable or port"),
 }

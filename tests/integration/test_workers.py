@@ -112,7 +112,7 @@ def test_a_name_belongs_to_one_worker_wherever_its_data_is(
         pytest.skip("the data folder is the database: its lock is tested with one worker")
     second = subprocess.run(
         [sys.executable, "-m", "server.cli", "worker", "--name", "a", "--data", tmp_path / "other"],
-        env=os.environ | {"SPIKE4DGS_DATABASE": deployment.database.url},
+        env=os.environ | deployment.database.environment,
         capture_output=True,
         text=True,
         check=False,

@@ -48,7 +48,7 @@ class Deployment:
             **(environment or {}),
         }
         if self.database is not None:
-            self._environment["SPIKE4DGS_DATABASE"] = self.database.url
+            self._environment |= self.database.environment
 
     def start(self, name: str, late_s: float = 0.0, environment: Mapping[str, str] | None = None) -> None:
         """Start the web process, `api`, or a worker: with more variables, and with a clock that is `late_s` behind."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from server.errors import ServiceError
 
 _START_S = 60.0
+_PASSWORD = "p@ss/w:rd#%? é"  # which no URL takes as it is
 
 
 class PostgresqlMissingError(ServiceError):
@@ -21,7 +22,7 @@ class PostgresqlMissingError(ServiceError):
 
 
 class Postgresql:
-    """A server that can be killed and started again; `url` names its one database."""
+    """A server that can be killed and started again; `environment` names its one database and holds the password."""
 
     def __init__(self) -> None:
         found = sorted(Path("/usr/lib/postgresql").glob("*/bin/pg_ctl"))
@@ -33,8 +34,12 @@ class Postgresql:
             shutil.chown(self.folder, "postgres", "postgres")
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
-        self.url = f"postgresql://postgres@127.0.0.1:{self.port}/spike4dgs"
-        self._run("initdb", "-D", self._data, "-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-sync")
+        url = f"postgresql://postgres@127.0.0.1:{self.port}/spike4dgs"
+        self.environment = {"SPIKE4DGS_DATABASE": url, "PGPASSWORD": _PASSWORD}
+        secret = self.folder / "password"
+        secret.write_text(_PASSWORD)
+        asks = ("-A", "scram-sha-256", f"--pwfile={secret}")
+        self._run("initdb", "-D", self._data, "-U", "postgres", *asks, "-E", "UTF8", "--no-sync")
         self.start()
         self._run("createdb", "-h", "127.0.0.1", "-p", str(self.port), "-U", "postgres", "spike4dgs")
 
@@ -68,6 +73,8 @@ class Postgresql:
         user = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
         command = [*user, str(self._programs / program), *arguments]
         with (self.folder / "commands").open("a+") as said:  # not a pipe, which the server would keep open
-            done = subprocess.run(command, stdout=said, stderr=said, cwd=self.folder, check=False)
+            done = subprocess.run(
+                command, env=os.environ | self.environment, stdout=said, stderr=said, cwd=self.folder, check=False
+            )
         if done.returncode != 0:
             raise ServiceError(f"{program}: {(self.folder / 'commands').read_text()[-300:].strip()}")

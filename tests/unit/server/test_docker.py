@@ -8,13 +8,17 @@ import click
 import pytest
 import yaml
 
+from acquisition.devices.profile import VENDOR_ID, profiles
+from acquisition.devices.trigger_box import BOX_PRODUCT_ID
 from server.cli.main import cli
 from server.settings import ServiceSettings
 
 ROOT = Path(__file__).parents[3]
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
+MADE = "-made"  # the stages where images are made, with compilers; they never run
 COMPOSE = sorted((ROOT / "docker").glob("compose.*.yaml"))
-STAGES = re.findall(r"^FROM \S+ AS (\w+)", DOCKERFILE, re.MULTILINE)
+STAGES = dict(reversed(found) for found in re.findall(r"^FROM (\S+) AS ([\w-]+)", DOCKERFILE, re.MULTILINE))
+IMAGES = [name for name, base in STAGES.items() if base == "base"]
 
 
 def parse(arguments: list[str]) -> None:
@@ -28,7 +32,7 @@ def test_images_are_built_by_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text()
     targets = set(re.findall(r"^([\w-]+):", makefile, re.MULTILINE))
     runs = re.findall(r"^RUN make ([\w-]+)((?: \w+=\S*)*)", DOCKERFILE, re.MULTILINE)
-    assert len(runs) == 3
+    assert len(runs) == len(IMAGES) + 1  # and the viewer
     for target, settings in runs:
         assert target in targets
         assert all(f"{name.split('=')[0]} ?=" in makefile for name in settings.split())
@@ -37,13 +41,37 @@ def test_images_are_built_by_the_makefile() -> None:
 
 def test_images_run_commands_that_exist() -> None:
     commands = [json.loads(text) for text in re.findall(r"^CMD (\[.*\])$", DOCKERFILE, re.MULTILINE)]
-    assert len(commands) == 3
+    assert len(commands) == len(IMAGES)
     for command in commands:
         words = (
             command[2].replace("exec ", "").replace('"$(hostname)"', "host").split() if command[0] == "sh" else command
         )
         assert words[0] == "spike4dgs"
         parse(words[1:])
+
+
+def test_images_hold_what_was_made_and_no_compiler() -> None:
+    assert IMAGES == ["server", "capture", "worker"]
+    for name in IMAGES:
+        body = re.search(rf"AS {name}\n(.*?)(?=^FROM|\Z)", DOCKERFILE, re.MULTILINE | re.DOTALL)
+        assert body is not None
+        assert f"COPY --from={name}{MADE} " in body[1]
+        assert "RUN" not in body[1]
+    base = re.search(r"AS base\n(.*?)^FROM", DOCKERFILE, re.MULTILINE | re.DOTALL)
+    assert base is not None
+    assert not re.search(r"g\+\+|python3-dev|npm|make", base[1])
+    assert "--mount" not in DOCKERFILE  # which older builders do not know
+
+
+def test_every_device_has_its_rule() -> None:
+    text = (ROOT / "docker" / "70-spike4dgs.rules").read_text()
+    ids = r'^SUBSYSTEM=="{}", ATTRS?{{idVendor}}=="(\w{{4}})", ATTRS?{{idProduct}}=="(\w{{4}})", GROUP="plugdev"'
+    found = {
+        kind: {(int(a, 16), int(b, 16)) for a, b in re.findall(ids.format(kind), text, re.MULTILINE)}
+        for kind in ("usb", "hidraw")
+    }
+    assert found["usb"] == {(one.vendor_id, one.product_id) for one in profiles().values()}
+    assert found["hidraw"] == {(VENDOR_ID, BOX_PRODUCT_ID)}
 
 
 @pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)
@@ -53,13 +81,17 @@ def test_compose_files_use_images_settings_and_commands_that_exist(path: Path) -
     for service in document["services"].values():
         if "build" not in service:
             continue
-        assert service["build"]["target"] in STAGES
-        for name in service.get("environment", {}):
-            assert name.removeprefix("SPIKE4DGS_").lower() in ServiceSettings.model_fields
+        assert service["build"]["target"] in IMAGES
+        for name, value in service.get("environment", {}).items():
+            assert name == "PGPASSWORD" or name.removeprefix("SPIKE4DGS_").lower() in ServiceSettings.model_fields
+            assert name == "PGPASSWORD" or "PASSWORD" not in value  # a URL does not take every character
+        if service.get("network_mode") == "host":
+            assert "healthcheck" in service
         if "command" in service:
             parse(service["command"][1:])
         for volume in service["volumes"]:
-            assert volume.split(":")[0] in document["volumes"]
+            source = re.sub(r"\$\{.*?\}", "./rigs", volume).split(":")[0]
+            assert source in (*document["volumes"], "/dev", "./rigs")
 
 
 def test_the_unit_starts_a_command_that_exists() -> None:
