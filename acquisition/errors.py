@@ -11,6 +11,7 @@ class BadRecordingError(AcquisitionError):
     """A stream, file or argument that does not describe a usable recording."""
 
     exit_code = 2
+    bad_input = True
 
 
 class DeviceError(AcquisitionError):

@@ -6,6 +6,8 @@ from rigs.errors import Spike4dgsError
 class ReconstructionError(Spike4dgsError):
     """Root of the errors raised by `reconstruction`."""
 
+    bad_input = True
+
 
 class BadRunError(ReconstructionError):
     """A run folder, configuration or request that cannot be used."""

@@ -11,10 +11,11 @@ class Spike4dgsError(Exception):
 
     `found` says what is wrong, `expected` what would have been right, `do` what a person may do about it, and `where`
     names the file, camera or option concerned. An error prints as `where: found, expected ...; do`. `exit_code` is
-    what the command line returns.
+    what the command line returns. `bad_input`: the fault is what was asked for or recorded, so the same fails again.
     """
 
     exit_code = 1
+    bad_input = False
 
     def __init__(self, found: str, expected: str = "", do: str = "", *, where: object = ""):
         super().__init__(found, expected, do)
@@ -55,3 +56,4 @@ class RigError(Spike4dgsError):
     """A rig, camera or pose that cannot be used."""
 
     exit_code = 2
+    bad_input = True

@@ -11,6 +11,7 @@ from server.calls.captures import CaptureCalls
 from server.calls.events import EventCalls
 from server.calls.rigs import RigCalls
 from server.calls.transport import RefusedError
+from server.schemas.captures import Labels
 from server.schemas.job_types import BatchRequest, JobBase, PriorityRequest, RestartRequest
 from server.schemas.jobs import Artefact, Artefacts, Job, Jobs, Step, Steps
 from server.schemas.system import Check, Info, WorkerInfo, Workers
@@ -59,7 +60,7 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
         return self._post("/jobs:batch", Jobs, BatchRequest.model_construct(jobs=list(requests))).items
 
     def jobs(self, **filters: str | int) -> list[Job]:
-        """List jobs, newest first; filters: `type`, `rig`, `capture`, `name`, `status`, `cursor`, `limit`."""
+        """List jobs, newest first; filters: `type rig capture name status q order cursor limit`."""
         return self._get("/jobs", Jobs, **filters).items
 
     def job(self, job_id: str) -> Job:
@@ -85,6 +86,10 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
     def prioritise(self, job_id: str, priority: int) -> Job:
         """Move a queued job forward (a lower number) or back."""
         return self._ask(Job, "PUT", f"/jobs/{job_id}/priority", json=PriorityRequest(priority=priority).model_dump())
+
+    def label_job(self, job_id: str, labels: Labels) -> Job:
+        """Give a job another name or a note."""
+        return self._ask(Job, "PATCH", f"/jobs/{job_id}", json=labels.model_dump(exclude_unset=True))
 
     def delete_job(self, job_id: str) -> None:
         """Delete an ended job and its results."""

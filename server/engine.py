@@ -10,7 +10,7 @@ from server.errors import StateError
 from server.pickles import refuse_pickles
 from server.schemas.progress import ENDED, Status
 from server.settings import ServiceSettings
-from server.store.engine_tables import EngineTables
+from server.store.engine_tables import EngineTables, Place
 from server.store.entries import Listed, Open
 from server.store.tables import Entry
 
@@ -107,6 +107,10 @@ class Engine:
         """Return how many entries of each queue are queued or running."""
         found = self._tables.count(["ENQUEUED", "PENDING"])
         return {(queue, _STATUS[status]): number for (queue, status), number in found.items()}
+
+    def places(self) -> list[Place]:
+        """Return the entries that run or are queued, in the order in which workers take them."""
+        return self._tables.places(["ENQUEUED", "PENDING"], "PENDING")
 
     def running(self) -> dict[str, str]:
         """Return every running entry's id, and the worker that has it."""

@@ -263,13 +263,13 @@ def _disk(rig: Rig, around: Surroundings) -> list[Check]:
     try:
         speed = write_speed(around.folder, around.disk_seconds, around.clock)
     except DiskError as error:
-        written = Check("disk speed", False, str(error), needed, "choose another --out")
+        written = Check("disk speed", False, str(error), needed, "record to another disk")
     else:
         how = "written directly" if speed.direct else "written through the page cache: no direct writes here"
-        change = "choose a faster disk by --out, or lower the tick rate"
+        change = "record to a faster disk, or lower the tick rate"
         fast = speed.mb_s >= rate * DISK_RESERVE
         written = Check("disk speed", fast, f"{speed.mb_s:.0f} MB/s {how}", needed, change)
     seconds = free_bytes(around.folder) / 1e6 / rate
-    change = "free some space, or choose another disk by --out"
+    change = "free some space, or record to another disk"
     fits = Check("room", seconds >= LEAST_SECONDS, f"{seconds:.1f} s of recording", f"{LEAST_SECONDS:g} s", change)
     return [written, fits]

@@ -31,6 +31,7 @@ class TimingError(AcquisitionError):
     """Stamps or light from which no time can be told."""
 
     exit_code = 2
+    bad_input = True
 
 
 @dataclass(frozen=True)

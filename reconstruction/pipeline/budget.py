@@ -10,6 +10,7 @@ class StoppedError(ReconstructionError):
     """Training was asked to stop; its checkpoint is written and the same command resumes it."""
 
     exit_code = 143
+    bad_input = False
 
 
 @dataclass

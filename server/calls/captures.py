@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 
 from server.calls.transport import Transport
-from server.schemas.captures import Capture, CaptureRequest, Captures, ImportRequest, ManifestInfo
+from server.schemas.captures import Capture, CaptureRequest, Captures, ImportRequest, Labels, ManifestInfo
 from server.schemas.pictures import CaptureFigures
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 
@@ -27,12 +27,16 @@ class CaptureCalls(Transport):
         return self._post(f"/rigs/{capture.rig}/captures/{capture.id}/save", Capture)
 
     def captures(self, **filters: str | int) -> list[Capture]:
-        """List captures, newest first; filters: `rig`, `name`, `status`, `cursor`, `limit`."""
+        """List captures, newest first; filters: `rig`, `name`, `status`, `q`, `cursor`, `limit`."""
         return self._get("/captures", Captures, **filters).items
 
     def capture(self, capture_id: str) -> Capture:
         """Return one capture."""
         return self._get(f"/captures/{capture_id}", Capture)
+
+    def label_capture(self, capture_id: str, labels: Labels) -> Capture:
+        """Give a capture another name or a note."""
+        return self._ask(Capture, "PATCH", f"/captures/{capture_id}", json=labels.model_dump(exclude_unset=True))
 
     def finalise_capture(self, capture_id: str) -> Capture:
         """Make a recording of the planes that a recorder which failed has left."""

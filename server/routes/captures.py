@@ -7,7 +7,7 @@ from fastapi.responses import PlainTextResponse
 
 from server.routes import parameters
 from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, IfNoneMatch, TheServices, located, png
-from server.schemas.captures import Capture, Captures, ImportRequest, ManifestInfo
+from server.schemas.captures import Capture, Captures, ImportRequest, Labels, ManifestInfo
 from server.schemas.pictures import CaptureFigures
 from server.schemas.progress import Status
 from server.store.entries import Filter
@@ -22,11 +22,12 @@ def list_captures(
     rig: parameters.Word = None,
     name: parameters.Named = None,
     status: Status | None = None,
+    q: parameters.Searched = None,
     cursor: Cursor = None,
     limit: parameters.Limit = 100,
 ) -> Response:
     """List captures, newest first."""
-    page = services.captures.page(Filter("capture", rig=rig, name=name, before=cursor), status, limit)
+    page = services.captures.page(Filter("capture", rig=rig, name=name, before=cursor, q=q), status, limit)
     return Response(page, media_type="application/json")
 
 
@@ -86,6 +87,12 @@ def cancel_import(capture_id: str, services: TheServices, again: Again) -> Captu
 def finalise_capture(capture_id: str, services: TheServices, again: Again) -> Capture:
     """Make a recording of the planes that a recorder which failed has left: `partial_planes` of the capture."""
     return services.captures.get(capture_id) if again else services.captures.finalise(capture_id)
+
+
+@router.patch("/captures/{capture_id}")
+def label_capture(capture_id: str, labels: Labels, services: TheServices) -> Capture:
+    """Give a capture another name or a note."""
+    return services.captures.label(capture_id, labels)
 
 
 @router.delete("/captures/{capture_id}", status_code=204, dependencies=[MAKES_ROOM])

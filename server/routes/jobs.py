@@ -11,13 +11,14 @@ from server.etags import tag
 from server.ranges import cut, ranges_of
 from server.routes import parameters
 from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, IfNoneMatch, TheServices, located, not_modified
+from server.schemas.captures import Labels
 from server.schemas.job_types import BatchRequest, JobRequest, PriorityRequest, RestartRequest
-from server.schemas.jobs import Artefacts, Job, Jobs, Steps
+from server.schemas.jobs import Artefacts, Job, Jobs, Order, Steps
 from server.schemas.progress import Status
 from server.store.entries import Filter
 from server.store.tables import StoredArtefact
 
-Cursor = Annotated[str | None, parameters.cursor_of("j")]
+Cursor = Annotated[str | None, parameters.cursor_of("j", ordered=True)]
 router = APIRouter(tags=["jobs"])
 _FILE: dict[int | str, dict[str, Any]] = {
     200: {"content": {"*/*": {}}, "description": "The file; ETag is its SHA-256."},
@@ -50,11 +51,13 @@ def list_jobs(
     capture: parameters.Word = None,
     name: parameters.Named = None,
     status: Status | None = None,
+    q: parameters.Searched = None,
+    order: Order = "newest",
     cursor: Cursor = None,
     limit: parameters.Limit = 100,
 ) -> Response:
-    """List jobs, newest first."""
-    page = services.jobs.page(Filter("job", type, rig, capture, name, cursor), status, limit)
+    """List jobs, newest first; in the order of the work: what runs, what is queued as it is taken, what has ended."""
+    page = services.jobs.page(Filter("job", type, rig, capture, name, cursor, q), status, limit, order)
     return Response(page, media_type="application/json")
 
 
@@ -62,6 +65,12 @@ def list_jobs(
 def get_job(job_id: str, services: TheServices) -> Job:
     """Return one job: its state, stage, progress, seconds by stage, and error."""
     return services.jobs.get(job_id)
+
+
+@router.patch("/jobs/{job_id}")
+def label_job(job_id: str, labels: Labels, services: TheServices) -> Job:
+    """Give a job another name or a note."""
+    return services.jobs.label(job_id, labels)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, dependencies=[MAKES_ROOM])

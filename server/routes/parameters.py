@@ -60,6 +60,11 @@ Limit = Annotated[int, Query(ge=1, le=1000, description="Entries of a page.")]
 Word = Annotated[str | None, Query(pattern="^[!-~]{1,80}$")]  # an id or a type, to list what has it
 Named = Annotated[str | None, Query(min_length=1, max_length=80, pattern=SHOWN)]
 
+Searched = Annotated[
+    str | None,
+    Query(min_length=1, max_length=80, pattern=SHOWN, description="A part of the name, note, id or rig, in any case."),
+]
+
 
 async def _again(request: Request, services: TheServices, key: IdempotencyKey = None) -> AsyncIterator[bool]:
     """Tell whether a request comes again under its key, and note it once it has succeeded."""
@@ -77,9 +82,10 @@ async def _again(request: Request, services: TheServices, key: IdempotencyKey = 
 Again = Annotated[bool, Depends(_again)]  # of routes that change what is there: True, and nothing is to be changed
 
 
-def cursor_of(letter: str) -> Any:
-    """Return the description of a cursor of a list whose ids begin with `letter`."""
-    pattern = rf"^{letter}\d{{8}}-\d{{6}}-[0-9a-f]{{8}}$"
+def cursor_of(letter: str, *, ordered: bool = False) -> Any:
+    """Return the description of a cursor of a list whose ids begin with `letter`, and which may have several orders."""
+    place = r"(w\d\.\d{1,9}\.\d{1,16}\.)?" if ordered else ""
+    pattern = rf"^{place}{letter}\d{{8}}-\d{{6}}-[0-9a-f]{{8}}$"
     return Query(pattern=pattern, description="`next` of the page before.")
 
 

@@ -12,6 +12,20 @@ from server.schemas.progress import Page, Progress, Request, Status, example
 # No control characters, no line ends, nothing that turns the direction of the text around it.
 SHOWN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ufeff]+$"
 Name = Annotated[str, Field(min_length=1, max_length=80, pattern=SHOWN)]
+# The same, of several lines.
+Note = Annotated[
+    str,
+    Field(min_length=1, max_length=2000, pattern=SHOWN.replace("\\x00-\\x1f", "\\x00-\\x08\\x0b-\\x1f")),
+]
+
+
+class Labels(Request):
+    """The words that people put to a capture or job; what is left out stays, and null takes it away."""
+
+    model_config = example({"note": "the fan ran at half speed"}, {"name": "fan, second try", "note": None})
+
+    name: Name | None = None
+    note: Note | None = None
 
 
 class CaptureRequest(Request):
@@ -80,7 +94,7 @@ class ImportRequest(Request):
 class Capture(Progress):
     """A recording, made or in the making; `type` says whether it was recorded or imported.
 
-    `partial_planes` are the planes that a recorder which failed has left and `finalise` can keep.
+    `partial_planes` are the planes that a recorder which failed has left and `finalise` can keep. `note` is a person's.
     """
 
     id: str
@@ -89,6 +103,7 @@ class Capture(Progress):
     ticks: int | None
     pre_trigger_ms: float | None = None
     name: str | None
+    note: str | None = None
     created: str
     status: Status
     partial_planes: int | None = None

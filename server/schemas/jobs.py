@@ -7,9 +7,17 @@ from pydantic import BaseModel
 from server.schemas.job_types import JobRequest, RigJobRequest
 from server.schemas.progress import Items, Page, Progress, Status
 
+Order = Literal["newest", "work"]
+
 
 class Job(Progress):
-    """A job, done or to be done; `rig` is the one it, or the capture it works on, was made with."""
+    """A job, done or to be done; `rig` is the one it, or the capture it works on, was made with. `note` is a person's.
+
+    `position` is the place of a queued job in its queue, from 1 on. `expected_begin` and `expected_end` are estimated
+    from the budget, the share that is done, earlier jobs of the type and the workers that are alive; null where these
+    do not tell. `resumable`: it failed or was cancelled, and resuming may help. A job whose input was refused
+    (`bad_input`) would be refused again: queue one with other options.
+    """
 
     id: str
     type: str
@@ -19,6 +27,11 @@ class Job(Progress):
     name: str | None
     request: JobRequest | RigJobRequest
     rig: str | None = None
+    note: str | None = None
+    position: int | None = None
+    expected_begin: str | None = None
+    expected_end: str | None = None
+    resumable: bool = False
 
 
 class Jobs(Page[Job]):

@@ -36,7 +36,8 @@ class Page(Items[Item], Generic[Item]):
 class Progress(BaseModel):
     """The progress of a capture or job: `fraction` of the current `stage`, and the seconds each stage has taken.
 
-    `warnings` are what a person should know before trusting the result.
+    `warnings` are what a person should know before trusting the result. `bad_input`: the error is about what was asked
+    for or recorded, so the same would fail again.
     """
 
     stage: str | None = None
@@ -44,6 +45,7 @@ class Progress(BaseModel):
     message: str = ""
     seconds: dict[str, float] = {}
     error: str | None = None
+    bad_input: bool = False
     warnings: list[str] = []
 
 

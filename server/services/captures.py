@@ -7,10 +7,10 @@ from acquisition.recording.writer import partial_of
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, RigBusyError, StateError
-from server.schemas.captures import Capture, CaptureRequest
+from server.schemas.captures import Capture, CaptureRequest, Labels
 from server.schemas.progress import ACTIVE, Status
 from server.schemas.rigs import RigInfo, Rigs
-from server.services.listing import Document, capture_document, page_of
+from server.services.listing import Document, Found, capture_document, page_of
 from server.services.queue import Key, Queue
 from server.services.space import Space
 from server.settings import RigSource
@@ -96,11 +96,12 @@ class CaptureService:
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
         """Return a page of captures, newest first: `Captures` as JSON."""
+        return page_of(self._store, self._engine, wanted, status, limit, self._documents)
 
-        def document(entry: Listed, status: Status) -> Document:
-            return capture_document(entry, status) | {"partial_planes": self._left(entry, status)}
-
-        return page_of(self._store, self._engine, wanted, status, limit, document)
+    def label(self, capture_id: str, labels: Labels) -> Capture:
+        """Give a capture another name or note; raises NotFoundError."""
+        self._store.entries.label("capture", capture_id, labels.model_dump(exclude_unset=True))
+        return self.get(capture_id)
 
     def tell(self, rig_id: str, capture_id: str, word: str) -> Capture:
         """Tell a capture of a rig to `stop`, or to `save` its pre-trigger; raises NotFoundError, StateError."""
@@ -142,6 +143,9 @@ class CaptureService:
         self._queue.expect_unused(capture_id)
         recording = self._store.folder.recording(capture_id)
         self._queue.remove(entry, recording, partial_of(recording))
+
+    def _documents(self, found: Found) -> list[Document]:
+        return [capture_document(entry, word) | {"partial_planes": self._left(entry, word)} for entry, word in found]
 
     def _ended(self, capture_id: str) -> Entry:
         """Return a capture that has ended, with its processes; raises StateError for any other."""

@@ -4,12 +4,15 @@ from collections.abc import Mapping, Sequence
 
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, stages_of
 from server.errors import StateError, UnknownReferenceError
+from server.schemas.captures import Labels
 from server.schemas.job_types import JOB_TYPES, RIG_JOB_TYPES, JobBase
-from server.schemas.jobs import Job, Jobs, Steps
+from server.schemas.jobs import Job, Jobs, Order, Steps
 from server.schemas.progress import ACTIVE, ENDED, Status
 from server.services.admission import Admission
-from server.services.listing import job_document, page_of
+from server.services.forecast import Forecast, Outlook
+from server.services.listing import Document, Found, is_resumable, job_document, page_of
 from server.services.queue import Key, Queue
+from server.services.work_order import page_in_work_order
 from server.store.entries import Filter
 from server.store.files import is_locked
 from server.store.store import Store
@@ -24,6 +27,7 @@ class JobService:
         self._engine = engine
         self._queue = queue
         self._admission = admission
+        self._forecast = Forecast(store, engine)
 
     def submit(self, requests: Sequence[JobBase], key: Key = None) -> list[str]:
         """Queue jobs, all of them or none; return their ids. Raises as `Admission.target`, and IdempotencyError."""
@@ -49,17 +53,22 @@ class JobService:
     def get(self, job_id: str) -> Job:
         """Return one job; raises NotFoundError."""
         entry = self._store.entries.get("job", job_id)
-        return _shown(entry, self._engine.status(entry))
+        return self._shown([entry])[0]
 
     def find(self, job_ids: Sequence[str]) -> Jobs:
         """Return those of the jobs that exist, in the order of their ids."""
         entries = sorted(self._store.entries.find(job_ids), key=lambda entry: entry.id)
-        states = self._engine.statuses(entries)
-        return Jobs(items=[_shown(entry, states[entry.id]) for entry in entries])
+        return Jobs(items=self._shown(entries))
 
-    def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:
-        """Return a page of jobs, newest first: `Jobs` as JSON."""
-        return page_of(self._store, self._engine, wanted, status, limit, job_document)
+    def page(self, wanted: Filter, status: Status | None = None, limit: int = 100, order: Order = "newest") -> bytes:
+        """Return a page of jobs: `Jobs` as JSON. Raises UnknownReferenceError for a cursor of another order."""
+        listed = page_in_work_order if order == "work" else page_of
+        return listed(self._store, self._engine, wanted, status, limit, self._documents)
+
+    def label(self, job_id: str, labels: Labels) -> Job:
+        """Give a job another name or note; raises NotFoundError."""
+        self._store.entries.label("job", job_id, labels.model_dump(exclude_unset=True))
+        return self.get(job_id)
 
     def steps(self, job_id: str) -> Steps:
         """Return the stages of a job and how far each is; raises NotFoundError."""
@@ -119,6 +128,16 @@ class JobService:
         text = self._store.folder.logged(self._store.entries.get("job", job_id).id)
         return "".join(text.splitlines(keepends=True)[first_line:])
 
+    def _documents(self, found: Found) -> list[Document]:
+        outlooks = self._forecast.of([entry.id for entry, word in found if word in ACTIVE])
+        blank = Outlook()
+        return [job_document(entry, word) | outlooks.get(entry.id, blank)._asdict() for entry, word in found]
+
+    def _shown(self, entries: Sequence[Entry]) -> list[Job]:
+        states = self._engine.statuses(entries)
+        outlooks = self._forecast.of([entry.id for entry in entries if states[entry.id] in ACTIVE])
+        return [_job(entry, states[entry.id], outlooks.get(entry.id, Outlook())) for entry in entries]
+
     def _again(self, entry: Entry, stage: str | None = None) -> Job:
         self._queue.again(entry, stage)
         return self.get(entry.id)
@@ -147,6 +166,8 @@ class JobService:
         )
 
 
-def _shown(entry: Entry, status: Status) -> Job:
+def _job(entry: Entry, status: Status, outlook: Outlook) -> Job:
     request = (JOB_TYPES | RIG_JOB_TYPES)[entry.type].model_validate(entry.request)
-    return Job.model_validate(vars(entry) | entry.progress | {"status": status, "request": request})
+    resumable = is_resumable(status, bad_input=entry.progress.get("bad_input", False))
+    known = {"status": status, "request": request, "resumable": resumable}
+    return Job.model_validate(vars(entry) | entry.progress | known | outlook._asdict())

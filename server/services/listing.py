@@ -5,7 +5,7 @@ entry and page: a page of a thousand jobs would take a fifth of a second otherwi
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -22,34 +22,41 @@ _TEXTS = 4096
 _LOOK_AT = 500  # entries at a time while those of a status are looked for
 _REQUESTS = JOB_TYPES | RIG_JOB_TYPES
 Document = dict[str, Any]
+Found = list[tuple[Listed, Status]]
+Show = Callable[[Found], list[Document]]
 
 
-def page_of(
-    store: Store,
-    engine: Engine,
-    wanted: Filter,
-    status: Status | None,
-    limit: int,
-    document: Callable[[Listed, Status], Document],
-) -> bytes:
-    """Return at most `limit` entries, newest first, as `document` shows them, and the cursor of the next page."""
-    found: list[Document] = []
-    most = limit + 1 if status is None else max(limit + 1, _LOOK_AT)
-    while len(found) <= limit:
+def page_of(store: Store, engine: Engine, wanted: Filter, status: Status | None, limit: int, show: Show) -> bytes:
+    """Return at most `limit` entries, newest first, as `show` makes them, and the cursor of the next page."""
+    found = newest(store, engine, wanted, status, limit + 1)
+    return page(show(found[:limit]), found[limit - 1][0].id if len(found) > limit else None)
+
+
+def page(items: Sequence[Document], cursor: str | None) -> bytes:
+    """Return a page of a list as JSON."""
+    return to_json({"items": items, "next": cursor}, inf_nan_mode="null")
+
+
+def newest(store: Store, engine: Engine, wanted: Filter, status: Status | None, least: int) -> Found:
+    """Return the newest entries of a status, or of any: at least as many as asked for, where there are so many."""
+    found: Found = []
+    most = least if status is None else max(least, _LOOK_AT)
+    while len(found) < least:
         part = store.entries.listed(wanted, most)
         known = engine.statuses(part)
-        found += [document(entry, known[entry.id]) for entry in part if status in (None, known[entry.id])]
+        found.extend((entry, known[entry.id]) for entry in part if status in (None, known[entry.id]))
         if len(part) < most:
             break
         wanted = replace(wanted, before=part[-1].id)
-    cursor = found[limit - 1]["id"] if len(found) > limit else None
-    return to_json({"items": found[:limit], "next": cursor}, inf_nan_mode="null")
+    return found
 
 
 def job_document(entry: Listed, status: Status) -> Document:
-    """Return an entry as a `Job` in JSON."""
+    """Return an entry as a `Job` in JSON, without its outlook."""
     request = _request(entry.type, entry.request)
-    return _shown(entry, status) | {"priority": entry.priority, "request": request}
+    shown = _shown(entry, status)
+    more = {"priority": entry.priority, "request": request}
+    return shown | more | {"resumable": is_resumable(status, bad_input=shown["bad_input"])}
 
 
 def capture_document(entry: Listed, status: Status) -> Document:
@@ -57,8 +64,13 @@ def capture_document(entry: Listed, status: Status) -> Document:
     return _shown(entry, status) | _length(entry.request)
 
 
+def is_resumable(status: Status, *, bad_input: bool) -> bool:
+    """Return whether it may help to resume a job."""
+    return status == "cancelled" or (status == "failed" and not bad_input)
+
+
 def _shown(entry: Listed, status: Status) -> Document:
-    kept = {name: getattr(entry, name) for name in ("id", "type", "created", "rig", "name")}
+    kept = {name: getattr(entry, name) for name in ("id", "type", "created", "rig", "name", "note")}
     return _progress(entry.progress) | kept | {"status": status}
 
 

@@ -90,8 +90,13 @@ def open_database(settings: ServiceSettings) -> sa.Engine:
         def configure(connection: Any, record: Any) -> None:
             connection.execute("PRAGMA journal_mode=WAL")  # a reader does not wait for a writer
             connection.execute("PRAGMA synchronous=FULL")  # what was accepted outlives a power cut
+            connection.create_function("lower", 1, _lower, deterministic=True)  # SQLite's own knows no umlauts
 
     return engine
+
+
+def _lower(text: str | None) -> str | None:
+    return None if text is None else text.lower()
 
 
 def open_engine_database(settings: ServiceSettings) -> sa.Engine:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import ARRAY
@@ -11,11 +11,24 @@ from server.settings import ServiceSettings
 from server.store.database import open_engine_database
 
 
+class Place(NamedTuple):
+    """An entry that runs or is queued; workers take the lowest `priority` first and, of equal ones, the oldest.
+
+    `since_ms` is when it was queued, in milliseconds since 1970.
+    """
+
+    id: str
+    queue: str
+    runs: bool
+    priority: int
+    since_ms: int
+
+
 class EngineTables:
     """A reader of the job engine's workflow table, which the engine documents; it never writes."""
 
     def __init__(self, settings: ServiceSettings) -> None:
-        names = ("workflow_uuid", "status", "queue_name")
+        names = ("workflow_uuid", "status", "queue_name", "priority", "created_at")
         self._on_sqlite = settings.database is None
         schema = None if self._on_sqlite else "dbos"
         self._columns = sa.table("workflow_status", *(sa.column(name) for name in names), schema=schema).c
@@ -36,6 +49,16 @@ class EngineTables:
         query = sa.select(queue, status, sa.func.count()).where(status.in_(statuses)).group_by(queue, status)
         with self._engine.connect() as connection:
             return {(row[0] or "", row[1]): row[2] for row in connection.execute(query)}
+
+    def places(self, statuses: Sequence[str], running: str) -> list[Place]:
+        """Return all entries of `statuses` in the order in which workers take them; `running` is one of these."""
+        c = self._columns
+        query = sa.select(c.workflow_uuid, c.queue_name, c.status, c.priority, c.created_at).where(
+            c.status.in_(statuses)
+        )
+        with self._engine.connect() as connection:
+            rows = connection.execute(query.order_by(c.priority, c.created_at, c.workflow_uuid)).all()
+        return [Place(row[0], row[1] or "", row[2] == running, row[3] or 0, row[4]) for row in rows]
 
     def close(self) -> None:
         """Let go of the database."""

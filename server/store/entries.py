@@ -1,7 +1,7 @@
 """Captures and jobs, as they were asked for and how far they are."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,6 +28,7 @@ class Listed(NamedTuple):
     request: str
     progress: str
     told: str
+    note: str | None
 
 
 class Open(NamedTuple):
@@ -40,7 +41,11 @@ class Open(NamedTuple):
 
 @dataclass(frozen=True)
 class Filter:
-    """Selects entries; None leaves a column open. `before` is the id that the last page ended with."""
+    """Selects entries; None leaves a column open. `before` is the id that the last page ended with.
+
+    `q` is looked for in names, notes, ids and rigs, and in the id and name of a job's capture. `open` says whether the
+    last announced status is no end.
+    """
 
     kind: Kind
     type: str | None = None
@@ -48,6 +53,8 @@ class Filter:
     capture: str | None = None
     name: str | None = None
     before: str | None = None
+    q: str | None = None
+    open: bool | None = None
 
 
 class Entries(Records[Entry]):
@@ -86,23 +93,43 @@ class Entries(Records[Entry]):
 
     def listed(self, wanted: Filter, limit: int) -> list[Listed]:
         """Return the same, as lists need them."""
-        query = sa.select(*_LISTED).where(*_clauses(wanted)).order_by(entries.c.id.desc()).limit(limit)
-        with self._engine.connect() as connection:
-            return [Listed(*row) for row in connection.execute(query).all()]
+        return self._listed(*_clauses(wanted), limit=limit)
+
+    def finished(self, entry_type: str, limit: int) -> list[Listed]:
+        """Return the newest jobs of a type that were done, at most `limit`."""
+        return self._listed(
+            entries.c.kind == "job", entries.c.type == entry_type, entries.c.told == "done", limit=limit
+        )
+
+    def found(self, entry_ids: Sequence[str]) -> list[Listed]:
+        """Return those of the entries that exist, as lists need them, newest first."""
+        return self._listed(entries.c.id.in_(entry_ids))
 
     def unfinished(self) -> list[Entry]:
         """Return the entries whose last announced status is not an end."""
         return self.select(_GOES_ON, order=entries.c.id.desc())
 
-    def open(self) -> list[Open]:
-        """Return the same, with the columns that are compared with the engine's."""
+    def open(self, wanted: Filter | None = None) -> list[Open]:
+        """Return the same, or those that fit, with the columns that are compared with the engine's."""
+        clauses = _clauses(wanted) if wanted else []
         with self._engine.connect() as connection:
-            found = connection.execute(sa.select(entries.c.id, entries.c.queue, entries.c.told).where(_GOES_ON))
-            return [Open(*row) for row in found.all()]
+            query = sa.select(entries.c.id, entries.c.queue, entries.c.told).where(_GOES_ON, *clauses)
+            return [Open(*row) for row in connection.execute(query).all()]
+
+    def _listed(self, *clauses: sa.ColumnElement[bool], limit: int | None = None) -> list[Listed]:
+        query = sa.select(*_LISTED).where(*clauses).order_by(entries.c.id.desc()).limit(limit)
+        with self._engine.connect() as connection:
+            return [Listed(*row) for row in connection.execute(query).all()]
 
     def change(self, entry_id: str, **columns: Any) -> None:
         """Set columns of an entry."""
         self.update(entries.c.id == entry_id, **columns)
+
+    def label(self, kind: Kind, entry_id: str, labels: Mapping[str, str | None]) -> None:
+        """Set the `name` and `note` of an entry, or one of them; raises NotFoundError."""
+        self.get(kind, entry_id)
+        if labels:
+            self.change(entry_id, **labels)
 
     def remove(self, entry_id: str) -> None:
         """Forget an entry, its events and its artefacts."""
@@ -112,9 +139,23 @@ class Entries(Records[Entry]):
 
 
 def _clauses(wanted: Filter) -> list[sa.ColumnElement[bool]]:
-    columns = {name: value for name, value in vars(wanted).items() if name != "before" and value is not None}
+    columns = {name: value for name, value in vars(wanted).items() if name in entries.c and value is not None}
     clauses = [entries.c[name] == value for name, value in columns.items()]
-    return clauses if wanted.before is None else [*clauses, entries.c.id < wanted.before]
+    if wanted.before is not None:
+        clauses.append(entries.c.id < wanted.before)
+    if wanted.q is not None:
+        clauses.append(_with_text(wanted.q))
+    if wanted.open is not None:
+        clauses.append(_GOES_ON if wanted.open else ~_GOES_ON)
+    return clauses
+
+
+def _with_text(text: str) -> sa.ColumnElement[bool]:
+    """Return the clause of entries that a person finds by `text`, taken literally, in capitals or not."""
+    of = entries.alias("captures")
+    named = sa.select(of.c.id).where(of.c.kind == "capture", of.c.name.icontains(text, autoescape=True))
+    columns = (entries.c[name] for name in ("id", "name", "note", "rig", "capture"))
+    return sa.or_(*(column.icontains(text, autoescape=True) for column in columns), entries.c.capture.in_(named))
 
 
 _LISTED = [

@@ -1,5 +1,6 @@
 """The events of captures and jobs: numbered, so that a reader can go on where it stopped."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -36,6 +37,13 @@ class Events(Records[Event]):
         """Return the next events, oldest first, of one entry or of all."""
         mine = () if entry_id is None else (events.c.entry == entry_id,)
         return self.select(events.c.seq > seq, *mine, order=events.c.seq, limit=limit)
+
+    def last_reports(self, entry_ids: Sequence[str]) -> dict[str, float]:
+        """Return the time of the last progress report of each entry that has any."""
+        mine = sa.and_(events.c.kind == "progress", events.c.entry.in_(entry_ids))
+        query = sa.select(events.c.entry, sa.func.max(events.c.at)).where(mine).group_by(events.c.entry)
+        with self._engine.connect() as connection:
+            return {row[0]: row[1] for row in connection.execute(query)} if entry_ids else {}
 
     def last(self) -> int:
         """Return the number of the newest event, 0 before the first."""

@@ -21,7 +21,12 @@ def _rename_variation(connection: sa.Connection) -> None:
             connection.execute(entries.update().where(entries.c.id == entry_id).values(request=request))
 
 
-STEPS: tuple[Step, ...] = (_rename_variation,)  # from format 1 to 2, from 2 to 3 ...
+def _add_notes(connection: sa.Connection) -> None:
+    """Give captures and jobs room for a person's note."""
+    connection.exec_driver_sql("ALTER TABLE entries ADD COLUMN note TEXT")
+
+
+STEPS: tuple[Step, ...] = (_rename_variation, _add_notes)  # from format 1 to 2, from 2 to 3 ...
 FORMAT = 1 + len(STEPS)
 
 

@@ -58,6 +58,7 @@ class Entry:
     progress: dict[str, Any] = field(default_factory=dict)
     restart: dict[str, Any] | None = None
     told: Word = "new"
+    note: Long | None = None
 
 
 @dataclass(frozen=True)

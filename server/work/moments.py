@@ -98,5 +98,5 @@ class Moments:
             await self._processes.run(entry, stage, ["finalise", str(recording)], locks=[lock])
         except StageError as error:
             missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
-            Reporter(self._store, entry.id, stage).close(str(missed))
+            Reporter(self._store, entry.id, stage).close(missed)
             raise missed from error

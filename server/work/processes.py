@@ -70,7 +70,7 @@ class Processes:
             )
         except (Spike4dgsError, OSError) as error:
             full = isinstance(error, OSError) and is_full(error)
-            reporter.close(str(no_room(folder.path) if full else error))
+            reporter.close(no_room(folder.path) if full else error)
             raise
         reporter.close()
 

@@ -9,6 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from server.schemas.progress import Progress
 from server.store.database import is_full, is_outage
 from server.store.store import Store
+from server.work.wording import in_request_words
 
 _WRITE_EVERY_S = 0.5
 _OUTAGE_S = 5.0
@@ -30,7 +31,7 @@ class Reporter:
 
     def __call__(self, fraction: float, message: str) -> None:
         """Note the progress of the stage."""
-        self._latest = Progress(stage=self._stage, fraction=fraction, message=self._store.folder.hidden(message))
+        self._latest = Progress(stage=self._stage, fraction=fraction, message=self._said(message))
         if time.monotonic() < self._next:
             return
         try:
@@ -44,14 +45,20 @@ class Reporter:
 
     def warn(self, text: str) -> None:
         """Note a warning, once however often it comes; the next report carries it."""
-        if text not in self._warnings:
-            self._warnings = [*self._warnings, text]
+        said = self._said(text)
+        if said not in self._warnings:
+            self._warnings = [*self._warnings, said]
 
-    def close(self, error: str | None = None) -> None:
+    def close(self, error: Exception | None = None) -> None:
         """Note that the stage is over, done or with an error."""
-        end: dict[str, object] = {"fraction": 1.0} if error is None else {"error": self._store.folder.hidden(error)}
+        end: dict[str, object] = {"fraction": 1.0}
+        if error is not None:
+            end = {"error": self._said(str(error)), "bad_input": getattr(error, "bad_input", False)}
         self._latest = self._latest.model_copy(update=end)
         self._write()
+
+    def _said(self, text: str) -> str:
+        return in_request_words(self._store.folder.hidden(text))
 
     def _write(self) -> None:
         now = time.monotonic()

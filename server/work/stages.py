@@ -31,7 +31,7 @@ from server.work.commands import (
 from server.work.moments import Moments
 from server.work.processes import Processes, is_full, no_room
 from server.work.reporter import Reporter
-from server.work.supervisor import StageError
+from server.work.supervisor import BadInputError, StageError
 
 RUN_ARTEFACTS = (
     "run.json",
@@ -87,7 +87,7 @@ class Stages:
                     return self._moments.tell_losses(entry, stage)  # made by a worker that was killed
                 return await self._by_type.get(entry.type, self._task)(entry, stage)
             except NotFoundError as error:
-                Reporter(self._store, entry_id, stage).close(str(error))
+                Reporter(self._store, entry_id, stage).close(error)
                 raise
             except SQLAlchemyError as error:
                 if database.is_full(error):
@@ -151,7 +151,7 @@ class Stages:
             if entry.type == "calibrate":
                 keep_calibration(self._store, entry, out)
         except (Spike4dgsError, OSError) as error:
-            Reporter(self._store, entry.id, stage).close(str(error))
+            Reporter(self._store, entry.id, stage).close(error)
             raise
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
@@ -159,7 +159,9 @@ class Stages:
         folder, request = self._folder, entry.request
         recording = self._recording(entry)
         if not recording.is_dir():  # the job waited for it, or it was deleted meanwhile
-            raise StageError(f"found no recording of {entry.capture}", "it made and kept", "look at that capture")
+            kept = self._store.entries.find([entry.capture or ""])
+            kind = StageError if kept else BadInputError  # what is kept may yet be finalised
+            raise kind(f"found no recording of {entry.capture}", "it made and kept", "look at that capture")
         run = folder.run(request["job"]) if "job" in request else None
         dark = folder.recording(request["dark"]) if request.get("dark") else None
         of_rig = entry.type == "check-rig" and request.get("rig")

@@ -23,10 +23,17 @@ _CONTROL_POLL_S = 0.05
 _START_S = 10.0  # after which a process that reported nothing is taken to be able to end in order
 _LONGEST_LINE = 65536  # bytes
 _LAST_WORDS_S = 1.0
+_REFUSED = 2  # exit code of a command that cannot use what it was given
 
 
 class StageError(ServiceError):
     """A stage ended badly: the error that its process reported or, where it reported none, the last line it wrote."""
+
+
+class BadInputError(StageError):
+    """A stage refused what was asked for or recorded: it would do so again."""
+
+    bad_input = True
 
 
 class KilledError(StageError):
@@ -96,7 +103,7 @@ async def supervise(
             raise relay.fault
         code = transport.get_returncode() or 0
         if code != 0 and not (code == 1 and answers and stdout and stdout.stat().st_size):
-            kind = KilledError if code < 0 else StageError
+            kind = KilledError if code < 0 else BadInputError if code == _REFUSED else StageError
             raise relay.error or kind(relay.last or f"the stage ended with {named_end(code)} and no message")
         if finished is not None:
             finished.touch()
@@ -194,7 +201,8 @@ class _Relay(asyncio.SubprocessProtocol):
                 return True
             if event["event"] == "error":
                 parts = (str(event[name]) for name in ("found", "expected", "do"))
-                self.error = StageError(*parts, where=event["where"])
+                kind = BadInputError if event.get("bad_input") else StageError
+                self.error = kind(*parts, where=event["where"])
                 return True
         except (ValueError, KeyError, TypeError):
             pass

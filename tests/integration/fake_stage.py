@@ -2,7 +2,8 @@
 
 It also calibrates, by lengthening each lens by a tenth, and checks rigs.
 
-FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists.
+FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists, and
+refuses its input while DATA/jobs/refuse-STAGE does.
 With FAKE_RESULTS a reconstruction leaves what a page shows of one, and recordings can be read.
 """
 
@@ -40,8 +41,8 @@ def report(fraction: float, message: str) -> None:
     sys.stderr.write(json.dumps(event) + "\n")
 
 
-def fail(found: str, expected: str, do: str, where: str = "") -> NoReturn:
-    parts = {"found": found, "expected": expected, "do": do, "where": where}
+def fail(found: str, expected: str, do: str, where: str = "", *, bad_input: bool = False) -> NoReturn:
+    parts = {"found": found, "expected": expected, "do": do, "where": where, "bad_input": bad_input}
     sys.stderr.write(json.dumps({"event": "error", **parts, "exit_code": 1}) + "\n")
     sys.exit(f"spike4dgs: {where}: {found}")
 
@@ -178,6 +179,8 @@ def main() -> None:
     sys.stderr.write(f"arguments {' '.join(arguments[3:])}\n")
     if (run.parents[1] / f"fail-{stage}").exists():
         fail("found a fault", "none", "mend it", stage)
+    if (run.parents[1] / f"refuse-{stage}").exists():
+        fail("found a dark scene", "some light", "change --tick-stride", stage, bad_input=True)
     if stage == "train":
         train(run, int(os.environ.get("FAKE_STEPS", "10")), float(os.environ.get("FAKE_STEP_S", "0.02")))
     if stage == "report":

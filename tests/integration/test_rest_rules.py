@@ -137,7 +137,7 @@ def test_a_stream_is_cut_wherever_its_pieces_end(size: int) -> None:
 @pytest.mark.parametrize(
     ("method", "path", "allowed"),
     [
-        ("PUT", "/v1/jobs/j1", "DELETE, GET"),
+        ("PUT", "/v1/jobs/j1", "DELETE, GET, PATCH"),
         ("GET", "/v1/jobs:batch", "POST"),
         ("DELETE", "/v1/jobs", "GET, POST"),
         ("POST", "/v1/uploads/u1", "DELETE, GET, HEAD, PATCH"),

@@ -57,7 +57,7 @@ def test_messages_and_logs_carry_no_path_of_the_server(http: TestClient, tmp_pat
     store.entries.add(entry)
     reporter = Reporter(store, entry.id, "verify")
     reporter(0.5, f"read {tmp_path}/data/captures/c1/cam00.dat")
-    reporter.close(str(DiskError("found no space left", "some", where=tmp_path / "data" / "jobs")))
+    reporter.close(DiskError("found no space left", "some", where=tmp_path / "data" / "jobs"))
     store.folder.entry(entry.id)
     store.folder.log(entry.id).write_text(f"{tmp_path}/data/jobs/x: torn\n")
     said = http.get(f"/v1/jobs/{entry.id}").text + http.get(f"/v1/jobs/{entry.id}/log").text

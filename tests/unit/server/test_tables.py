@@ -16,7 +16,7 @@ COLUMNS = {
     "calibrations": "created document job report rig sha256 source version",
     "current_calibrations": "revision rig version",
     "deliveries": "attempts body event next said status webhook",
-    "entries": "capture created id kind name priority progress queue request restart rig told type",
+    "entries": "capture created id kind name note priority progress queue request restart rig told type",
     "events": "at data entry kind seq",
     "idempotency": "at digest entries key",
     "tokens": "created digest id name role",
@@ -62,4 +62,4 @@ def test_an_optional_field_may_be_null_and_no_other(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "catalogue.sqlite") as connection:
         columns = {row[1]: row[3] for row in connection.execute("PRAGMA table_info(entries)")}
     optional = {name for name, not_null in columns.items() if not not_null}
-    assert optional == {"rig", "capture", "name", "queue", "restart"}
+    assert optional == {"rig", "capture", "name", "queue", "restart", "note"}

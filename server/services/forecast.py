@@ -1,0 +1,76 @@
+"""Tells each job at work or to be done its place in the queue, and when it is expected to begin and to end."""
+
+import math
+from collections.abc import Collection, Iterable
+from datetime import UTC, datetime
+from heapq import heappop, heappush
+from typing import NamedTuple
+
+from server.engine import Engine
+from server.services.durations import Durations
+from server.store.engine_tables import Place
+from server.store.store import Store
+
+_LOOK_AHEAD = 1000  # entries of a queue whose times are estimated; the others have a place alone
+
+
+class Outlook(NamedTuple):
+    """The place of a queued job, from 1 on, and times in ISO 8601; None where nothing tells."""
+
+    position: int | None = None
+    expected_begin: str | None = None
+    expected_end: str | None = None
+
+
+class Forecast:
+    """Looks ahead along the queues: each worker takes one entry of each of its queues at a time."""
+
+    def __init__(self, store: Store, engine: Engine) -> None:
+        self._store = store
+        self._engine = engine
+
+    def of(self, active: Collection[str]) -> dict[str, Outlook]:
+        """Return the outlooks of entries that are queued or running; one that waits for its capture has none."""
+        if not active:
+            return {}
+        places = self._engine.places()
+        wanted = set(active)
+        queues = {place.queue for place in places if place.id in wanted}
+        workers = [worker.queues for worker in self._store.workers.alive()]
+        durations = Durations(self._store.entries)
+        found: dict[str, Outlook] = {}
+        for queue in queues:
+            mine = [place for place in places if place.queue == queue]
+            found |= self._of_queue(mine, sum(queue in theirs for theirs in workers), durations)
+        return {entry_id: outlook for entry_id, outlook in found.items() if entry_id in wanted}
+
+    def _of_queue(self, places: list[Place], workers: int, durations: Durations) -> dict[str, Outlook]:
+        running = [place.id for place in places if place.runs]
+        waiting = [place.id for place in places if not place.runs]
+        now = self._store.clock()
+        entries = {entry.id: entry for entry in self._store.entries.found([*running, *waiting[:_LOOK_AHEAD]])}
+        reported = self._store.events.last_reports(running)
+        left = {i: durations.left(entries[i], now - reported.get(i, now)) for i in running if i in entries}
+        found = {i: Outlook(None, None, _moment(now, seconds if workers else None)) for i, seconds in left.items()}
+        free = _free_after(left.values(), workers)
+        for number, entry_id in enumerate(waiting):
+            begin = end = None
+            if free and entry_id in entries:
+                begin, takes = heappop(free), durations.whole(entries[entry_id])
+                end = begin + (math.inf if takes is None else takes)
+                heappush(free, end)
+            found[entry_id] = Outlook(number + 1, _moment(now, begin), _moment(now, end))
+        return found
+
+
+def _free_after(left: Iterable[float | None], workers: int) -> list[float]:
+    """Return a heap of the seconds after which each worker is free; infinite where nothing tells."""
+    known = sorted(math.inf if seconds is None else seconds for seconds in left)
+    known = known[max(0, len(known) - workers) :]  # of entries on dead workers the first to end frees nobody
+    return sorted(known + [0.0] * (workers - len(known)))
+
+
+def _moment(now: float, seconds: float | None) -> str | None:
+    if seconds is None or math.isinf(seconds):
+        return None
+    return datetime.fromtimestamp(now + seconds, UTC).isoformat("T", "seconds")
