@@ -18,6 +18,10 @@ class DeviceError(AcquisitionError):
     """A camera that did not do what it was told."""
 
 
+class StoppedError(DeviceError):
+    """A recording that was stopped before anything of it was kept."""
+
+
 class DiskError(AcquisitionError):
     """A disk that refused what a recording needs; nothing was left under its final name."""
 

@@ -66,17 +66,21 @@ def finalise(path: Path, progress: Progress = silent) -> Finalised:
 def left_planes(path: Path) -> int | None:
     """Return the planes that `finalise` could keep of a recorder that was killed; None where it left nothing.
 
-    These are the planes of the camera that has most in its journal, at the moment also of one at work.
+    These are the planes of the camera that has most in its journal, at the moment also of one at work. One that was
+    killed between its finished manifest and the recording's name has all planes of the manifest.
     """
     folder = partial_of(path)
     if not folder.is_dir():
         return None
     try:
-        cameras = read_any_manifest(folder).cameras
+        manifest = read_any_manifest(folder)
     except BadRecordingError:
         return 0
+    if manifest.status not in UNFINISHED:
+        return max(camera.planes for camera in manifest.cameras)
     return max(
-        read_journal((folder / camera.file).with_suffix(SUFFIX), camera.block_planes).planes for camera in cameras
+        read_journal((folder / camera.file).with_suffix(SUFFIX), camera.block_planes).planes
+        for camera in manifest.cameras
     )
 
 

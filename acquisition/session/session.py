@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from acquisition.devices.trigger_box import TriggerBox
 from acquisition.devices.usb import SoftwareTrigger, UsbCamera
-from acquisition.errors import DeviceError
+from acquisition.errors import DeviceError, StoppedError
 from acquisition.progress import Progress, silent
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
@@ -117,9 +117,9 @@ class _Run:
         """Note what went wrong; raise where nothing was recorded."""
         failures = [capture.failure for capture in self._captures if capture.failure]
         if not any(capture.writer.planes for capture in self._captures):
-            if not self._began and not failures:
-                raise DeviceError("stopped before it was told to save, so nothing was kept")
-            raise failures[0] if failures else DeviceError("stopped before the first plane, so nothing was kept")
+            before = "the first plane" if self._began else "it was told to save"
+            kind = StoppedError if self._control.stop.is_set() else DeviceError
+            raise failures[0] if failures else kind(f"stopped before {before}, so nothing was kept")
         problems = [text for capture in self._captures for text in capture.returned] + list(map(str, failures))
         problems += [str(c.writer.disk_error()) for c in self._captures if c.writer.failure]
         problems += [self._recording.full] if self._recording.full else []

@@ -29,7 +29,8 @@ def report_error(error: Spike4dgsError, exit_code: int) -> None:
     """Report the parts of an error to the service around a stage's process, and to nobody else."""
     if os.environ.get(JSON_PROGRESS) == "json":
         parts = {name: getattr(error, name) for name in ("found", "expected", "do", "where")}
-        _say(json.dumps({"event": "error", **parts, "exit_code": exit_code, "bad_input": error.bad_input}))
+        known = {"kind": type(error).__name__, "exit_code": exit_code, "bad_input": error.bad_input}
+        _say(json.dumps({"event": "error", **parts, **known}))
 
 
 def warn(text: str) -> None:

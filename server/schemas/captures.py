@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field, model_validator
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS
 from server.schemas.progress import Page, Progress, Request, Status, example
 
+NEVER_BEGUN = "stopped before it began, so nothing was kept"
 # No control characters, no line ends, nothing that turns the direction of the text around it.
 SHOWN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ufeff]+$"
 Name = Annotated[str, Field(min_length=1, max_length=80, pattern=SHOWN)]

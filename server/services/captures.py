@@ -7,8 +7,8 @@ from acquisition.recording.writer import partial_of
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
 from server.errors import NotFoundError, RigBusyError, StateError
-from server.schemas.captures import Capture, CaptureRequest, Labels
-from server.schemas.progress import ACTIVE, Status
+from server.schemas.captures import NEVER_BEGUN, Capture, CaptureRequest, Labels
+from server.schemas.progress import ACTIVE, Progress, Status
 from server.schemas.rigs import RigInfo, Rigs
 from server.services.listing import Document, Found, capture_document, page_of
 from server.services.queue import Key, Queue
@@ -110,10 +110,9 @@ class CaptureService:
             raise NotFoundError(f"found {capture_id} to be of rig {capture.rig}, not {rig_id[:60]}", "its own rig")
         if capture.status not in ACTIVE or capture.type != "record":
             raise StateError(f"found {capture.id} {capture.status}", "it recording")
+        (self._store.folder.entry(capture_id) / word).touch()  # whoever takes it up finds it there
         if capture.status == "queued" and word == "stop":
-            self._engine.cancel(capture_id)
-        else:
-            (self._store.folder.entry(capture_id) / word).touch()
+            self._withdraw(capture_id)
         return self.get(capture_id)
 
     def cancel(self, capture_id: str) -> Capture:
@@ -146,6 +145,16 @@ class CaptureService:
 
     def _documents(self, found: Found) -> list[Document]:
         return [capture_document(entry, word) | {"partial_planes": self._left(entry, word)} for entry, word in found]
+
+    def _withdraw(self, capture_id: str) -> None:
+        """Cancel a recording that was never begun; what a worker that died has begun, the next one finishes."""
+        if self._store.folder.begun(capture_id).exists():
+            return
+        entry = self._store.entries.get("capture", capture_id)
+        if entry.told == "new":  # it was kept by a process that died, and would be queued again
+            self._queue.start(entry)
+        self._store.events.progress(capture_id, Progress(stage=entry.type, message=NEVER_BEGUN).model_dump())
+        self._engine.withdraw(capture_id)
 
     def _ended(self, capture_id: str) -> Entry:
         """Return a capture that has ended, with its processes; raises StateError for any other."""

@@ -99,15 +99,18 @@ class Queue:
                 self._start_again(entry, cancelled=cancelled)
 
     def prioritise(self, entry: Entry, priority: int) -> None:
-        """Queue a queued entry anew: the engine has no other way. `requeue` mends what a crash leaves half done."""
+        """Queue a queued entry anew: the engine has no other way. `requeue` mends what a crash leaves half done.
+
+        Raises NotFoundError where it is deleted meanwhile.
+        """
         with self._moving:
-            (latest,) = self._store.entries.find([entry.id])
+            latest = self._store.entries.get(entry.kind, entry.id)  # it may have been deleted meanwhile
             self._store.entries.change(entry.id, priority=priority, told="new")
             if latest.told == "new":  # it is still to be queued
                 return
             self._engine.cancel(entry.id)  # nobody can take it from the queue now
             self._engine.forget(entry.id)
-            self.start(self._store.entries.find([entry.id])[0])
+            self.start(self._store.entries.get(entry.kind, entry.id))
 
     def again(self, entry: Entry, stage: str | None = None) -> None:
         """Queue an ended entry again, from `stage` on or from the one it stopped in; raises StateError."""

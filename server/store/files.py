@@ -49,6 +49,10 @@ class DataFolder:
         """Return the recording folder of a capture."""
         return self.path / "captures" / capture_id
 
+    def begun(self, capture_id: str) -> Path:
+        """Return the mark of a capture that a worker has begun to record."""
+        return self.entry(capture_id) / "begun"
+
     def job(self, job_id: str) -> Path:
         """Return the folder of a job."""
         return self.path / "jobs" / job_id

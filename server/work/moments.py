@@ -7,12 +7,13 @@ from acquisition.durable import write_durably
 from acquisition.recording.finalise import left_planes
 from acquisition.recording.reader import read_manifest
 from acquisition.recording.writer import partial_of
+from server.schemas.captures import NEVER_BEGUN
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.commands import record_arguments
 from server.work.processes import Processes
 from server.work.reporter import Reporter
-from server.work.supervisor import Control, KilledError, StageError
+from server.work.supervisor import Control, KilledError, StageError, StoppedStageError
 
 PATIENCE_S = 60.0  # longest time from the order to record until a worker takes it up
 MISSED = "record again: the moment has passed"
@@ -29,20 +30,20 @@ class Beginning:
         self.control = Control(folder / "stop", folder / "save")
         self._store = store
         self._asked = entry.created
-        self._begun = folder / "begun"
+        self._begun = store.folder.begun(entry.id)
         self._partial = partial_of(store.folder.recording(entry.id))
         self.earlier = False
 
     def is_now(self) -> bool:
         """Return whether the capture begins now, and note it; False where an earlier worker has begun it.
 
-        Raises StageError where it was stopped before, or was asked for too long ago.
+        Raises StoppedStageError where it was stopped before, StageError where it was asked for too long ago.
         """
         self.earlier = self._begun.exists() or self._partial.exists()  # workers of old left no mark
         if self.earlier:
             return False
         if self.control.stop.exists():
-            raise StageError("found it stopped before it began", "none", "record again")
+            raise StoppedStageError(NEVER_BEGUN)
         now = self._store.entries.now()
         late_s = (datetime.fromisoformat(now) - datetime.fromisoformat(self._asked)).total_seconds()
         if late_s > PATIENCE_S:
@@ -60,7 +61,10 @@ class Moments:
         self._processes = processes
 
     async def record(self, entry: Entry, stage: str, rig: str, devices: str, lock: Path) -> None:
-        """Record a moment: what a worker that died has begun is finished as it is, and never begun anew."""
+        """Record a moment: what a worker that died has begun is finished as it is, and never begun anew.
+
+        Raises StoppedStageError where it was stopped before anything was kept, and StageError where it failed.
+        """
         recording, beginning = self._store.folder.recording(entry.id), Beginning(self._store, entry)
         try:
             await self._processes.run(
@@ -74,6 +78,9 @@ class Moments:
             )
             if not beginning.earlier:
                 return
+        except StoppedStageError as stopped:
+            self._say(entry, stage, stopped.found)
+            raise
         except KilledError:
             if not left_planes(recording):
                 raise
@@ -88,15 +95,20 @@ class Moments:
         """Say of a recording that is kept what it lacks."""
         reason = read_manifest(self._store.folder.recording(entry.id)).reason
         if reason is not None:
-            reporter = Reporter(self._store, entry.id, stage)
-            reporter(1.0, f"kept, incomplete: {reason}")
-            reporter.close()
+            self._say(entry, stage, f"kept, incomplete: {reason}")
+
+    def _say(self, entry: Entry, stage: str, text: str) -> None:
+        reporter = Reporter(self._store, entry.id, stage)
+        reporter(1.0, text)
+        reporter.close()
 
     async def _finalise(self, entry: Entry, stage: str, recording: Path, lock: Path) -> None:
         """Make a recording of the planes that a killed recorder kept; raises StageError where it kept none."""
         try:
             await self._processes.run(entry, stage, ["finalise", str(recording)], locks=[lock])
         except StageError as error:
+            if left_planes(recording):  # it can be tried again
+                raise
             missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
             Reporter(self._store, entry.id, stage).close(missed)
             raise missed from error

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO, cast
 
+from acquisition.errors import StoppedError
 from acquisition.progress import Progress
 from server.errors import ServiceError
 from server.store.files import locked
@@ -38,6 +39,10 @@ class BadInputError(StageError):
 
 class KilledError(StageError):
     """A stage's process was killed by a signal before it could end in order."""
+
+
+class StoppedStageError(StageError):
+    """A stage was stopped by an order before it had made anything to keep."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +207,7 @@ class _Relay(asyncio.SubprocessProtocol):
             if event["event"] == "error":
                 parts = (str(event[name]) for name in ("found", "expected", "do"))
                 kind = BadInputError if event.get("bad_input") else StageError
+                kind = StoppedStageError if event.get("kind") == StoppedError.__name__ else kind
                 self.error = kind(*parts, where=event["where"])
                 return True
         except (ValueError, KeyError, TypeError):

@@ -31,6 +31,7 @@ from server.store.tables import Worker
 from server.telemetry import configure_logs, engine_tracing
 from server.work.heir import Heir
 from server.work.stages import Stages
+from server.work.supervisor import StoppedStageError
 
 _POLL_S = 0.5
 
@@ -142,12 +143,21 @@ def _launch(settings: ServiceSettings, stages: Stages, name: str, queues: Sequen
     async def entry(entry_id: str, names: list[str]) -> None:
         with stages.at_work(entry_id):
             for stage in names:
-                await DBOS.run_step_async({"name": stage, "preemptible": True}, stages.run, entry_id, stage)
+                await DBOS.run_step_async({"name": stage, "preemptible": True}, _run, stages, entry_id, stage)
 
     DBOS.listen_queues(queues)
     DBOS.launch()
     for queue in queues:
         DBOS.register_queue(queue, worker_concurrency=1, polling_interval_sec=_POLL_S)
+
+
+async def _run(stages: Stages, entry_id: str, stage: str) -> None:
+    """Run a stage; where it was stopped with nothing made, its entry has not failed but is cancelled."""
+    try:
+        await stages.run(entry_id, stage)
+    except StoppedStageError as stopped:
+        await DBOS.cancel_workflow_async(entry_id)
+        raise engine_errors.DBOSWorkflowCancelledError(str(stopped)) from stopped
 
 
 def _one_line(record: logging.LogRecord) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from acquisition.errors import BadRecordingError
-from acquisition.recording.finalise import finalise
+from acquisition.recording.finalise import finalise, left_planes
 from acquisition.recording.manifest import dump_manifest
 from acquisition.recording.reader import Recording, read_manifest
 from acquisition.recording.verify import verify
@@ -159,6 +159,13 @@ def test_a_crash_before_the_name_is_given_loses_nothing(left, tmp_path):
     manifest = finalise(left).manifest
     (tmp_path / "rec").rename(left)
     assert finalise(tmp_path / "rec").manifest == manifest
+
+
+def test_what_was_killed_between_its_manifest_and_its_name_is_counted_by_its_manifest(left, tmp_path):
+    assert left_planes(tmp_path / "rec") == 1000
+    finalise(left)
+    (tmp_path / "rec").rename(left)  # without its journals, as `publish` leaves it for a moment
+    assert left_planes(tmp_path / "rec") == 1000
 
 
 def test_a_recording_without_sha256_is_sound_and_gets_them(left, tmp_path):

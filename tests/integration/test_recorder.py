@@ -11,7 +11,7 @@ import pytest
 from maintenance.plain_camera import PlainCamera
 
 from acquisition.devices.protocol import Block
-from acquisition.errors import DeviceError
+from acquisition.errors import StoppedError
 from acquisition.recording import writer as writer_module
 from acquisition.recording.chunk_writer import StreamSpace
 from acquisition.recording.direct import DirectFile
@@ -209,7 +209,7 @@ def test_a_pre_trigger_that_never_comes_keeps_nothing(tmp_path, capture):
     control = Control()
     senders = [Sender(0, 100_000, pause_s=0.0005)]
     senders[0].before_block = lambda number: control.stop.set() if number == 100 else None
-    with pytest.raises(DeviceError, match="stopped before it was told to save"):
+    with pytest.raises(StoppedError, match="stopped before it was told to save"):
         capture(senders, None, pre_planes=50, control=control)
     assert list(tmp_path.iterdir()) == []
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -13,7 +12,6 @@ from pathlib import Path
 import httpx
 import pytest
 from maintenance.deployment import Deployment
-from maintenance.faults import Campaign
 from maintenance.postgresql import PostgresqlMissingError
 from maintenance.verdict import STAGES, read_trace
 
@@ -157,18 +155,6 @@ def test_who_starts_before_the_database_waits_for_it(deployment: Deployment) -> 
     deployment.database.start()
     with ServiceClient.at(deployment.address) as service:
         wait_for(lambda: answers(service) and [one.id for one in service.workers()] == ["a"])
-
-
-@pytest.mark.long
-def test_a_campaign_of_faults_loses_nothing(deployment: Deployment) -> None:
-    campaign = Campaign(deployment, 25, random.Random(7))
-    campaign.run(limit_s=900)
-    rows, counts = campaign.judge()
-    assert [row for row in rows if row["status"] != "done"] == []
-    for name in ("lost", "undone", "repeated", "reopened", "torn", "orphans", "locked", "ended_alone", "answers.500"):
-        assert counts.get(name, 0) == 0, name
-    assert counts["kills.worker"] > 0
-    assert counts["kills.stage"] > 0
 
 
 def test_a_killed_stage_is_resumed_where_it_stopped(client: ServiceClient, deployment: Deployment) -> None:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from maintenance.ports import free_port
 from maintenance.postgresql import Postgresql
 
 from server.store.files import is_locked
 
 STAGE = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stand_in_stage.py")))
+RECORDER = (sys.executable, "-P", "-m", "server.cli")  # what `stand_in_stage` becomes for a real recording
 
 
 class Deployment:
@@ -35,10 +36,10 @@ class Deployment:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self.data = data
+        self.dead_s = dead_s
         data.mkdir(parents=True, exist_ok=True)
         self.database = Postgresql() if postgresql else None
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.address = f"http://127.0.0.1:{self.port}"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._environment = os.environ | {
@@ -78,6 +79,24 @@ class Deployment:
     def stages(self) -> list[int]:
         """Process ids of the stages that run now."""
         return [pid for pid in self.family() if _command(pid)[:4] == list(STAGE)]
+
+    def recorders(self) -> dict[int, Path]:
+        """Process ids of the real recorders that record or finalise now, and the recording of each."""
+        commands = {pid: _command(pid) for pid in self.family()}
+        at_work = {pid: command[4:] for pid, command in commands.items() if command[:4] == list(RECORDER)}
+        return {
+            pid: Path(rest[rest.index("--out") + 1] if rest[0] == "record" else rest[1])
+            for pid, rest in at_work.items()
+            if rest[0] in ("record", "finalise")
+        }
+
+    def worker_of(self, pid: int) -> str | None:
+        """The worker that started a stage, if it is still alive."""
+        try:
+            parent = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            return None
+        return next((name for name, process in self.processes.items() if process.pid == parent), None)
 
     def family(self) -> list[int]:
         """Process ids of all that name the data folder, but this one."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+from maintenance.ports import free_port
 
 from server.errors import ServiceError
 
@@ -32,8 +33,7 @@ class Postgresql:
         self.folder = Path(tempfile.mkdtemp(prefix="spike4dgs-postgresql-"))
         if os.geteuid() == 0:  # which it refuses to run as
             shutil.chown(self.folder, "postgres", "postgres")
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         url = f"postgresql://postgres@127.0.0.1:{self.port}/spike4dgs"
         self.environment = {"SPIKE4DGS_DATABASE": url, "PGPASSWORD": _PASSWORD}
         secret = self.folder / "password"

@@ -1,7 +1,8 @@
 """Stands in for every stage: sleeps instead of computing, and keeps a trace that nothing is ever taken from.
 
 With BENCH_BURN=1 it keeps one core as busy as a training would. Run by path, without the packages, so that a campaign
-costs little: the trace holds `begin` and `end` of every attempt.
+costs little: the trace holds `begin` and `end` of every attempt. With BENCH_RECORDER=real it becomes the real recorder,
+which `captures.trace` in the data folder notes first, a line a process.
 """
 
 import json
@@ -16,6 +17,10 @@ from typing import Any
 def main() -> None:
     """`record ... --out REC` or `reconstruct REC --out RUN --stage NAME [--again N]`; SIGTERM ends it."""
     command, *arguments = sys.argv[1:]
+    if command in ("record", "finalise") and os.environ.get("BENCH_RECORDER") == "real":
+        _become_recorder(
+            command, Path(arguments[arguments.index("--out") + 1] if command == "record" else arguments[0])
+        )
     if command == "reconstruct":
         arguments = arguments[1:]
     flags = dict(zip(arguments[::2], arguments[1::2], strict=False))
@@ -28,6 +33,11 @@ def main() -> None:
         return
     out.mkdir(exist_ok=True)
     _stage(out, flags["--stage"], int(flags.get("--again", "0")))
+
+
+def _become_recorder(command: str, recording: Path) -> None:
+    _append(recording.parents[1] / "captures.trace", f"{command} {recording.name}")
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "server.cli", *sys.argv[1:]])
 
 
 def _stage(run: Path, stage: str, again: int) -> None:
@@ -79,8 +89,12 @@ def _document(run: Path, stage: str, again: int) -> dict[str, Any]:
 
 
 def _trace(run: Path, text: str) -> None:
+    _append(run.parent / "trace.txt", text)
+
+
+def _append(path: Path, text: str) -> None:
     line = f"{text} {os.getpid()}\n".encode()
-    descriptor = os.open(run.parent / "trace.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     os.write(descriptor, line)
     os.close(descriptor)
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from server.engine import stages_of
-from server.schemas.jobs import Artefact
+from server.schemas.jobs import Artefact, Job
 
 STAGES = stages_of("reconstruct")
 
@@ -39,6 +41,25 @@ def read_trace(job: Path) -> dict[str, int]:
         counts["repeated"] += stage in ended and int(left) > 0
         counts["reopened"] += int(left) == 0
     return counts | {"missing": len(set(STAGES) - set(finished))}
+
+
+def judge_jobs(
+    data: Path, accepted: Sequence[str], known: Mapping[str, Job], artefacts: Mapping[str, list[Artefact]]
+) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """Return a row for each accepted job, and the counts; `known` are the jobs that the service tells of."""
+    rows = []
+    for job_id in accepted:
+        folder = data / "jobs" / job_id
+        row = {"job": job_id, "status": known[job_id].status if job_id in known else "lost", **read_trace(folder)}
+        rows.append(row | {"torn": torn(folder, artefacts.get(job_id, []))})
+    return rows, {
+        "jobs": float(len(accepted)),
+        "lost": float(sum(row["status"] == "lost" for row in rows) + len(set(known) - set(accepted))),
+        "undone": float(sum(row["status"] != "done" or row["missing"] > 0 for row in rows)),
+        "repeated": float(sum(row["repeated"] for row in rows)),
+        "reopened": float(sum(row["reopened"] for row in rows)),
+        "torn": float(sum(len(row["torn"]) for row in rows)),
+    }
 
 
 def torn(job: Path, artefacts: list[Artefact]) -> list[str]:

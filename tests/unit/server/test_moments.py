@@ -10,7 +10,7 @@ from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.moments import Beginning
-from server.work.supervisor import StageError
+from server.work.supervisor import StageError, StoppedStageError
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_it_begins_once(beginning_of, late_s):
 
 def test_one_stopped_before_it_began_does_not_begin(beginning_of):
     beginning_of(0).control.stop.touch()
-    with pytest.raises(StageError, match="stopped before it began"):
+    with pytest.raises(StoppedStageError, match="stopped before it began"):
         beginning_of(0).is_now()
 
 
