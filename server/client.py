@@ -13,7 +13,7 @@ from server.calls.rigs import RigCalls
 from server.calls.transport import RefusedError
 from server.schemas.captures import Labels
 from server.schemas.job_types import BatchRequest, JobBase, PriorityRequest, RestartRequest
-from server.schemas.jobs import Artefact, Artefacts, Job, Jobs, Step, Steps
+from server.schemas.jobs import Artefact, Artefacts, CameraPictures, Job, Jobs, Step, Steps
 from server.schemas.system import Check, Info, WorkerInfo, Workers
 
 __all__ = ["RefusedError", "ServiceClient"]
@@ -106,6 +106,14 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
     def artefact(self, job_id: str, name: str) -> bytes:
         """Return one artefact."""
         return self._send("GET", f"/jobs/{job_id}/artefacts/{name}").content
+
+    def pictures(self, job_id: str) -> CameraPictures:
+        """Say which pictures of its cameras a finished reconstruction can be compared with."""
+        return self._get(f"/jobs/{job_id}/pictures", CameraPictures)
+
+    def picture(self, job_id: str, camera_id: str, plane: int) -> bytes:
+        """Return what a camera saw at a plane, as PNG: reconstructed from spikes, not the truth."""
+        return self._send("GET", f"/jobs/{job_id}/pictures/{camera_id}", params={"plane": plane}).content
 
     def archive(self, job_id: str) -> bytes:
         """Return all artefacts of an ended job as one zip."""

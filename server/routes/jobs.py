@@ -13,7 +13,7 @@ from server.routes import parameters
 from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, IfNoneMatch, TheServices, located, not_modified
 from server.schemas.captures import Labels
 from server.schemas.job_types import BatchRequest, JobRequest, PriorityRequest, RestartRequest
-from server.schemas.jobs import Artefacts, Job, Jobs, Order, Steps
+from server.schemas.jobs import Artefacts, CameraPictures, Job, Jobs, Order, Steps
 from server.schemas.progress import Status
 from server.store.entries import Filter
 from server.store.tables import StoredArtefact
@@ -137,6 +137,24 @@ def get_thumbnail(job_id: str, request: Request, services: TheServices, if_none_
     """Return a small picture of the reconstruction."""
     found = services.artefacts.find(job_id, services.artefacts.thumbnail(job_id))
     return _file(*found, request, if_none_match)
+
+
+@router.get("/jobs/{job_id}/pictures")
+def describe_pictures(job_id: str, services: TheServices) -> CameraPictures:
+    """Say which pictures of its cameras a finished reconstruction can be compared with, and how they are made."""
+    return services.pictures.of(job_id)
+
+
+@router.get("/jobs/{job_id}/pictures/{camera_id}", responses=parameters.PNG, response_class=Response)
+def get_picture(
+    job_id: str,
+    camera_id: str,
+    plane: Annotated[int, Query(ge=0)],
+    services: TheServices,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """Show what a camera saw at a plane as a PNG: reconstructed from spikes, not the truth; as bright as the render."""
+    return parameters.png(if_none_match, services.pictures.picture(job_id, camera_id, plane))
 
 
 @router.get("/jobs/{job_id}/archive", response_class=StreamingResponse, responses=_ZIP)

@@ -59,5 +59,19 @@ class Artefact(BaseModel):
     sha256: str
 
 
+class CameraPictures(BaseModel):
+    """Pictures that `cameras` of `capture` took, made of spikes by `method`: estimates, not the truth.
+
+    Each is of one of `planes` planes, `tick_rate_hz` a second; `white` (spikes per tick) is shown white, as in renders.
+    """
+
+    method: str
+    capture: str
+    cameras: list[str]
+    planes: int
+    tick_rate_hz: float
+    white: float
+
+
 class Artefacts(Items[Artefact]):
     """The files a job has made so far."""

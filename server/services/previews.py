@@ -62,7 +62,7 @@ class PreviewService:
 
     def figures(self, capture_id: str) -> CaptureFigures:
         """Return how sharp and how bright the cameras of a capture are."""
-        recording = self._recording(capture_id)
+        recording = self.recording(capture_id)
 
         def made() -> bytes:
             return CaptureFigures(capture=capture_id, cameras=figures(recording)).model_dump_json().encode()
@@ -71,7 +71,7 @@ class PreviewService:
 
     def manifest(self, capture_id: str) -> ManifestInfo:
         """Return what a capture holds and lacks."""
-        manifest = self._recording(capture_id).manifest
+        manifest = self.recording(capture_id).manifest
         shown = {
             "capture": capture_id,
             "cameras": [_described(camera) for camera in manifest.cameras],
@@ -79,8 +79,17 @@ class PreviewService:
         }
         return ManifestInfo.model_validate(vars(manifest) | shown)
 
+    def recording(self, capture_id: str) -> Recording:
+        """Return the recording of a capture, opened."""
+        entry = self._store.entries.get("capture", capture_id)
+        path = self._store.folder.recording(entry.id)
+        if not path.exists():
+            raise StateError(f"found {capture_id} {self._engine.status(entry)} without a recording", "it done")
+        with readable(capture_id, path):
+            return Recording.open(path)
+
     def _picture(self, capture_id: str, camera_id: str | None) -> Picture:
-        recording = self._recording(capture_id)
+        recording = self.recording(capture_id)
         if camera_id is not None and camera_id not in recording.camera_ids:
             known = ", ".join(recording.camera_ids)
             raise NotFoundError(f"found no camera {camera_id[:60]} in {capture_id}", f"one of {known}")
@@ -95,18 +104,10 @@ class PreviewService:
         kept = self._store.folder.entry(capture_id) / name
         with self._one_at_a_time:  # several requests for a new one make it once
             if not kept.exists():
-                with _readable(capture_id, recording):
+                with readable(capture_id, recording):
                     made = make()
                 write_durably(kept, made)
             return kept.read_bytes()
-
-    def _recording(self, capture_id: str) -> Recording:
-        entry = self._store.entries.get("capture", capture_id)
-        path = self._store.folder.recording(entry.id)
-        if not path.exists():
-            raise StateError(f"found {capture_id} {self._engine.status(entry)} without a recording", "it done")
-        with _readable(capture_id, path):
-            return Recording.open(path)
 
     def _verified(self, capture_id: str) -> Verified | None:
         jobs = self._store.entries.page(Filter("job", "verify", capture=capture_id), 1)
@@ -122,7 +123,7 @@ class PreviewService:
 
 
 @contextmanager
-def _readable(capture_id: str, path: Path) -> Iterator[None]:
+def readable(capture_id: str, path: Path) -> Iterator[None]:
     """Raise StateError where the recording at `path` cannot be read, without naming places of this host."""
     try:
         yield

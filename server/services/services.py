@@ -15,6 +15,7 @@ from server.services.imports import ImportService
 from server.services.jobs import JobService
 from server.services.looks import LookService
 from server.services.metrics import Metrics
+from server.services.pictures import PictureService
 from server.services.previews import PreviewService
 from server.services.queue import Queue
 from server.services.retention import Retention
@@ -51,6 +52,7 @@ class Services:
         self.uploads = UploadService(self.store, queue, space, settings.max_upload_bytes, settings.keep_free_bytes)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
+        self.pictures = PictureService(self.store, self.engine, self.artefacts, self.previews)
         self.looks = LookService(self.store, self.rigs)
         self.rig_jobs = RigJobService(self.store, self.engine, queue, self.rigs, self.jobs, self.looks)
         self.access = AccessService(self.store.tokens, settings)

@@ -50,8 +50,6 @@ def longest_unbroken(rates: NDArray[np.float32], planes: list[int]) -> NDArray[n
     A few spikes cannot tell their own rate, so a rung's deviation is no less than the longest window's rate makes it.
     Deviations come from a table over `LEVELS` rates: computing each pixel's would take most of the time.
     """
-    import cv2
-
     levels = np.linspace(0, 1, LEVELS, dtype=np.float32)
     longest = _level(rates[-1])
     low = np.full(rates.shape[1:], -np.inf, dtype=np.float32)
@@ -63,7 +61,14 @@ def longest_unbroken(rates: NDArray[np.float32], planes: list[int]) -> NDArray[n
         low, high = np.maximum(low, rate - reach), np.minimum(high, rate + reach)
         unbroken &= low <= high
         rung[unbroken] = number
-    return cv2.erode(rung, np.ones((3, 3), dtype=np.uint8)).astype(np.int64)
+    return _least_around(rung).astype(np.int64)
+
+
+def _least_around(rung: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the least of each 3x3 neighbourhood [H, W], cut at the edges: the service draws without OpenCV."""
+    padded = np.pad(rung, 1, constant_values=255)
+    rows = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+    return np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
 
 
 def _level(rate: NDArray[np.float32]) -> NDArray[np.int16]:
