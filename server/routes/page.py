@@ -25,8 +25,8 @@ _FILES = {  # address: (file, content security policy)
     "/page.css": ("page.css", _PLAIN),
     "/page.js": ("page.js", _PLAIN),
 }
-_OPERATOR = "act api calibrations captures curve dom jobs media options report results rigs"
-_VIEWER_SCRIPTS = "viewer scene motion splats picture view cameras controls vendor/spark"
+_OPERATOR = "act api calibrations captures curve dom jobs media naming options report results rigs"
+_VIEWER_SCRIPTS = "viewer scene motion splats picture view cameras compare controls sharing vendor/spark"
 _OPERATOR_FILES = [f"{name}.js" for name in _OPERATOR.split()]
 _VIEWER_FILES = ["viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS.split())]
 

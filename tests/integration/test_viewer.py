@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 import uvicorn
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from fastapi.responses import FileResponse
 from numpy.typing import NDArray
 
@@ -42,6 +42,13 @@ Arrays = dict[str, NDArray[np.float32]]
 STILL, MOVING, KEYS = 260, 40, 5
 CENTRE = (0.1, 0.0, 2.0)
 WIDE, TALL = 320, 200
+PLANES, TICK_RATE_HZ = 400, 20_000.0
+NAME = "fan & ball, <i>second</i> try"
+
+
+def grey_of(plane: int) -> int:
+    """The grey of the made-up picture at a plane."""
+    return 60 + plane // 4
 
 
 def camera_entry(name: str, x: float, y: float, held_out: bool = False) -> dict[str, Any]:
@@ -154,7 +161,7 @@ def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(jobs: Path) -> Iterator[str]:
-    """The page's own routes, guard and headers, with artefacts from a folder."""
+    """The page's own routes, guard and headers, with artefacts from a folder and pictures of one grey each."""
     app = FastAPI()
     app.include_router(page.router)
     problems.install(app)
@@ -165,6 +172,22 @@ def address(jobs: Path) -> Iterator[str]:
         if not (jobs / job / name).is_file():
             raise NotFoundError(f"found no artefact {name} of {job}, expected one")
         return FileResponse(jobs / job / name)
+
+    @app.get("/v1/jobs/{job}")
+    def described(job: str) -> dict[str, Any]:
+        return {"id": job, "type": "reconstruct", "name": NAME, "request": {"capture": "c1"}}
+
+    @app.get("/v1/jobs/{job}/pictures")
+    def pictures(job: str) -> dict[str, Any]:
+        if job == "keyframes":
+            raise NotFoundError("found no capture c1", "one that GET /v1/captures lists")
+        cameras = [camera["id"] for camera in CAMERAS]
+        return {"method": "adaptive", "cameras": cameras, "planes": PLANES, "tick_rate_hz": TICK_RATE_HZ, "white": 0.4}
+
+    @app.get("/v1/jobs/{job}/pictures/{camera}")
+    def picture(job: str, camera: str, plane: int) -> Response:
+        _done, data = cv2.imencode(".png", np.full((TALL, WIDE), grey_of(plane), np.uint8))
+        return Response(data.tobytes(), media_type="image/png")
 
     with socket.create_server(("127.0.0.1", 0)) as listener:
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="none", timeout_graceful_shutdown=1))
@@ -207,6 +230,7 @@ def open_page(browser: Any, address: str) -> Iterator[Callable[..., Any]]:
             "console", lambda message: faults.append(message.text) if message.type in ("error", "warning") else None
         )
         made.on("pageerror", lambda error: faults.append(str(error)))
+        made.context.grant_permissions(["clipboard-read", "clipboard-write"])
         made.goto(f"{address}/viewer.html{query}")
         return made
 
@@ -222,7 +246,17 @@ def settle(view: Any) -> None:
     view.wait_for_selector("#picture[data-settled=yes]")
 
 
+def until(view: Any, condition: str) -> None:
+    """Wait for a condition; the page's policy forbids Playwright's own way, which evaluates text in it."""
+    for _ in range(1500):
+        if view.evaluate(condition):
+            return
+        view.wait_for_timeout(20)
+    raise AssertionError(f"waited in vain for {condition}")
+
+
 def seek(view: Any, u: float) -> None:
+    settle(view)
     view.eval_on_selector("#time", "(range, u) => { range.value = u; range.dispatchEvent(new Event('input')); }", u)
     settle(view)
 
@@ -234,6 +268,13 @@ def pixels(view: Any) -> NDArray[np.uint8]:
     image = cv2.imdecode(np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     return np.asarray(image, np.uint8)
+
+
+def free(view: Any) -> None:
+    """Leave the camera's own view, with which the page begins."""
+    settle(view)
+    view.click("#reset")
+    settle(view)
 
 
 def through(view: Any, index: int) -> Camera:
@@ -344,10 +385,7 @@ def test_keys_turn_zoom_play_and_pause(open_page) -> None:
         seen.append(pixels(view))
         assert np.abs(seen[-1].astype(int) - seen[-2]).mean() > 0.5, key
     view.keyboard.press(" ")
-    for _ in range(1500):
-        if float(view.input_value("#time")) > 0.05:
-            break
-        view.wait_for_timeout(20)
+    until(view, "Number(document.getElementById('time').value) > 0.05")
     assert view.inner_text("#play") == "Pause"
     view.keyboard.press(" ")
     assert view.inner_text("#play") == "Play"
@@ -381,7 +419,7 @@ def test_the_mouse_turns_and_reset_turns_back(open_page) -> None:
 
 def test_cameras_are_named_and_the_held_out_one_is_marked(open_page) -> None:
     view = open_page()
-    settle(view)
+    free(view)
     names = view.eval_on_selector_all("#names span:not([hidden])", "spans => spans.map(span => span.textContent)")
     assert names == ["cam00", "cam01", "cam10 held\u00a0out", "cam11"]
     colours = view.eval_on_selector_all("#names span", "spans => spans.map(span => getComputedStyle(span).color)")
@@ -434,7 +472,7 @@ def test_a_missing_renderer_says_what_to_run(open_page, browser: Any, address: s
 
 def test_depth_colours_follow_a_view_that_stands_farther_away(open_page) -> None:
     view = open_page()
-    settle(view)
+    free(view)
     view.click("#depth")
     before, _, after, _ = view.inner_text("#legend").split()
     assert float(before) > 1.2  # the first view stands behind the rig
@@ -451,4 +489,253 @@ def test_a_token_goes_with_what_the_viewer_asks_for(open_page) -> None:
     view.on("request", lambda asked: sent.append(asked.headers.get("authorization")) if "/v1/" in asked.url else None)
     view.reload()
     settle(view)
-    assert sent == ["Bearer secret", "Bearer secret"]
+    until(view, f"document.title.startsWith({NAME!r})")
+    view.click("#compare")
+    view.wait_for_selector("#shot:not([hidden])")
+    assert len(sent) == 5
+    assert set(sent) == {"Bearer secret"}
+
+
+HELD_OUT = 2  # number of the held-out camera
+
+
+def test_it_opens_at_the_held_out_camera_with_the_jobs_name(open_page) -> None:
+    view = open_page()
+    opened = pixels(view)
+    until(view, "document.title.includes('spike4dgs') && document.title !== 'spike4dgs viewer'")
+    assert view.title() == f"{NAME} · spike4dgs"
+    assert view.inner_text("#job") == NAME
+    assert view.input_value("#from") == "cam10"
+    assert view.locator("#edge").is_visible()
+    through(view, 0)
+    camera = through(view, HELD_OUT)
+    np.testing.assert_array_equal(pixels(view), opened)
+    expected = grey(drawn(scene_arrays("polynomial"), 0.0, camera).intensity[..., 0].numpy(), 1.0)
+    assert np.abs(opened[..., 0].astype(int) - expected).mean() < 0.1
+
+
+def seen(view: Any) -> NDArray[np.uint8]:
+    """Photograph the stage [H, W, 3], in BGR, with what lies over the canvas."""
+    settle(view)
+    view.wait_for_timeout(100)
+    image = cv2.imdecode(np.frombuffer(view.locator("#stage").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image, np.uint8)
+
+
+def shown_plane(view: Any, plane: int) -> None:
+    view.wait_for_selector(f"#shot[data-plane='{plane}']:not([hidden])")
+
+
+def test_the_slider_wipes_between_render_and_picture(open_page) -> None:
+    view = open_page()
+    seek(view, 0.5)
+    view.click("#compare")
+    shown_plane(view, 200)
+    render = pixels(view)
+    words = view.inner_text("#compared")
+    assert "cam10's picture at 10.02 ms, reconstructed from spikes by adaptive, not the truth" in words
+    box = view.evaluate(
+        "(() => { const { x, y, width, height } = document.getElementById('edge').getBoundingClientRect();"
+        " const stage = document.getElementById('stage').getBoundingClientRect();"
+        " return [x - stage.x, y - stage.y, width, height].map(Math.round); })()"
+    )
+    left, top, width, height = box
+    view.evaluate("document.getElementById('edge').style.visibility = 'hidden'")
+    for share in (0.5, 0.25, 1.0, 0.0):
+        view.eval_on_selector(
+            "#wipe", "(range, v) => { range.value = v; range.dispatchEvent(new Event('input')); }", 100 * share
+        )
+        both, at = seen(view), left + round(share * width)
+        inside = both[top + 8 : top + height - 8]
+        assert (inside[:, left + 4 : max(at - 4, left + 4)] == grey_of(200)).all(), share
+        np.testing.assert_array_equal(inside[:, at + 4 :], render[top + 8 : top + height - 8, at + 4 :])
+    seek(view, 1.0)
+    shown_plane(view, PLANES - 1)
+    view.select_option("#from", "cam11")
+    until(view, "document.getElementById('compared').textContent.includes('cam11')")
+    view.click("#reset")
+    view.wait_for_selector("#shot", state="hidden")
+    assert view.is_disabled("#compare")
+    assert view.inner_text("#compared") == "Choose a camera under View to compare with its picture."
+    view.select_option("#from", "cam10")
+    view.wait_for_selector("#shot:not([hidden])")  # the comparison stays on
+
+
+def test_a_playing_clip_asks_for_few_pictures(open_page) -> None:
+    view, asked = open_page(), []
+    settle(view)
+    view.on("request", lambda request: asked.append(request.url) if "/pictures/" in request.url else None)
+    view.click("#compare")
+    view.keyboard.press("Tab")
+    view.keyboard.press("Space")  # on the slider it plays
+    until(view, "Number(document.getElementById('time').value) > 0.3")
+    view.click("#play")
+    settle(view)
+    plane = int(float(view.input_value("#time")) * PLANES + 1e-6)
+    shown_plane(view, plane)
+    planes = [int(url.rpartition("=")[2]) for url in asked]
+    assert len(planes) == len(set(planes))
+    assert all(number % 8 == 0 for number in planes[:-1])
+    assert planes[-1] == plane or plane % 8 == 0
+
+
+def test_a_scene_without_pictures_says_so(open_page) -> None:
+    view = open_page("?job=keyframes")
+    settle(view)
+    view.click("#compare")
+    until(view, "document.getElementById('compared').textContent !== ''")
+    assert view.inner_text("#compared").startswith("No picture to compare with: found no capture c1, expected one")
+    assert not view.locator("#shot").is_visible()
+    open_page.faults[:] = [fault for fault in open_page.faults if "404" not in fault]
+
+
+def saved(view: Any) -> tuple[str, NDArray[np.uint8]]:
+    """Save the picture; gives its name and pixels, in BGR."""
+    with view.expect_download() as download:
+        view.click("#save")
+    image = cv2.imread(str(download.value.path()), cv2.IMREAD_COLOR)
+    assert image is not None
+    return download.value.suggested_filename, np.asarray(image, np.uint8)
+
+
+def test_the_picture_is_saved_as_it_is_shown(open_page) -> None:
+    view = open_page()
+    until(view, "document.title.includes('try')")
+    seek(view, 0.5)
+    name, picture = saved(view)
+    assert name == "fan_ball_i_second_i_try-cam10-10.00ms.png"
+    assert view.inner_text("#told") == f"{name} is saved."
+    np.testing.assert_array_equal(picture, pixels(view))
+    view.click("#compare")
+    shown_plane(view, 200)
+    name, both = saved(view)
+    assert name.endswith("cam10-10.00ms-compared.png")
+    middle = both.shape[1] // 2
+    np.testing.assert_array_equal(both[:, middle + 3 :], pixels(view)[:, middle + 3 :])
+    assert (both[both.shape[0] // 2, middle - 100 : middle - 4] == grey_of(200)).all()
+    view.click("#depth")
+    view.click("#reset")
+    settle(view)
+    name, free_one = saved(view)
+    assert name.endswith("-free-10.00ms-depth.png")
+    np.testing.assert_array_equal(free_one, pixels(view))
+
+
+def linked(view: Any) -> str:
+    """Press the button; gives the link, which is in the clipboard, the field and the address."""
+    view.click("#share")
+    until(view, "document.getElementById('told').textContent === 'The link is copied.'")
+    link = view.input_value("#link")
+    assert view.evaluate("navigator.clipboard.readText()") == link == view.url
+    return link
+
+
+def test_a_link_restores_a_free_view(open_page) -> None:
+    view = open_page()
+    free(view)
+    view.focus("#picture")
+    for key in ("ArrowLeft", "ArrowUp", "+", "Shift+ArrowDown"):
+        view.keyboard.press(key)
+    seek(view, 0.37)
+    view.select_option("#speed", "0.25")
+    view.click("#depth")
+    view.click("#cameras")
+    shown, link = pixels(view), linked(view)
+    other = open_page(f"?job=polynomial#{link.partition('#')[2]}")
+    np.testing.assert_array_equal(pixels(other), shown)
+    assert other.input_value("#speed") == "0.25"
+    assert [other.get_attribute(f"#{name}", "aria-pressed") for name in ("depth", "cameras")] == ["true", "false"]
+    assert other.inner_text("#instant") == view.inner_text("#instant")
+    assert linked(other) == link
+    other.focus("#picture")  # and both go on from there alike
+    view.focus("#picture")
+    for one in (view, other):
+        one.keyboard.press("ArrowRight")
+    np.testing.assert_array_equal(pixels(other), pixels(view))
+
+
+def test_a_link_restores_a_comparison(open_page) -> None:
+    view = open_page()
+    through(view, 1)
+    seek(view, 1.0)
+    view.click("#compare")
+    shown_plane(view, PLANES - 1)
+    view.focus("#wipe")
+    for _ in range(10):
+        view.keyboard.press("ArrowRight")
+    shown, link = seen(view), linked(view)
+    other = open_page(f"?job=polynomial#{link.partition('#')[2]}")
+    shown_plane(other, PLANES - 1)
+    assert other.input_value("#wipe") == "60"
+    assert other.input_value("#from") == "cam01"
+    view.evaluate("document.getElementById('shared').hidden = true")  # it makes the picture lower
+    view.evaluate("document.getElementById('told').textContent = ''")
+    np.testing.assert_array_equal(seen(other), seen(view))
+    assert shown.shape[1] == 900
+    other.evaluate("location.hash = 'camera=cam00'")
+    until(other, "document.getElementById('from').value === 'cam00'")
+
+
+@pytest.mark.parametrize(
+    ("fragment", "words"),
+    [
+        ("camera=cam99", "camera: found cam99, expected one of cam00, cam01, cam10, cam11"),
+        ("camera=cam00&instant_s=7", "instant_s: found 7, expected a number from 0 to 0.02"),
+        ("instant_s=", "instant_s: found , expected a number"),
+        ("pose=1,2,3&lens=cam00", "pose: found 1,2,3, expected 10 numbers"),
+        ("pose=0,0,0,0,0,0,3,0,0,1&lens=cam00", "a rotation"),
+        ("pose=0,0,1,0,0,0,1,0,0,1&lens=cam00", "a target away from the centre"),
+        ("pose=0,0,0,0,0,0,1,0,0,1", "expected a camera, or pose and lens"),
+        ("depth=yes", "depth: found yes, expected on or off"),
+        ("depth=constructor", "depth: found constructor, expected on or off"),
+        ("speed=9", "speed: found 9, expected one of 1, 0.5"),
+        ("<img src=x onerror=alert(1)>", "link: found <img src, expected one of camera"),
+        ("%E0%A4%A", "link: found"),
+    ],
+)
+def test_a_bad_link_is_said_in_one_line_and_ignored(open_page, fragment: str, words: str) -> None:
+    view = open_page(f"?job=polynomial#{fragment}")
+    settle(view)
+    told = view.inner_text("#told")
+    assert told.startswith("The link's view is not shown. ")
+    assert words in told
+    assert view.locator("#told *").count() == 0
+    assert (view.input_value("#from"), view.input_value("#time")) == ("cam10", "0")
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_the_new_parts_are_used_by_keyboard_alone(open_page, width: int) -> None:
+    view = open_page(width=width, height=800)
+    until(view, "document.title.includes('try')")
+    settle(view)
+
+    def tab_to(wanted: str) -> None:
+        for _ in range(20):
+            if view.evaluate("document.activeElement.id") == wanted:
+                outline = view.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+                assert outline != "none", wanted
+                return
+            view.keyboard.press("Tab")
+        raise AssertionError(f"Tab never came to {wanted}")
+
+    tab_to("compare")
+    view.keyboard.press("Enter")
+    shown_plane(view, 0)
+    view.keyboard.press("Tab")
+    tab_to("wipe")
+    view.keyboard.press("End")
+    settle(view)
+    assert view.get_attribute("#wipe", "aria-valuetext") == "100 % picture, the rest render"
+    assert view.evaluate("document.documentElement.scrollWidth") == width
+    view.focus("#time")
+    tab_to("save")
+    with view.expect_download() as download:
+        view.keyboard.press("Enter")
+    assert download.value.suggested_filename.endswith("-compared.png")
+    tab_to("share")
+    view.keyboard.press("Space")
+    until(view, "document.getElementById('told').textContent === 'The link is copied.'")
+    tab_to("link")
+    assert "camera=cam10" in view.input_value("#link")
+    assert view.evaluate("document.documentElement.scrollWidth") == width

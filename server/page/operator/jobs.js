@@ -4,9 +4,9 @@ import { actions, asking, button, link, patiently, removal } from './act.js';
 import { curve } from './curve.js';
 import { bar, byId, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
 import { artefact, download, picture, video } from './media.js';
+import { WORDS, heading } from './naming.js';
 import { ended, of } from './results.js';
 
-const WORDS = { reconstruct: 'Reconstruction', images: 'Images', calibrate: 'Calibration', 'check-rig': 'Rig check', verify: 'Verification', evaluate: 'Evaluation', export: 'Export', preflight: 'Preflight', import: 'Import' };
 const SCORES = [['psnr_db', 'PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
 const MOST_LINKS = 3;
 
@@ -154,16 +154,10 @@ function about(item, context) {
   return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
 }
 
-function heading(item, context) {
-  const word = WORDS[item.type] ?? item.type;
-  const { job, capture } = item.request;
-  return item.name ?? (job || capture ? `${word} of ${context.nameOf(job ?? capture)}` : word);
-}
-
 export function job(item, context) {
   const thumbnail = of(item.id).artefacts.find((one) => /^thumbnails\/.*\.(png|jpg)$/.test(one.name));
   return card(`job-${item.id}`,
-    title(heading(item, context), item.status),
+    title(heading(item, context.nameOf), item.status),
     quiet(about(item, context)),
     item.error && failure(item.error),
     stages(item, context),

@@ -1,12 +1,13 @@
 // A job's report, in a frame that runs nothing and reaches nothing: another program may have written it.
-import { get, request } from './api.js';
+import { request } from './api.js';
 import { byId } from './dom.js';
 import { artefact, download } from './media.js';
+import { headingOf } from './naming.js';
 
 const job = new URLSearchParams(location.search).get('job') ?? '';
 
 async function show() {
-  get(`/jobs/${encodeURIComponent(job)}`).then(({ name }) => { byId('job').textContent = `Report of ${name ?? job}`; }, () => {});
+  headingOf(job).then((name) => { document.title = byId('job').textContent = `Report of ${name}`; });
   const path = artefact(encodeURIComponent(job), 'report.html');
   try {
     byId('report').srcdoc = await (await request(path)).text();

@@ -1,7 +1,9 @@
 // The viewer's page, /viewer.html?job=ID: loads the scene of a job and plays it.
 import { byId } from '../operator/dom.js';
+import { headingOf } from '../operator/naming.js';
 import { SceneError, loadScene } from './scene.js';
 
+const SAID_MS = 8000;
 const PASS_S = 4; // seconds that a clip lasts on the screen at speed 1
 
 function say(text, failed = false) {
@@ -13,11 +15,16 @@ class Clock {
   constructor([first, last], changed) {
     this.lasts_ms = (last - first) * 1000;
     this.changed = changed;
+    this.clip = [first, last];
     this.u = 0;
     this.speed = 1;
     this.running = false;
     this.tell();
   }
+
+  get instant_s() { return Math.min(this.clip[0] + this.u * (this.clip[1] - this.clip[0]), this.clip[1]); }
+
+  set instant_s(value) { this.seek((value - this.clip[0]) / Math.max(this.clip[1] - this.clip[0], Number.MIN_VALUE)); }
 
   get factor() { return PASS_S * 1000 / this.speed / this.lasts_ms; }
 
@@ -52,9 +59,12 @@ class Clock {
 }
 
 class Player {
-  constructor(scene, parts) {
+  constructor(job, scene, parts) {
     const canvas = byId('picture');
-    this.view = new parts.View(scene.manifest.cameras, scene.manifest.centre);
+    const { cameras } = scene.manifest;
+    this.view = new parts.View(cameras, scene.manifest.centre);
+    this.view.enter(cameras.find((camera) => camera.held_out) ?? cameras[0]);
+    this.compare = new parts.Compare(job, scene.manifest.clip_s, () => this.request());
     this.cameras = new parts.Cameras(scene.manifest, byId('names'), byId('edge'));
     this.splats = parts.makeSplats(scene);
     this.picture = new parts.Picture(canvas, this.splats.mesh, this.cameras.scene, scene.manifest, () => this.request());
@@ -64,7 +74,7 @@ class Player {
     this.frames = 0;
     new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe(byId('stage'));
     this.size = this.picture.resize();
-    parts.steer(canvas, this.view, () => this.size, () => { byId('from').value = ''; this.request(); });
+    parts.steer(canvas, this.view, () => this.size, () => this.request());
     canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone; reload the page', true));
   }
 
@@ -85,6 +95,8 @@ class Player {
     byId('far').textContent = `${far.toPrecision(3)} m`;
     this.picture.depths = [near, far];
     this.picture.draw(this.view, this.size);
+    this.compare.place(this.view, this.size, this.clock.u, this.clock.running);
+    byId('from').value = this.view.camera?.id ?? '';
     this.frames += 1;
     byId('picture').dataset.frames = this.frames;
     if (this.clock.running) this.request();
@@ -118,23 +130,81 @@ function connect(player, manifest, colours) {
     else view.reset();
     player.request();
   };
-  byId('reset').onclick = () => { byId('from').value = ''; view.reset(); player.request(); };
+  byId('reset').onclick = () => { view.reset(); player.request(); };
   toggle('cameras', (on) => { cameras.shown = on; player.request(); });
   toggle('depth', (on) => { picture.showDepth = on; byId('legend').hidden = !on; player.request(); });
+  toggle('compare', (on) => player.compare.want(on));
+  byId('wipe').oninput = () => player.request();
   byId('scale').style.background = `linear-gradient(to left, ${colours.join(', ')})`;
   document.addEventListener('keydown', (event) => {
-    const own = event.target.closest?.('button, select, a');
+    const own = event.target.closest?.('button, select, a, [readonly]');
     if (event.key !== ' ' || own || byId('play').disabled) return;
     event.preventDefault();
     clock.toggle();
   });
 }
 
+const isOn = (id) => byId(id).ariaPressed === 'true';
+
+/** Say a line over the picture: what was done goes after a while, a fault stays until the next line. */
+function tell(text, stays = false) {
+  byId('told').textContent = text;
+  clearTimeout(tell.gone);
+  if (!stays) tell.gone = setTimeout(() => { byId('told').textContent = ''; }, SAID_MS);
+}
+
+const press = (id, on) => { if (on !== undefined && isOn(id) !== on) byId(id).click(); };
+
+/** Show the view that the address tells, if it tells one. */
+function openLinked(player, manifest, parts) {
+  const text = location.hash.slice(1);
+  if (!text) return;
+  const { clock, compare, view } = player;
+  try {
+    const speeds = [...byId('speed').options].map((option) => option.value);
+    const state = parts.stateOf(text, manifest, speeds);
+    if (state.camera || state.pose) parts.restore(view, state);
+    for (const id of ['depth', 'cameras']) press(id, state[id]);
+    if (state.speed) { byId('speed').value = state.speed; byId('speed').onchange(); }
+    if (state.instant_s !== undefined) clock.instant_s = state.instant_s;
+    if (state.compare !== undefined) { compare.share = state.compare; compare.want(true); }
+    tell('');
+    player.request();
+  } catch (error) {
+    if (!(error instanceof parts.LinkError)) throw error;
+    tell(`The link's view is not shown. ${error.message}`, true);
+  }
+}
+
+/** Let a person save the picture and link to the view. */
+function share(player, manifest, parts) {
+  const { clock, compare, picture, view } = player;
+  byId('share').onclick = async () => {
+    const state = { ...parts.placeOf(view), instant_s: clock.instant_s, speed: byId('speed').value, depth: isOn('depth'), cameras: isOn('cameras'), compare: compare.wanted ? compare.share : null };
+    history.replaceState(null, '', `#${parts.fragment(state)}`);
+    byId('link').value = location.href;
+    byId('shared').hidden = false;
+    const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
+    if (!copied) byId('link').select();
+    tell(copied ? 'The link is copied.' : 'This browser copies nothing for pages; copy the link from its field.', !copied);
+  };
+  byId('save').onclick = async () => {
+    picture.draw(view, player.size); // a canvas forgets what it shows once it is shown
+    const made = parts.composed(byId('picture'), view, player.size, compare);
+    const shown = [isOn('depth') && 'depth', compare.visible && 'compared'].filter(Boolean);
+    const name = parts.fileName(byId('job').textContent, view.camera, clock.u * clock.lasts_ms, shown);
+    await parts.save(made, name);
+    tell(`${name} is saved.`);
+  };
+  window.onhashchange = () => openLinked(player, manifest, parts);
+  openLinked(player, manifest, parts);
+}
+
 async function loadParts() {
   await import('./vendor/spark.js').catch((error) => {
     throw new SceneError(`found no renderer (${error.message}); run "make viewer" and reload this page`);
   });
-  const modules = ['view', 'cameras', 'splats', 'picture', 'controls'].map((name) => import(`./${name}.js`));
+  const modules = ['view', 'cameras', 'splats', 'picture', 'compare', 'controls', 'sharing'].map((name) => import(`./${name}.js`));
   return Object.assign({}, ...await Promise.all(modules));
 }
 
@@ -142,15 +212,17 @@ async function start() {
   const job = new URLSearchParams(location.search).get('job');
   if (!job) throw new SceneError('found no job in the address, expected ?job=ID; open the viewer from a job on the first page');
   byId('job').textContent = job;
+  headingOf(job).then((name) => { byId('job').textContent = name; document.title = `${name} · spike4dgs`; });
   const parts = await loadParts();
   const lack = parts.lacking();
   if (lack) throw new SceneError(lack);
   say('Loading');
   const scene = await loadScene(job, (got, all) => say(`Loading ${(got / 1e6).toFixed(1)} of ${(all / 1e6).toFixed(1)} MB`));
   fillForm(scene.manifest, parts.nameOf);
-  const player = new Player(scene, parts);
+  const player = new Player(job, scene, parts);
   connect(player, scene.manifest, parts.DEPTH_COLOURS);
   byId('controls').disabled = false;
+  share(player, scene.manifest, parts);
   say('');
   player.request();
 }
