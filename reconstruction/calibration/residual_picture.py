@@ -67,7 +67,7 @@ def _draw_vectors(axes: Axes, camera: Camera, rows: Floats, times: float) -> Non
         x, y, times * dx, times * dy, angles="xy", scale_units="xy", scale=1, color=COLOUR, width=0.004, headwidth=3
     )
     axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal")
-    axes.tick_params(labelsize=6)
+    axes.tick_params(labelsize=8)
     axes.set_title(f"{camera.id}: {_rms(rows):.4f} px, {len(rows)} points", fontsize=8)
 
 
@@ -77,9 +77,9 @@ def _draw_spread(axes: Axes, ids: list[str], residuals: list[Floats]) -> None:
     axes.boxplot(lengths, tick_labels=ids, whis=(5, 95), showfliers=False)
     axes.plot(range(1, len(ids) + 1), [_rms(rows) for rows in residuals], "o", color=COLOUR, label="root mean square")
     axes.set(ylabel="residual / px", ylim=(0, None))
-    axes.tick_params(labelsize=7)
+    axes.tick_params(labelsize=8)
     axes.grid(True, axis="y", alpha=0.3)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=8)
 
 
 def _draw_scatter(axes: Axes, apart: Floats, usual: float) -> None:
@@ -88,7 +88,7 @@ def _draw_scatter(axes: Axes, apart: Floats, usual: float) -> None:
     limit = 2 * max(usual, 1e-9)
     labels = {"xlabel": "dx / px, all cameras", "ylabel": "dy / px"}
     axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", **labels)
-    axes.tick_params(labelsize=7)
+    axes.tick_params(labelsize=8)
     axes.grid(True, alpha=0.3)
 
 

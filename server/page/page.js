@@ -2,13 +2,15 @@
 import { complain, onChange } from './operator/act.js';
 import { follow, get, learnRole, looksOn, post, request, setToken, token, wait } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
+import { isFocusing } from './operator/cameras.js';
 import { capture } from './operator/captures.js';
 import { byId, element, keepingFocus, patchChildren } from './operator/dom.js';
 import { job } from './operator/jobs.js';
+import { refreshLarge } from './operator/large.js';
 import * as results from './operator/results.js';
 import { rig } from './operator/rigs.js';
 
-const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, TAIL_MS = 1000;
+const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, FOCUS_MS = 200, TAIL_MS = 1000;
 const PAGE = { captures: 20, jobs: 30 };
 
 const limits = { ...PAGE }, tailing = new Set(), watched = new Set();
@@ -46,6 +48,7 @@ function drawNow() {
   list('jobs', context.jobs.filter((item) => item.type !== 'look'), job, byId('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
   older('captures');
   older('jobs');
+  refreshLarge();
   for (const log of document.querySelectorAll('details[open] > pre[id^=log-text]')) {
     if (log.dataset.length !== String(log.textContent.length)) log.scrollTop = log.scrollHeight;
     log.dataset.length = log.textContent.length;
@@ -136,7 +139,7 @@ async function watch(id, wanted) {
   while (watched.has(id)) {
     const free = context.rigs.get(id)?.busy === null && !document.hidden;
     if (free) await look(id).catch((error) => complain(error.message));
-    await wait(LOOK_MS);
+    await wait(isFocusing(id) ? FOCUS_MS : LOOK_MS);
   }
 }
 

@@ -23,9 +23,12 @@ _FILES = {  # address: (file, content security policy)
     "/report.html": ("report.html", _REPORT),
     "/viewer.html": ("viewer/viewer.html", _VIEWER),
     "/page.css": ("page.css", _PLAIN),
+    "/large.css": ("large.css", _PLAIN),
     "/page.js": ("page.js", _PLAIN),
 }
-_OPERATOR = "act api calibrations captures curve dom jobs media naming options report results rigs"
+_OPERATOR = (
+    "act api calibrations cameras captures curve dom jobs large light media naming options report results rigs zoom"
+)
 _VIEWER_SCRIPTS = "viewer scene motion splats picture view cameras compare controls sharing vendor/spark"
 _OPERATOR_FILES = [f"{name}.js" for name in _OPERATOR.split()]
 _VIEWER_FILES = ["viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS.split())]

@@ -2,7 +2,8 @@
 import { get, post, request } from './api.js';
 import { actions, button, jobDialog, opener, performed } from './act.js';
 import { ago, element, fold, quiet } from './dom.js';
-import { picture } from './media.js';
+import { enlarging } from './media.js';
+import { openPictures } from './zoom.js';
 
 const figure = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)} ${unit}` : null);
 
@@ -54,12 +55,17 @@ export async function learnCalibration(rig) {
   return { current, items };
 }
 
+function residuals(item, version) {
+  const path = `/v1/rigs/${item.id}/calibrations/${version}/picture`, label = `Residuals of calibration ${version}`;
+  return enlarging(path, label, 'preview', () => openPictures(label, [{ path, label }]));
+}
+
 export function calibration(item, context) {
   const known = context.calibrations.get(item.id);
   if (!known) return element('div', {}, quiet(`Poses: ${item.poses}`), calibrate(item, context));
   const { current } = known;
   const content = element('div', {},
-    current.picture && picture(`/v1/rigs/${item.id}/calibrations/${current.version}/picture`, `Residuals of calibration ${current.version}`, 'preview'),
+    current.picture && residuals(item, current.version),
     versions(item, context, current),
     calibrate(item, context));
   return [quiet(`Calibration: ${inWords(current)}`), fold(`calibrations-${item.id}`, 'Calibrations', content)];

@@ -2,8 +2,9 @@
 import { post } from './api.js';
 import { actions, asking, button, removal } from './act.js';
 import { calibrating } from './calibrations.js';
+import { openCapture } from './cameras.js';
 import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
-import { picture } from './media.js';
+import { enlarging } from './media.js';
 import { ended } from './results.js';
 
 function length(item, context) {
@@ -72,7 +73,7 @@ export function capture(item, context) {
   return card(`capture-${item.id}`,
     title(item.name ?? item.id, item.status, item.status === 'running' && item.type === 'record' ? 'recording' : item.status),
     quiet([when(item.created), item.rig, length(item, context), item.name && item.id].filter(Boolean).join(' · ')),
-    item.status === 'done' && picture(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview'),
+    item.status === 'done' && enlarging(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview', () => openCapture(item)),
     state(item, context),
     item.error && failure(item.error),
     running(item),

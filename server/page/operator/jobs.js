@@ -3,9 +3,10 @@ import { post, send } from './api.js';
 import { actions, asking, button, link, patiently, removal } from './act.js';
 import { curve } from './curve.js';
 import { bar, byId, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
-import { artefact, download, picture, video } from './media.js';
+import { artefact, download, enlarging, video } from './media.js';
 import { WORDS, heading } from './naming.js';
 import { ended, of } from './results.js';
+import { openPictures } from './zoom.js';
 
 const SCORES = [['psnr_db', 'PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
 const MOST_LINKS = 3;
@@ -154,15 +155,23 @@ function about(item, context) {
   return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
 }
 
+// The first thumbnail of a job, which opens all its pictures large.
+function thumbnail(item) {
+  const named = (pattern) => of(item.id).artefacts.map((one) => one.name).filter((name) => pattern.test(name));
+  const [first] = named(/^thumbnails\/.*\.(png|jpg)$/);
+  if (!first) return null;
+  const all = [first, ...named(/\.(png|jpg)$/).filter((name) => name !== first)];
+  return enlarging(artefact(item.id, first), `What ${item.id} made`, '', () => openPictures(item.name ?? item.id, all.map((name) => ({ path: artefact(item.id, name), label: name }))));
+}
+
 export function job(item, context) {
-  const thumbnail = of(item.id).artefacts.find((one) => /^thumbnails\/.*\.(png|jpg)$/.test(one.name));
   return card(`job-${item.id}`,
     title(heading(item, context.nameOf), item.status),
     quiet(about(item, context)),
     item.error && failure(item.error),
     stages(item, context),
     progress(item),
-    element('div', { className: 'outcome' }, thumbnail && picture(artefact(item.id, thumbnail.name), `What ${item.id} made`), curveOf(item)),
+    element('div', { className: 'outcome' }, thumbnail(item), curveOf(item)),
     warnings(item),
     scores(item),
     verdict(item),

@@ -2,11 +2,30 @@
 import { address, token } from './api.js';
 import { element } from './dom.js';
 
+// Name the source of a picture or video. With a token it comes later, and goes to the element that shows it by then.
 function sourced(made, path) {
   made.dataset.source = path;
-  if (token()) address(path).then((url) => { if (made.isConnected || !made.src) made.src = url; }, () => { made.hidden = true; });
+  if (token()) address(path).then((url) => { for (const one of [made, ...document.querySelectorAll(`[data-source="${CSS.escape(path)}"]`)]) one.src ||= url; }, () => { made.hidden = true; });
   else made.src = path;
   return made;
+}
+
+// Give a picture on the page another source; the old one is seen until the new one is there.
+export async function setSource(image, path) {
+  if (image.dataset.path === path) return;
+  image.dataset.path = path;
+  const url = token() ? await address(path) : path;
+  if (image.dataset.path === path) image.src = url;
+}
+
+// A picture that opens large; in another tab, as a link does.
+export function enlarging(path, alt, className, open) {
+  const onclick = (event) => {
+    if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    open();
+  };
+  return element('a', { href: path, className: 'open-large', title: 'Open large', onclick }, picture(path, alt, className));
 }
 
 export const picture = (path, alt, className = '') => sourced(

@@ -3,7 +3,8 @@ import { looksOn, post } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
 import { ago, bar, byId, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
-import { picture } from './media.js';
+import { openLook } from './cameras.js';
+import { enlarging } from './media.js';
 
 const LEAST_S = 10; // seconds of recording that should fit on the disk
 const SENSITIVITY = [['threshold', 'Threshold (‰ of nominal)'], ['exposure', 'Exposure (‰ of a tick)']]; // kept in the cameras
@@ -62,10 +63,10 @@ function work(doing, item) {
     doing.type === 'record' && actions(button('Stop', `stop-rig-${item.id}`, stop, { plain: false, done: 'The recording ends' })));
 }
 
-function look(item, status) {
+function look(item, status, context) {
   if (!status.look) return element('div', { className: 'view empty' }, quiet('Look shows what each camera sees.'));
   const path = `/v1/rigs/${item.id}/look.png?of=${encodeURIComponent(status.look.etag)}`;
-  return element('figure', { className: 'view' }, picture(path, `What the ${item.cameras.length} cameras of ${item.name} see`),
+  return element('figure', { className: 'view' }, enlarging(path, `What the ${item.cameras.length} cameras of ${item.name} see`, '', () => openLook(item, context)),
     element('figcaption', { className: 'quiet' }, `Seen ${ago(status.look.age_s)}`));
 }
 
@@ -128,7 +129,7 @@ export function rig(item, context) {
   return card(`rig-${item.id}`,
     title(item.name, item.busy ? 'recording' : 'idle', item.busy ? DOING[doing?.type] ?? 'busy' : 'idle'),
     quiet(`${item.cameras.length} cameras, ${item.tick_rate_hz / 1000} kHz, ${item.devices}`),
-    look(item, status),
+    look(item, status, context),
     work(doing, item),
     actions(
       button('Look', `look-${item.id}`, () => context.look(item.id), { disabled: item.busy !== null }),
