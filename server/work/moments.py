@@ -1,5 +1,6 @@
 """Records captures: each is a moment, begun once, and no recording of a later one replaces it."""
 
+import signal
 from datetime import datetime
 from pathlib import Path
 
@@ -81,9 +82,9 @@ class Moments:
         except StoppedStageError as stopped:
             self._say(entry, stage, stopped.found)
             raise
-        except KilledError:
+        except KilledError as killed:
             if not left_planes(recording):
-                raise
+                raise self._nothing_kept(entry, stage, killed, beginning.control) from killed
         except StageError:
             if not recording.exists():  # else it was kept, and says itself what it lacks
                 raise
@@ -109,6 +110,18 @@ class Moments:
         except StageError as error:
             if left_planes(recording):  # it can be tried again
                 raise
-            missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
-            Reporter(self._store, entry.id, stage).close(missed)
-            raise missed from error
+            raise self._missed(entry, stage) from error
+
+    def _nothing_kept(self, entry: Entry, stage: str, killed: KilledError, control: Control) -> StageError:
+        """Return the end of a recorder that was killed before it kept planes: by an order to stop, or by accident."""
+        if killed.number != signal.SIGTERM or not control.stop.exists():
+            return self._missed(entry, stage)
+        self._say(
+            entry, stage, NEVER_BEGUN
+        )  # the order came so long before its first report that it was not waited for
+        return StoppedStageError(NEVER_BEGUN)
+
+    def _missed(self, entry: Entry, stage: str) -> StageError:
+        missed = StageError("found it cut off before its first planes were kept", "a recording", MISSED)
+        Reporter(self._store, entry.id, stage).close(missed)
+        return missed

@@ -38,7 +38,11 @@ class BadInputError(StageError):
 
 
 class KilledError(StageError):
-    """A stage's process was killed by a signal before it could end in order."""
+    """A stage's process was killed by the signal `number` before it could end in order."""
+
+    def __init__(self, found: str, number: int) -> None:
+        super().__init__(found)
+        self.number = number
 
 
 class StoppedStageError(StageError):
@@ -108,10 +112,17 @@ async def supervise(
             raise relay.fault
         code = transport.get_returncode() or 0
         if code != 0 and not (code == 1 and answers and stdout and stdout.stat().st_size):
-            kind = KilledError if code < 0 else BadInputError if code == _REFUSED else StageError
-            raise relay.error or kind(relay.last or f"the stage ended with {named_end(code)} and no message")
+            raise relay.error or _bad_end(code, relay.last)
         if finished is not None:
             finished.touch()
+
+
+def _bad_end(code: int, last_line: str) -> StageError:
+    """Return the error of a process that ended with `code` and reported none."""
+    text = last_line or f"the stage ended with {named_end(code)} and no message"
+    if code < 0:
+        return KilledError(text, -code)
+    return BadInputError(text) if code == _REFUSED else StageError(text)
 
 
 async def _tell(transport: asyncio.SubprocessTransport, relay: _Relay, control: Control) -> None:

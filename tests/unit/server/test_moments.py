@@ -1,5 +1,6 @@
 """Tests when a capture may begin."""
 
+import asyncio
 import signal
 from datetime import UTC, datetime, timedelta
 
@@ -9,8 +10,8 @@ from server.cli.operator import operator_control
 from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.tables import Entry
-from server.work.moments import Beginning
-from server.work.supervisor import StageError, StoppedStageError
+from server.work.moments import Beginning, Moments
+from server.work.supervisor import KilledError, StageError, StoppedStageError
 
 
 @pytest.fixture
@@ -47,6 +48,38 @@ def test_one_that_nobody_took_up_is_missed(beginning_of):
 def test_one_that_a_worker_of_old_has_begun_does_not_begin_again(beginning_of, tmp_path):
     (tmp_path / "captures" / "c1.partial").mkdir(parents=True)
     assert not beginning_of(100).is_now()
+
+
+class Killed:
+    """Processes of which each is killed by the signal `number`, before it has kept anything."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    async def run(self, *arguments: object, **options: object) -> None:
+        raise KilledError("the stage ended", self.number)
+
+
+@pytest.mark.parametrize(
+    ("number", "stopped", "kind", "text"),
+    [
+        (signal.SIGTERM, True, StoppedStageError, "stopped before it began"),
+        (signal.SIGTERM, False, StageError, "cut off before its first planes"),
+        (signal.SIGKILL, True, StageError, "cut off before its first planes"),
+    ],
+)
+def test_a_recorder_killed_before_its_first_planes_was_stopped_or_missed(tmp_path, number, stopped, kind, text):
+    store = Store(ServiceSettings(data=tmp_path))
+    entry = Entry("c1", "capture", "record", store.entries.now(), {"ticks": 40})
+    store.entries.add(entry)
+    if stopped:
+        Beginning(store, entry).control.stop.touch()
+    with pytest.raises(StageError, match=text) as raised:
+        asyncio.run(Moments(store, Killed(number)).record(entry, "record", "r", "usb:", tmp_path))
+    assert type(raised.value) is kind
+    (kept,) = store.entries.find(["c1"])
+    assert text in (kept.progress["message"] if stopped and kind is StoppedStageError else kept.progress["error"])
+    store.close()
 
 
 def test_being_cut_off_twice_is_being_cut_off():
