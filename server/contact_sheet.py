@@ -42,6 +42,11 @@ def camera_picture(recording: Recording, camera_id: str) -> bytes:
     layout = recording.manifest.camera(camera_id).layout
     if mean is None:
         return _png(Image.new("L", (layout.width, layout.height)))
+    return mean_picture(mean)
+
+
+def mean_picture(mean: NDArray[np.float32]) -> bytes:
+    """Spikes per tick [H, W] as PNG, as bright as they need to be seen."""
     return _png(_shown(mean, _white(mean)))
 
 

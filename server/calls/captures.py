@@ -6,7 +6,7 @@ from pathlib import Path
 from server.calls.transport import Transport
 from server.schemas.captures import Capture, CaptureRequest, Captures, ImportRequest, Labels, ManifestInfo
 from server.schemas.pictures import CaptureFigures
-from server.schemas.uploads import Upload, UploadRequest, Uploads
+from server.schemas.uploads import Inspection, LayoutAsked, Upload, UploadRequest, Uploads
 
 _PIECE_BYTES = 16 << 20
 
@@ -91,6 +91,15 @@ class CaptureCalls(Transport):
     def commit_upload(self, upload_id: str) -> Upload:
         """Finish an upload; the service takes a while to read a long one."""
         return self._post(f"/uploads/{upload_id}/commit", Upload, timeout=None)
+
+    def inspect_upload(self, upload_id: str, **size: int) -> Inspection:
+        """Tell which layouts an upload may have; `size` is its `width` and `height`, where they are known."""
+        return self._get(f"/uploads/{upload_id}/inspection", Inspection, **size)
+
+    def upload_preview(self, upload_id: str, asked: LayoutAsked) -> bytes:
+        """Return a picture of an upload in a layout, as PNG."""
+        query = asked.model_dump(exclude_none=True)
+        return self._send("GET", f"/uploads/{upload_id}/preview", params=query).content
 
     def delete_upload(self, upload_id: str) -> None:
         """Delete an upload, committed or not."""

@@ -2,15 +2,29 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 
-from server.routes.parameters import MAKES_ROOM, Again, IdempotencyKey, Limit, TheServices, cursor_of, located
-from server.schemas.uploads import Upload, UploadRequest, Uploads
+from acquisition.recording.importing import SourceFormat
+from acquisition.spikes.layout import BitOrder, RowOrder
+from server.routes.parameters import (
+    MAKES_ROOM,
+    PNG,
+    Again,
+    IdempotencyKey,
+    IfNoneMatch,
+    Limit,
+    TheServices,
+    cursor_of,
+    located,
+    png,
+)
+from server.schemas.uploads import Inspection, LayoutAsked, Upload, UploadRequest, Uploads
 
 Cursor = Annotated[str | None, cursor_of("u")]
 router = APIRouter(prefix="/uploads", tags=["uploads"])
 Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, lt=2**63, description="Where the body begins in the file.")]
 Length = Annotated[int | None, Header(alias="Content-Length", ge=0, include_in_schema=False)]
+Side = Annotated[int | None, Query(ge=1, le=9999, description="Pixels of its camera.")]
 _BODY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
 
@@ -54,6 +68,29 @@ async def append_to_upload(
     upload = await services.uploads.receive(upload_id, at, length, request.stream())
     _tell(response, upload)
     return upload
+
+
+@router.get("/{upload_id}/inspection")
+def inspect_upload(upload_id: str, services: TheServices, width: Side = None, height: Side = None) -> Inspection:
+    """Tell which layouts an upload may have, as soon as some of it has come, of a size or of those that are known."""
+    size = (width, height) if width is not None and height is not None else None
+    return services.inspections.inspection(upload_id, size)
+
+
+@router.get("/{upload_id}/preview", responses=PNG, response_class=Response)
+def get_upload_preview(
+    upload_id: str,
+    services: TheServices,
+    format: SourceFormat = "vidar",
+    width: Side = None,
+    height: Side = None,
+    bit_order: BitOrder = "lsb",
+    row_order: RowOrder = "bottom",
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """Show an upload in a layout, before it is imported: the mean of planes from the middle of its bytes so far."""
+    asked = LayoutAsked(format=format, width=width, height=height, bit_order=bit_order, row_order=row_order)
+    return png(if_none_match, services.inspections.picture(upload_id, asked))
 
 
 @router.post("/{upload_id}/commit")

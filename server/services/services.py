@@ -12,6 +12,7 @@ from server.services.captures import CaptureService, RigService
 from server.services.health import HealthService
 from server.services.hub import Hub
 from server.services.imports import ImportService
+from server.services.inspections import InspectionService
 from server.services.jobs import JobService
 from server.services.looks import LookService
 from server.services.metrics import Metrics
@@ -50,6 +51,7 @@ class Services:
         self.health = HealthService(settings, self.store, self.engine, keeper)
         self.watchdog = Watchdog(keeper)
         self.uploads = UploadService(self.store, queue, space, settings.max_upload_bytes, settings.keep_free_bytes)
+        self.inspections = InspectionService(self.uploads, self.rigs)
         self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
         self.previews = PreviewService(self.store, self.engine)
         self.pictures = PictureService(self.store, self.engine, self.artefacts, self.previews)
