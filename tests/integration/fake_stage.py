@@ -41,18 +41,20 @@ def report(fraction: float, message: str) -> None:
     sys.stderr.write(json.dumps(event) + "\n")
 
 
-def fail(found: str, expected: str, do: str, where: str = "", *, bad_input: bool = False) -> NoReturn:
-    parts = {"found": found, "expected": expected, "do": do, "where": where, "bad_input": bad_input}
+def fail(found: str, expected: str, do: str, where: str = "", *, bad_input: bool = False, kind: str = "") -> NoReturn:
+    parts = {"kind": kind, "found": found, "expected": expected, "do": do, "where": where, "bad_input": bad_input}
     sys.stderr.write(json.dumps({"event": "error", **parts, "exit_code": 1}) + "\n")
     sys.exit(f"spike4dgs: {where}: {found}")
 
 
 def record_until_told(out: Path) -> None:
     told: list[bool] = []
-    signal.signal(signal.SIGTERM, lambda *_: told.append(True))
+    unsaved = "stopped before it was told to save, so nothing was kept"
+    signal.signal(signal.SIGTERM, lambda *_: fail(unsaved, "", "", kind="StoppedError"))
     time.sleep(0.6)  # what comes sooner after another report is not kept
     report(0.0, "armed")
     sys.stdin.readline()
+    signal.signal(signal.SIGTERM, lambda *_: told.append(True))
     time.sleep(0.6)
     report(0.5, "saved")
     while not told:

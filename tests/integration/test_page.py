@@ -172,6 +172,22 @@ def test_an_endless_capture_is_stopped(service: Service, open_page: Callable[...
     assert seen.faults == []
 
 
+def test_a_capture_stopped_before_anything_was_kept_is_cancelled_and_says_so(
+    service: Service, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    page = open_page()
+    page.get_by_label("Until stopped").check()
+    page.fill("#pre-lab3x3", "50")
+    page.fill("#name-lab3x3", "never saved")
+    page.click("#record-lab3x3")
+    card = page.locator("#captures > li", has_text="never saved")
+    expect(card).to_contain_text("armed")
+    card.get_by_role("button", name="Stop").click()
+    expect(card.locator(".status")).to_have_text("cancelled")
+    expect(card).to_contain_text("stopped before it was told to save, so nothing was kept")
+    assert seen.faults == []
+
+
 def test_a_failed_job_shows_its_line(
     service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen
 ) -> None:

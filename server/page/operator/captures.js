@@ -76,6 +76,7 @@ export function capture(item, context) {
     item.status === 'done' && enlarging(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview', () => openCapture(item)),
     state(item, context),
     item.error && failure(item.error),
+    item.status === 'cancelled' && item.message && quiet(item.message),
     running(item),
     offered(item, context));
 }
