@@ -35,7 +35,7 @@ def start_capture(
 
 @router.post("/{rig_id}/captures/{capture_id}/stop", dependencies=[MAKES_ROOM])
 def stop_capture(rig_id: str, capture_id: str, services: TheServices, again: Again) -> Capture:
-    """End a recording and keep what it has."""
+    """End a recording and keep what it has; one that was stopped before anything was kept is cancelled."""
     return services.captures.get(capture_id) if again else services.captures.tell(rig_id, capture_id, "stop")
 
 
