@@ -7,6 +7,7 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+from fake_scene import write_scene
 
 from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.spikes.layout import PlaneLayout
@@ -18,12 +19,12 @@ SIZE = (160, 100)
 
 
 def write_results(run: Path) -> None:
-    """Curve, orbit, thumbnail, and the name of a viewer's scene."""
+    """Curve, orbit, thumbnail, and a scene for the viewer."""
     rows = [
         {"seconds": float(s), "steps": 40 * s, "psnr_db": round(33 - 14 * 2 ** (-s / 6), 2)} for s in (2, 4, 8, 16, 32)
     ]
     (run / "error_vs_time.json").write_text(json.dumps({"held_out": "cam11", "rows": rows}))
-    (run / "viewer.json").write_text("{}")
+    write_scene(run, "polynomial")
     (run / "thumbnails").mkdir(exist_ok=True)
     cv2.imwrite(str(run / "thumbnails" / "orbit.png"), frame(0.3))
     with av.open(str(run / "orbit.mp4"), "w") as container:
