@@ -19,7 +19,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.pipeline.artefacts import posed, read_held_out, read_sources, read_white, write_held_out
 from reconstruction.pipeline.trained_scene import scene_of
-from reconstruction.report.curve import draw_curve
+from reconstruction.report.curve import curve_png
 from reconstruction.report.display import depth_span_m, grey
 from reconstruction.report.html import embed, report_html
 from reconstruction.report.pictures import depth_colours, difference, encode_png, write_png
@@ -78,12 +78,12 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     metrics = _metrics(trained, known, part(progress, 0, 0.4))
     write_json(run.path / "metrics.json", metrics)
     progress(0.4, "error against run time")
-    _write_curve(trained, metrics)
+    narrow_curve = _write_curve(trained, metrics)
     rig, orbit = trained.recording.rig, run.path / "orbit.mp4"
     write_orbit(orbit, trained.cloud, rig, trained.camera, trained.white, part(progress, 0.5, 0.9))
     if isinstance(trained.cloud, DynamicCloud):
         write_viewer(run.path, scene_of(run, trained.recording, trained.cloud))
-    _write_page(trained, metrics)
+    _write_page(trained, metrics, narrow_curve)
     progress(1.0, f"{run.path / 'report.html'}")
 
 
@@ -148,21 +148,24 @@ def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
     return scores
 
 
-def _write_curve(trained: Trained, metrics: dict) -> None:
+def _write_curve(trained: Trained, metrics: dict) -> bytes:
+    """Write the curve and its rows; return its picture for a telephone, empty where no camera was held out."""
     run, truth, rows = trained.run, trained.truth, []
     for path in run.snapshots():
         state = load_checkpoint(path)
         scores = trained.scores(model_from_state(state["cloud"]), CURVE_INSTANTS)
         rows.append({"seconds": round(state["seconds"], 3), "steps": state["steps"], **scores})
     write_json(run.path / "error_vs_time.json", {"held_out": run.config.holdout, "rows": rows})
-    if trained.held_out is not None:
-        metric = "psnr_db" if truth else "counts.rmse"
-        floors = {n: metrics[f"{n}.psnr_db"] for n in ("nearest_view", "depth_blend")} if truth else {}
-        caption = f"{run.config.holdout}, held out; {len(rows)} states of one run, scored after it"
-        draw_curve(run.path / "error_vs_time.png", rows, metric, floors, caption)
+    if trained.held_out is None:
+        return b""
+    metric = "psnr_db" if truth else "counts.rmse"
+    floors = {n: metrics[f"{n}.psnr_db"] for n in ("nearest_view", "depth_blend")} if truth else {}
+    caption = f"{run.config.holdout}, held out; {len(rows)} states of one run, scored after it"
+    write_durably(run.path / "error_vs_time.png", curve_png(rows, metric, floors, caption))
+    return curve_png(rows, metric, floors, caption, narrow=True)
 
 
-def _write_page(trained: Trained, metrics: dict) -> None:
+def _write_page(trained: Trained, metrics: dict, narrow_curve: bytes) -> None:
     run, recording, cloud = trained.run, trained.recording, trained.cloud
     curve, told = run.path / "error_vs_time.png", run.document
     document = {
@@ -177,6 +180,7 @@ def _write_page(trained: Trained, metrics: dict) -> None:
             "note", f"Linear intensity, data range {trained.white:g} spikes per tick; means over instants."
         ),
         "curve": embed(curve.read_bytes()) if curve.exists() else "",
+        "narrow_curve": embed(narrow_curve),
         "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
         "seconds": told.seconds,
         "warnings": list(told.warnings.values()),

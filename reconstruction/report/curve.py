@@ -1,19 +1,32 @@
 """Error against run time, as JSON rows and a picture."""
 
+import io
+import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from acquisition.durable import made_aside
-
+WIDE_IN, NARROW_IN = (7.0, 4.2), (3.4, 3.2)  # sizes of the picture for a screen, and for a telephone
+WIDE_DPI, NARROW_DPI = 110, 220
 LABELS = {"psnr_db": "PSNR / dB", "counts.rmse": "count error / spikes"}
 
 
-def draw_curve(path: Path, rows: Sequence[dict], metric: str, floors: dict[str, float], caption: str) -> None:
-    """Plot `metric` of the rows against their seconds (log), with a dashed line for each floor."""
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
+def curve_png(
+    rows: Sequence[dict], metric: str, floors: dict[str, float], caption: str, *, narrow: bool = False
+) -> bytes:
+    """Plot `metric` of the rows against their seconds (log) as PNG, with a dashed line for each floor."""
+    data = io.BytesIO()
+    figure = curve_figure(rows, metric, floors, caption, narrow=narrow)
+    figure.savefig(data, format="png", dpi=NARROW_DPI if narrow else WIDE_DPI)
+    return data.getvalue()
+
+
+def curve_figure(
+    rows: Sequence[dict], metric: str, floors: dict[str, float], caption: str, *, narrow: bool = False
+) -> Figure:
+    """Return the plot; a `narrow` one fills a telephone's width, with text that is read there without a glass."""
+    figure = Figure(figsize=NARROW_IN if narrow else WIDE_IN, layout="constrained")
     axes = figure.add_subplot()
     axes.plot([r["seconds"] for r in rows], [r[metric] for r in rows], "o-", label="reconstruction", color="#1f5fa8")
     for (name, value), colour in zip(floors.items(), ("#888888", "#c26a1b"), strict=False):
@@ -21,10 +34,10 @@ def draw_curve(path: Path, rows: Sequence[dict], metric: str, floors: dict[str, 
     axes.set_xscale("log")
     for axis_formatter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
         axis_formatter(LogFormatter(minor_thresholds=(10, 1)))
-    axes.set_xlabel("wall seconds since the start, images and initialisation included")
+    since = "wall seconds since the start"
+    axes.set_xlabel(since if narrow else f"{since}, images and initialisation included")
     axes.set_ylabel(LABELS[metric])
-    axes.set_title(caption, fontsize=9)
+    axes.set_title(textwrap.fill(caption, 44) if narrow else caption, fontsize=9)
     axes.grid(True, which="both", alpha=0.3)
-    axes.legend()
-    with made_aside(path) as aside:
-        figure.savefig(aside, format="png", dpi=110)
+    axes.legend(fontsize=9 if narrow else None)
+    return figure

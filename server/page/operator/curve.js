@@ -1,7 +1,9 @@
 // Error against time: during training from the messages of the stage, afterwards from the held-out camera's scores.
 import { drawing, element } from './dom.js';
 
-const W = 420, H = 150, LEFT = 44, RIGHT = 20, TOP = 8, BOTTOM = 24;
+const W = 320, H = 150, RIGHT = 24, TOP = 8, BOTTOM = 24; // no wider than on a telephone, so that text is not made smaller
+const DIGIT = 7.5, BESIDE = 10; // widths of a digit at most, and of the room around a label
+const UNITS = [[7200, 3600, 'h'], [300, 60, 'min'], [0, 1, 's']]; // from so many seconds on
 const METRICS = { psnr_db: ['PSNR', 'dB'], loss: ['loss', ''], 'counts.rmse': ['count error', 'spikes'] };
 
 // Return {metric, value} of a training's message, such as "step 10, loss 0.0312, PSNR 21.30 dB", or null.
@@ -41,14 +43,14 @@ function range(values, pad) {
   return [low - room, high + room];
 }
 
-function grid(x, y, xs, ys, unit) {
+function grid({ x, y, left, per, word }, xs, ys, unit) {
   return [
     ...ys.flatMap((value) => [
-      drawing('line', { x1: LEFT, x2: W - RIGHT, y1: y(value), y2: y(value), class: 'grid' }),
-      drawing('text', { x: LEFT - 6, y: y(value) + 4, 'text-anchor': 'end' }, String(value)),
+      drawing('line', { x1: left, x2: W - RIGHT, y1: y(value), y2: y(value), class: 'grid' }),
+      drawing('text', { x: left - 6, y: y(value) + 4, 'text-anchor': 'end' }, String(value)),
     ]),
-    ...xs.map((value) => drawing('text', { x: x(value), y: H - 6, 'text-anchor': 'middle' }, `${value} s`)),
-    drawing('text', { x: LEFT + 4, y: TOP + 10, class: 'unit' }, unit),
+    ...xs.map((value) => drawing('text', { x: x(value * per), y: H - 6, 'text-anchor': 'middle' }, `${value} ${word}`)),
+    drawing('text', { x: left + 4, y: TOP + 10, class: 'unit' }, unit),
   ];
 }
 
@@ -60,13 +62,16 @@ export function curve(points, caption) {
   const first = shown[0].seconds > 0.3 * last.seconds ? shown[0].seconds : 0; // a page opened late shows only what it saw
   const end = Math.max(last.seconds, first + 0.1);
   const [low, high] = range(shown.map((point) => point.value), 0.08);
-  const x = (s) => LEFT + ((W - LEFT - RIGHT) * (s - first)) / (end - first);
+  const ys = ticks(low, high, 4);
+  const left = DIGIT * Math.max(...ys.map((value) => String(value).length)) + BESIDE;
+  const [, per, word] = UNITS.find(([least_s]) => end >= least_s);
+  const x = (s) => left + ((W - left - RIGHT) * (s - first)) / (end - first);
   const y = (value) => TOP + ((H - TOP - BOTTOM) * (high - value)) / (high - low);
   const line = shown.map((point, i) => `${i ? 'L' : 'M'}${x(point.seconds).toFixed(1)} ${y(point.value).toFixed(1)}`).join('');
   const summary = `${name} ${Number(last.value.toPrecision(4))} ${unit}`.trim() + ` after ${last.seconds.toFixed(1)} s`;
   return element('figure', { className: 'curve' },
     drawing('svg', { viewBox: `0 0 ${W} ${H}`, role: 'img', 'aria-label': `${caption}: ${summary}` },
-      ...grid(x, y, ticks(first, end, 4), ticks(low, high, 4), unit),
+      ...grid({ x, y, left, per, word }, ticks(first / per, end / per, 4), ys, unit),
       drawing('path', { d: line, class: 'line' }),
       drawing('circle', { cx: x(last.seconds), cy: y(last.value), r: 3.5, class: 'dot' })),
     element('figcaption', { className: 'quiet' }, `${caption}: `, element('strong', {}, summary)));
