@@ -1,7 +1,7 @@
 // Error against time: during training from the messages of the stage, afterwards from the held-out camera's scores.
 import { drawing, element } from './dom.js';
 
-const W = 320, H = 150, RIGHT = 24, TOP = 8, BOTTOM = 24; // no wider than on a telephone, so that text is not made smaller
+const W = 308, H = 150, RIGHT = 24, TOP = 8, BOTTOM = 24; // no wider than on a telephone, so that text is not made smaller
 const DIGIT = 7.5, BESIDE = 10; // widths of a digit at most, and of the room around a label
 const UNITS = [[7200, 3600, 'h'], [300, 60, 'min'], [0, 1, 's']]; // from so many seconds on
 const METRICS = { psnr_db: ['PSNR', 'dB'], loss: ['loss', ''], 'counts.rmse': ['count error', 'spikes'] };
