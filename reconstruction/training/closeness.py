@@ -32,5 +32,5 @@ class Closeness:
         return 10 * math.log10(self._white**2 / self._mean_square)
 
     def __str__(self) -> str:
-        """Return `, PSNR 21.30 dB` for a line of progress; empty where there is no figure."""
-        return "" if self.psnr_db is None else f", PSNR {self.psnr_db:.2f} dB"
+        """Return `, training PSNR 21.30 dB` for a line of progress; empty where there is no figure."""
+        return "" if self.psnr_db is None else f", training PSNR {self.psnr_db:.2f} dB"

@@ -7,15 +7,18 @@ import { capture } from './operator/captures.js';
 import { byId, element, keepingFocus, patchChildren } from './operator/dom.js';
 import { job } from './operator/jobs.js';
 import { refreshLarge } from './operator/large.js';
+import { forCaptures, forJobs } from './operator/many.js';
 import * as results from './operator/results.js';
 import { rig } from './operator/rigs.js';
+import { asked, onSearch, sought, tell } from './operator/search.js';
+import { bar, onChosen, settle } from './operator/selection.js';
 
 const SLOW_MS = 10_000, QUICK_MS = 1000, LOOK_MS = 5000, FOCUS_MS = 200, TAIL_MS = 1000;
 const PAGE = { captures: 20, jobs: 30 };
 
 const limits = { ...PAGE }, tailing = new Set(), watched = new Set();
 const context = {
-  options: {}, stages: [], rigs: new Map(), captures: [], jobs: [], next: {}, names: new Map(),
+  options: {}, stages: [], rigs: new Map(), captures: [], jobs: [], shown: { captures: [], jobs: [] }, next: {}, names: new Map(),
   statuses: new Map(), calibrations: new Map(), manifests: new Map(),
   entry: (id) => [...context.captures, ...context.jobs].find((one) => one.id === id),
   nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
@@ -37,15 +40,21 @@ function list(id, items, make, nothing) {
 }
 
 function older(kind) {
-  const made = element('button', { type: 'button', id: `older-${kind}`, className: 'plain' }, `Older ${kind}`);
-  made.onclick = () => { limits[kind] = Math.min(1000, limits[kind] + PAGE[kind]); refresh(); };
+  const made = element('button', { type: 'button', id: `older-${kind}`, className: 'plain' }, `More ${kind}`);
+  made.onclick = () => { limits[kind] = Math.min(1000, limits[kind] + PAGE[kind]); anew(); };
   patchChildren(byId(`${kind}-more`), context.next[kind] ? [made] : []);
 }
 
 function drawNow() {
   list('rigs', [...context.rigs.values()], rig, 'No rig is configured; see SPIKE4DGS_RIGS.');
-  list('captures', context.captures, capture, 'No captures yet. Record one with a rig.');
-  list('jobs', context.jobs.filter((item) => item.type !== 'look'), job, byId('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
+  const { captures, jobs } = context.shown;
+  list('captures', captures, capture, sought() ? 'No such captures.' : 'No captures yet. Record one with a rig.');
+  list('jobs', jobs, job, sought() || byId('jobs-status').value ? 'No such jobs.' : 'No jobs yet. Start one from a capture.');
+  patchChildren(byId('captures-chosen'), bar('captures', captures, forCaptures(context)));
+  patchChildren(byId('jobs-chosen'), bar('jobs', jobs, forJobs(context)));
+  settle('captures', captures);
+  settle('jobs', jobs);
+  tell(context.shown, context.next);
   older('captures');
   older('jobs');
   refreshLarge();
@@ -62,12 +71,17 @@ function refresh() {
   return asking;
 }
 
+// Ask for them anew, also where a request under way was made of what is no longer wanted.
+const anew = () => (asking ?? Promise.resolve()).then(refresh);
+
 async function refreshed() {
   const status = byId('jobs-status').value;
   try {
-    const [rigs, captures, jobs] = await Promise.all([get('/rigs'), get(`/captures?limit=${limits.captures}`),
-      get(`/jobs?limit=${limits.jobs}${status && `&status=${status}`}`)]);
-    Object.assign(context, { captures: captures.items, jobs: jobs.items, next: { captures: captures.next, jobs: jobs.next } });
+    const list = `/captures?limit=${limits.captures}`, q = asked();
+    const [rigs, captures, jobs, all] = await Promise.all([get('/rigs'), get(`${list}${q}`),
+      get(`/jobs?order=work&limit=${limits.jobs}${status && `&status=${status}`}${q}`), q ? get(list) : null]);
+    Object.assign(context, { captures: all ? joined(captures.items, all.items) : captures.items, jobs: jobs.items,
+      shown: { captures: captures.items, jobs: jobs.items.filter((item) => item.type !== 'look') }, next: { captures: captures.next, jobs: jobs.next } });
     context.rigs = new Map(rigs.items.map((item) => [item.id, item]));
     for (const item of [...context.captures, ...context.jobs]) context.names.set(item.id, item.name ?? item.id);
     results.learn(context.jobs, live, draw);
@@ -78,6 +92,9 @@ async function refreshed() {
   }
   draw();
 }
+
+// What the forms offer does not depend on what is searched for.
+const joined = (found, all) => [...found, ...all.filter((one) => !found.some((other) => other.id === one.id))];
 
 // Show a fault of the connection until it is over; a complaint about a request stays to be read.
 function lost(text) {
@@ -198,9 +215,11 @@ byId('token-form').onsubmit = (event) => {
   setToken(byId('token').value.trim());
   location.reload(); // so that pictures and links are made with the token
 };
-byId('jobs-status').onchange = refresh;
+byId('jobs-status').onchange = anew;
+onSearch(anew);
+onChosen(draw);
 onChange(async () => {
-  await refresh();
+  await anew();
   learnSlowly();
 });
 begin();

@@ -26,11 +26,8 @@ _FILES = {  # address: (file, content security policy)
     "/large.css": ("large.css", _PLAIN),
     "/page.js": ("page.js", _PLAIN),
 }
-_OPERATOR = (
-    "act api calibrations cameras captures curve dom jobs large light media naming options report results rigs zoom"
-)
 _VIEWER_SCRIPTS = "viewer scene motion splats picture view cameras compare controls sharing vendor/spark"
-_OPERATOR_FILES = [f"{name}.js" for name in _OPERATOR.split()]
+_OPERATOR_FILES = sorted(path.name for path in (_FOLDER / "operator").glob("*.js"))
 _VIEWER_FILES = ["viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS.split())]
 
 

@@ -114,6 +114,7 @@ class Stages:
         out = self._fresh_out(entry)
         arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
         await self._processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
+        self._hide_paths(out)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
     async def _look(self, entry: Entry, stage: str) -> None:
@@ -148,6 +149,7 @@ class Stages:
             arguments = self._arguments(entry, out)
             printed = out / "result.json" if "--json" in arguments else None
             await self._processes.run(entry, stage, arguments, stdout=printed)
+            self._hide_paths(out)
             if entry.type == "calibrate":
                 keep_calibration(self._store, entry, out)
         except (Spike4dgsError, OSError) as error:
@@ -180,6 +182,12 @@ class Stages:
         mine = self._settings.own_rigs.get(entry.rig)
         devices = mine.devices if mine else self._store.known_rigs.get(entry.rig).devices
         return str(calibrated if calibrated.exists() else drawn), devices, self._folder.rig(entry.rig)
+
+    def _hide_paths(self, out: Path) -> None:
+        """Say what a command printed without the place of the data folder: others read it."""
+        printed = out / "result.json"
+        if printed.exists():
+            write_durably(printed, self._folder.hidden(printed.read_text()).encode())
 
     def _fresh_out(self, entry: Entry) -> Path:
         """Return an empty folder for what a job makes, whatever an attempt that was interrupted left."""

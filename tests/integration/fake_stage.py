@@ -112,7 +112,8 @@ def train(run: Path, steps: int, step_s: float) -> None:
         aside = checkpoint.with_suffix(".aside")
         aside.write_text(json.dumps({"done": done}))
         aside.replace(checkpoint)
-        report(done / steps, f"step {done}, loss {1 / done:.4f}, PSNR {20 + 10 * done / steps:.2f} dB, 900 Gaussians")
+        close = f"loss {1 / done:.4f}, training PSNR {20 + 10 * done / steps:.2f} dB"
+        report(done / steps, f"step {done}, {close}, 900 Gaussians")
         if told:
             sys.stderr.write("stopped with a checkpoint\n")
             sys.exit(143)

@@ -34,12 +34,14 @@ def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., 
     expect(page.locator("#dialog")).to_have_count(0)
     job = page.locator(f"#job-{newest(service)}")
     expect(job.locator("progress")).to_be_visible(timeout=LONG_MS)
-    expect(job.locator("figcaption")).to_contain_text("Training images: PSNR")
+    expect(job.locator("figcaption")).to_contain_text("Training images: training PSNR")
     expect(job.locator(".status")).to_have_text("done")
     asked = service.client.job(newest(service)).request.model_dump()
     assert (asked["model"], asked["budget_s"], asked["holdout"], asked["views"]) == ("cubic", 90, "cam11", None)
-    expect(job.locator("figcaption")).to_have_text("Held-out camera: PSNR 32.65 dB after 32.0 s")
-    expect(job).to_contain_text("PSNR 32.50 dB, SSIM 0.950")
+    expect(job.locator("figcaption")).to_have_text(
+        "Held-out camera during training: held-out PSNR 32.65 dB after 32.0 s"
+    )
+    expect(job).to_contain_text("Final score on the held-out camera: held-out PSNR 32.50 dB, SSIM 0.950")
     assert job.get_by_role("link", name="View in 4D").get_attribute("href") == f"/viewer.html?job={newest(service)}"
     job.get_by_text("Results").click()
     page.wait_for_function("document.querySelector('video').readyState > 0")
@@ -98,7 +100,7 @@ def test_a_viewers_token_changes_nothing(capture: Capture, done: str, open_page:
     expect(page.locator(f"#reconstruct-{capture.id}")).to_have_attribute("title", VIEWER)
     assert page.locator("#form-lab3x3").count() == 0
     enabled = page.locator("main button:not(:disabled)").all_inner_texts()
-    assert [text for text in enabled if not text.startswith("Older")] == []
+    assert [text for text in enabled if not text.startswith("More")] == []
     expect(page.get_by_role("link", name="Report", exact=True).first).to_be_visible()
 
 
@@ -273,7 +275,7 @@ def test_events_move_the_page(service: Service, done: str, open_page: Callable[.
         route.fulfill(json={"items": [job], "next": None})
 
     def progress(seq: int) -> str:
-        message = f"step {seq}, loss 0.1, PSNR {20 + seq}.00 dB, 9 Gaussians"
+        message = f"step {seq}, loss 0.1, training PSNR {20 + seq}.00 dB, 9 Gaussians"
         data = {"stage": "train", "fraction": seq / 10, "message": message, "seconds": {"train": seq}, "error": None}
         event = {"seq": seq, "entry": done, "at": 1.0, "kind": "progress", "data": data}
         return f"id: {seq}\r\nevent: progress\r\ndata: {json.dumps(event)}\r\n\r\n"
@@ -287,5 +289,5 @@ def test_events_move_the_page(service: Service, done: str, open_page: Callable[.
         page.route("**/v1/events", lambda route: route.fulfill(content_type="text/event-stream", body=stream))
 
     card = open_page(prepare=prepare).locator(f"#job-{done}")
-    expect(card.locator("figcaption")).to_have_text("Training images: PSNR 23 dB after 3.0 s")
+    expect(card.locator("figcaption")).to_have_text("Training images: training PSNR 23 dB after 3.0 s")
     assert seen.faults == []

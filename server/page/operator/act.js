@@ -2,6 +2,7 @@
 import { looksOn, post, send, wait } from './api.js';
 import { byId, element } from './dom.js';
 import { fieldsOf } from './options.js';
+import { inWords } from './words.js';
 
 const SAID_MS = 6000, AGAIN_MS = 500, MOST_TRIES = 30;
 const VIEWER = "A viewer's token only looks on; this needs an operator's.";
@@ -9,7 +10,7 @@ const VIEWER = "A viewer's token only looks on; this needs an operator's.";
 let refresh = async () => {};
 export const onChange = (told) => { refresh = told; };
 
-function say(text) {
+export function say(text) {
   const place = byId('said');
   place.textContent = text;
   clearTimeout(say.gone);
@@ -18,7 +19,7 @@ function say(text) {
 
 export function complain(text) {
   const place = byId('notice');
-  if (place.textContent !== text) place.textContent = text;
+  if (place.textContent !== inWords(text)) place.textContent = inWords(text);
   place.hidden = !text;
 }
 
@@ -62,7 +63,8 @@ export function button(label, id, act, { done = '', ...options } = {}) {
 export const link = (label, id, href) => element('a', { id, href }, label);
 export const actions = (...made) => element('div', { className: 'actions' }, made.flat().filter(Boolean));
 
-function dialog(heading, content, act, label, danger = false) {
+// A dialog with a form; return the button that goes back.
+export function dialog(heading, content, act, label, danger = false) {
   const fault = element('p', { className: 'failed', role: 'alert' });
   const go = element('button', { type: 'submit', id: 'dialog-go', className: danger ? 'danger' : '' }, label);
   const back = element('button', { type: 'button', id: 'dialog-back', className: 'plain' }, 'Back');
@@ -80,7 +82,7 @@ function dialog(heading, content, act, label, danger = false) {
       await act();
       made.close();
     } catch (error) {
-      fault.textContent = error.message;
+      fault.textContent = inWords(error.message);
     }
     go.disabled = false;
   };
@@ -102,16 +104,26 @@ export function removal(item, path, detail) {
 
 // A button for a form that queues a job of a type on `target`, {capture} or {job}; any rig is one of this service.
 export function asking(label, heading, type, target, item, context, plain = true) {
-  const { rig, ...properties } = context.options[type].properties;
-  const asked = { ...context.options[type], properties: rig ? { ...properties, rig: { type: 'string', enum: [...context.rigs.keys()] } } : properties };
   const submit = (values) => performed(() => post('/jobs', { type, ...target, ...values }), `${heading}: queued`);
-  return opener(label, `${type}-${item.id}`, () => jobDialog(heading, asked, context.camerasOf(item), submit), { plain });
+  return opener(label, `${type}-${item.id}`, () => jobDialog(heading, formOf(type, context), context.camerasOf(item), submit), { plain });
 }
 
-// A form for a job of a type; `submit` takes the values that were filled in.
-export function jobDialog(heading, schema, cameras, submit) {
-  const { first, more, values } = fieldsOf(schema, cameras);
+// The schema of a form for a type of job: any rig is one of this service.
+export function formOf(type, context) {
+  const { rig, ...properties } = context.options[type].properties;
+  return { ...context.options[type], properties: rig ? { ...properties, rig: { type: 'string', enum: [...context.rigs.keys()] } } : properties };
+}
+
+// The fields of a form, filled with what is `given`, as {content, values}.
+export function jobFields(schema, cameras, given) {
+  const { first, more, values } = fieldsOf(schema, cameras, given);
   const content = element('div', { className: 'fields' }, first,
     more.length > 0 && element('details', {}, element('summary', {}, 'More options'), element('div', { className: 'fields' }, more)));
+  return { content, values };
+}
+
+// A form for a job of a type, filled with what is `given`; `submit` takes the values that were filled in.
+export function jobDialog(heading, schema, cameras, submit, given) {
+  const { content, values } = jobFields(schema, cameras, given);
   dialog(heading, content, () => submit(values()), 'Queue');
 }

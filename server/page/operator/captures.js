@@ -4,8 +4,11 @@ import { actions, asking, button, removal } from './act.js';
 import { calibrating } from './calibrations.js';
 import { openCapture } from './cameras.js';
 import { bar, card, element, failure, fold, quiet, title, when } from './dom.js';
+import { labelling, note } from './labels.js';
 import { enlarging } from './media.js';
 import { ended } from './results.js';
+import { box } from './selection.js';
+import { inWords } from './words.js';
 
 function length(item, context) {
   if (item.ticks === null) return item.type === 'import' ? 'imported' : 'until stopped';
@@ -49,7 +52,8 @@ function running(item) {
 }
 
 function offered(item, context) {
-  if (!ended(item)) return null;
+  const label = labelling(item, `/captures/${item.id}`);
+  if (!ended(item)) return fold(`more-${item.id}`, 'More', actions(label));
   const ask = (label, verb, type, plain) => asking(label, `${verb} ${item.name ?? item.id}`, type, { capture: item.id }, item, context, plain);
   const verify = () => post('/jobs', { type: 'verify', capture: item.id });
   const more = element('div', {}, actions(
@@ -59,6 +63,7 @@ function offered(item, context) {
       ask('Images…', 'Images of', 'images'),
       button('Verify', `verify-${item.id}`, verify, { done: 'The check of every byte is queued' }),
     ],
+    label,
     removal(item, `/captures/${item.id}`, 'The recording is deleted for good; what was made of it stays, but cannot be done again.')));
   const finalise = () => post(`/captures/${item.id}/finalise`);
   return [
@@ -71,11 +76,12 @@ function offered(item, context) {
 
 export function capture(item, context) {
   return card(`capture-${item.id}`,
-    title(item.name ?? item.id, item.status, item.status === 'running' && item.type === 'record' ? 'recording' : item.status),
+    title(item.name ?? item.id, item.status, item.status === 'running' && item.type === 'record' ? 'recording' : item.status, box('captures', item)),
     quiet([when(item.created), item.rig, length(item, context), item.name && item.id].filter(Boolean).join(' · ')),
     item.status === 'done' && enlarging(`/v1/captures/${item.id}/preview`, `What the cameras of ${item.name ?? item.id} saw`, 'preview', () => openCapture(item)),
+    note(item),
     state(item, context),
-    item.error && failure(item.error),
+    failure(inWords(item.error)),
     item.status === 'cancelled' && item.message && quiet(item.message),
     running(item),
     offered(item, context));

@@ -54,7 +54,8 @@ function grid({ x, y, left, per, word }, xs, ys, unit) {
   ];
 }
 
-export function curve(points, caption) {
+// `of` says which images the figures are about: one word has one meaning on a card.
+export function curve(points, caption, of) {
   if (points.length < 2) return null;
   const [name, unit] = METRICS[points[0].metric];
   const shown = points.filter((point) => point.metric === points[0].metric);
@@ -68,7 +69,7 @@ export function curve(points, caption) {
   const x = (s) => left + ((W - left - RIGHT) * (s - first)) / (end - first);
   const y = (value) => TOP + ((H - TOP - BOTTOM) * (high - value)) / (high - low);
   const line = shown.map((point, i) => `${i ? 'L' : 'M'}${x(point.seconds).toFixed(1)} ${y(point.value).toFixed(1)}`).join('');
-  const summary = `${name} ${Number(last.value.toPrecision(4))} ${unit}`.trim() + ` after ${last.seconds.toFixed(1)} s`;
+  const summary = `${of} ${name} ${Number(last.value.toPrecision(4))} ${unit}`.trim() + ` after ${last.seconds.toFixed(1)} s`;
   return element('figure', { className: 'curve' },
     drawing('svg', { viewBox: `0 0 ${W} ${H}`, role: 'img', 'aria-label': `${caption}: ${summary}` },
       ...grid({ x, y, left, per, word }, ticks(first / per, end / per, 4), ys, unit),

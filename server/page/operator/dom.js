@@ -83,8 +83,8 @@ export function fold(id, summary, content, onopen) {
 }
 
 export const card = (id, ...children) => element('li', { id, tabIndex: -1 }, ...children);
-export const title = (name, status, word = status) => element('div', { className: 'title' },
-  element('h3', {}, name), element('span', { className: `status ${status}` }, word));
+export const title = (name, status, word = status, before = null) => element('div', { className: 'title' },
+  before, element('h3', {}, name), element('span', { className: `status ${status}` }, word));
 export const bar = (label, fraction) => element('progress', { max: 1, value: fraction, ariaLabel: label });
 
 export const when = (created) => new Date(created).toLocaleString([], { dateStyle: 'medium', timeStyle: 'medium' });

@@ -1,14 +1,20 @@
 // The queue: the state of each job, its results, and what can be done with it.
 import { post, send } from './api.js';
 import { actions, asking, button, link, patiently, removal } from './act.js';
+import { again } from './again.js';
+import { answer } from './answer.js';
 import { curve } from './curve.js';
 import { bar, byId, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
+import { labelling, note } from './labels.js';
 import { artefact, download, enlarging, video } from './media.js';
-import { WORDS, heading } from './naming.js';
+import { heading } from './naming.js';
+import { outlook } from './outlook.js';
 import { ended, of } from './results.js';
+import { box } from './selection.js';
+import { inWords, JOBS, OPTIONS } from './words.js';
 import { openPictures } from './zoom.js';
 
-const SCORES = [['psnr_db', 'PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
+const SCORES = [['psnr_db', 'held-out PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
 const MOST_LINKS = 3;
 
 const stagesOf = (item, context) => (item.type === 'reconstruct' ? context.stages : [item.type]);
@@ -31,11 +37,11 @@ function progress(item) {
   const percent = `${Math.round(item.fraction * 100)} %`;
   return element('div', {},
     bar(`${item.stage ?? 'starting'} ${percent}`, item.fraction),
-    element('p', {}, `${item.stage ?? 'starting'} ${percent} ${item.message}`));
+    element('p', {}, `${item.stage ?? 'starting'} ${percent} ${inWords(item.message)}`));
 }
 
 function warnings(item) {
-  return item.warnings.map((text) => failure(text));
+  return item.warnings.map((text) => failure(inWords(text)));
 }
 
 function scores(item) {
@@ -43,7 +49,7 @@ function scores(item) {
   if (item.status !== 'done' || !found) return null;
   const parts = SCORES.filter(([key]) => Number.isFinite(found[key])).map(([key, name, unit, digits]) => `${name} ${found[key].toFixed(digits)} ${unit}`.trim());
   const after = steps ? `, after ${steps} step${steps > 1 ? 's' : ''} of training` : '';
-  return parts.length ? element('p', {}, `On ${found.held_out ?? 'the held-out camera'}: ${parts.join(', ')}${after}`) : null;
+  return parts.length ? element('p', {}, `Final score on ${found.held_out ?? 'the held-out camera'}: ${parts.join(', ')}${after}`) : null;
 }
 
 const VERDICTS = {
@@ -63,8 +69,8 @@ function verdict(item) {
 
 function curveOf(item) {
   const found = of(item.id);
-  if (ended(item) && found.scored) return curve(found.scored, 'Held-out camera');
-  return item.status === 'queued' ? null : curve(found.points, 'Training images');
+  if (ended(item) && found.scored) return curve(found.scored, 'Held-out camera during training', 'held-out');
+  return item.status === 'queued' ? null : curve(found.points, 'Training images', 'training');
 }
 
 const has = (item, name) => of(item.id).artefacts.some((one) => one.name === name);
@@ -79,7 +85,7 @@ function results(item) {
       download(`file-${item.id}-${one.name}`, artefact(item.id, one.name), one.name.split('/').at(-1), one.name),
       element('span', { className: 'quiet' }, size(one.bytes))))),
     found.artefacts.length > 60 && quiet(`and ${found.artefacts.length - 60} more, in the archive`),
-    found.answer && element('pre', { tabIndex: 0, ariaLabel: 'Result' }, JSON.stringify(found.answer, null, 1).slice(0, 5000)),
+    (found.answer ?? found.scores) && answer(found.answer ?? found.scores),
     actions(archive(item, 'archive', 'All as one archive')));
   return fold(`results-${item.id}`, `Results (${found.artefacts.length})`, content);
 }
@@ -97,8 +103,8 @@ function restart(item, context) {
   const id = `stage-${item.id}`;
   const choice = element('select', { id, ariaLabel: `Stage to do ${item.id} again from` }, begun.map((name) => element('option', { value: name }, name)));
   choice.value = begun.at(-1);
-  const again = () => patiently(() => post(path(item, '/restart'), { stage: byId(id).value }));
-  return [choice, button('Do again from here', `restart-${item.id}`, again, { done: `${item.id} is queued again` })];
+  const repeat = () => patiently(() => post(path(item, '/restart'), { stage: byId(id).value }));
+  return [choice, button('Do again from here', `restart-${item.id}`, repeat, { done: `${item.id} is queued again` })];
 }
 
 function priority(item) {
@@ -112,13 +118,16 @@ function priority(item) {
 // A button for a job on a finished reconstruction.
 function further(label, type, item, context) {
   if (item.status !== 'done' || item.type !== 'reconstruct') return null;
-  return asking(label, `${WORDS[type]} of ${item.name ?? item.id}`, type, { job: item.id }, item, context);
+  return asking(label, `${JOBS[type]} of ${item.name ?? item.id}`, type, { job: item.id }, item, context);
 }
 
+const refused = (item) => item.status === 'failed' && !item.resumable; // the same would be refused again
+
 function manage(item, context) {
-  if (!ended(item)) return null;
-  const remove = removal(item, path(item), 'The job, its log and everything it made are deleted for good. Its capture stays.');
-  const content = element('div', {}, actions(restart(item, context)), actions(further('Evaluate…', 'evaluate', item, context), remove));
+  const remove = ended(item) && removal(item, path(item), 'The job, its log and everything it made are deleted for good. Its capture stays.');
+  const repeat = ended(item) && !refused(item) && again(item, context);
+  const content = element('div', {}, actions(restart(item, context)),
+    actions(labelling(item, path(item)), repeat, further('Evaluate…', 'evaluate', item, context), remove));
   return fold(`manage-${item.id}`, 'Manage', content);
 }
 
@@ -131,13 +140,13 @@ function files(item) {
 }
 
 function main(item, context) {
-  const resumable = item.status === 'failed' || item.status === 'cancelled';
   return actions(
     files(item),
     has(item, 'report.html') && link('Report', `report-${item.id}`, `/report.html?job=${item.id}`),
     has(item, 'viewer.json') && link('View in 4D', `viewer-${item.id}`, `/viewer.html?job=${item.id}`),
     further('Export…', 'export', item, context),
-    resumable && button('Resume', `resume-${item.id}`, () => patiently(() => post(path(item, '/resume'))), { plain: false, done: `${item.id} goes on` }),
+    refused(item) && again(item, context, false),
+    item.resumable && button('Resume', `resume-${item.id}`, () => patiently(() => post(path(item, '/resume'))), { plain: false, done: `${item.id} goes on` }),
     !ended(item) && button('Cancel', `cancel-${item.id}`, () => post(path(item, '/cancel')), { done: `${item.id} is cancelled` }),
     priority(item));
 }
@@ -150,7 +159,7 @@ const ABOUT = {
 function about(item, context) {
   const { type, capture, job, name: given, priority: rank, ...request } = item.request;
   const options = Object.entries(request).filter(([, value]) => value !== null && value !== 'auto' && value !== false)
-    .map(([name, value]) => (ABOUT[name] ?? ((given) => `${name} ${given}`))(value)).filter(Boolean);
+    .map(([name, value]) => (ABOUT[name] ?? ((one) => `${(OPTIONS[name] ?? name).toLowerCase()}: ${one}`))(value)).filter(Boolean);
   const target = item.name && context.nameOf(job ?? capture);
   return [when(item.created), target && `of ${target}`, ...options, item.id].filter(Boolean).join(' · ');
 }
@@ -166,9 +175,11 @@ function thumbnail(item) {
 
 export function job(item, context) {
   return card(`job-${item.id}`,
-    title(heading(item, context.nameOf), item.status),
+    title(heading(item, context.nameOf), item.status, item.status, box('jobs', item)),
     quiet(about(item, context)),
-    item.error && failure(item.error),
+    outlook(item),
+    note(item),
+    failure(inWords(item.error)),
     stages(item, context),
     progress(item),
     element('div', { className: 'outcome' }, thumbnail(item), curveOf(item)),

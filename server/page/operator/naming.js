@@ -1,11 +1,10 @@
 // What a job is called where it has no name of its own.
 import { get } from './api.js';
-
-export const WORDS = { reconstruct: 'Reconstruction', images: 'Images', calibrate: 'Calibration', 'check-rig': 'Rig check', verify: 'Verification', evaluate: 'Evaluation', export: 'Export', preflight: 'Preflight', import: 'Import' };
+import { JOBS } from './words.js';
 
 /** Return the heading of a job; `nameOf` gives the name of a capture or job by its id. */
 export function heading(item, nameOf) {
-  const word = WORDS[item.type] ?? item.type;
+  const word = JOBS[item.type] ?? item.type;
   const { job, capture } = item.request;
   return item.name ?? (job || capture ? `${word} of ${nameOf(job ?? capture)}` : word);
 }

@@ -1,16 +1,9 @@
 // The fields of a form, made from the JSON Schema of a job (GET /v1/options).
 import { element } from './dom.js';
+import { OPTIONS as WORDS } from './words.js';
 
 const GIVEN = ['type', 'capture', 'job']; // filled in by the page
 const FIRST = ['from', 'model', 'holdout', 'budget_s', 'board', 'method', 'ticks', 'format', 'at_s', 'name'];
-const WORDS = {
-  model: 'Motion model', images: 'Images', init: 'Poses and points', supervision: 'Spike loss', refine: 'Refine poses',
-  holdout: 'Camera to score on', views: 'Cameras to train on', tick_stride: 'Planes between instants',
-  budget_s: 'Time budget (s)', steps: 'Steps', seed: 'Seed', name: 'Name', priority: 'Priority (lower is sooner)',
-  board: 'Board', method: 'Method', ticks: 'Planes A:B:STEP', format: 'Format', at_s: 'Instant (s)', frames: 'Frames',
-  camera: 'Camera', from: 'Capture', apply: 'Use it at once', dark: 'Calibrate the pixels: the capture without light',
-  rig: 'Compare with the calibration in use of',
-};
 const HINTS = { board: 'charuco:6x4:100:67.5:DICT_4X4_50', ticks: 'all, or 0:400:20' };
 const NOTES = {
   board: 'charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY or apriltag:…; empty: from whatever the cameras see',
@@ -28,19 +21,19 @@ function choice(id, options, chosen, empty, names = options) {
   return made;
 }
 
-const boxes = (id, cameras) => element('div', { id, className: 'boxes', role: 'group', ariaLabel: WORDS.views },
-  cameras.map((camera) => element('label', {}, element('input', { type: 'checkbox', value: camera, checked: true }), camera)));
+const boxes = (id, cameras, chosen) => element('div', { id, className: 'boxes', role: 'group', ariaLabel: WORDS.views },
+  cameras.map((camera) => element('label', {}, element('input', { type: 'checkbox', value: camera, checked: chosen.includes(camera) }), camera)));
 
 const number = (id, kind) => element('input', {
   id, type: 'number', step: kind.type === 'integer' ? 1 : 'any', min: kind.minimum ?? '', max: kind.maximum ?? '',
   value: kind.default ?? '', placeholder: kind.default == null ? 'auto' : '',
 });
 
-function inputOf(id, name, kind, cameras) {
-  if (name === 'holdout') return choice(id, cameras, cameras[Math.floor(cameras.length / 2)], 'none');
-  if (name === 'camera') return choice(id, cameras, '', 'none');
+function inputOf(id, name, kind, cameras, given) {
+  if (name === 'holdout') return choice(id, cameras, given ? kind.default : cameras[Math.floor(cameras.length / 2)], 'none');
+  if (name === 'camera') return choice(id, cameras, kind.default, 'none');
   if (kind.enum) return choice(id, kind.enum, kind.default, kind.default == null && kind.optional ? NONE[name] ?? 'none' : undefined, kind.names);
-  if (kind.type === 'array') return boxes(id, cameras);
+  if (kind.type === 'array') return boxes(id, cameras, kind.default ?? cameras);
   if (kind.type === 'boolean') return element('input', { id, type: 'checkbox', checked: Boolean(kind.default) });
   if (kind.type === 'integer' || kind.type === 'number') return number(id, kind);
   return element('input', { id, type: 'text', maxLength: kind.maxLength ?? 200, placeholder: HINTS[name] ?? '', value: kind.default ?? '' });
@@ -67,10 +60,12 @@ function field(name, input, required) {
 }
 
 // Return {first, more, values}: the fields to show at once, those behind "more", and a function for their values.
-export function fieldsOf({ properties, required = [] }, cameras) {
+// They are filled with what is `given` or else with the defaults.
+export function fieldsOf({ properties, required = [] }, cameras, given) {
   const names = Object.keys(properties).filter((name) => !GIVEN.includes(name));
-  const kinds = Object.fromEntries(names.map((name) => [name, { ...kindOf(properties[name]), optional: !required.includes(name) }]));
-  const inputs = Object.fromEntries(names.map((name) => [name, inputOf(`option-${name}`, name, kinds[name], cameras)]));
+  const filled = (name) => (given && name in given ? { default: given[name] } : {});
+  const kinds = Object.fromEntries(names.map((name) => [name, { ...kindOf(properties[name]), optional: !required.includes(name), ...filled(name) }]));
+  const inputs = Object.fromEntries(names.map((name) => [name, inputOf(`option-${name}`, name, kinds[name], cameras, given)]));
   const made = (name) => field(name, inputs[name], required.includes(name));
   return {
     first: FIRST.filter((name) => name in inputs).map(made),
