@@ -1,6 +1,6 @@
 // The fields of a form, made from the JSON Schema of a job (GET /v1/options).
 import { element } from './dom.js';
-import { OPTIONS as WORDS } from './words.js';
+import { OPTIONS } from './words.js';
 
 const GIVEN = ['type', 'capture', 'job']; // filled in by the page
 const FIRST = ['from', 'model', 'holdout', 'budget_s', 'board', 'method', 'ticks', 'format', 'at_s', 'name'];
@@ -21,7 +21,7 @@ function choice(id, options, chosen, empty, names = options) {
   return made;
 }
 
-const boxes = (id, cameras, chosen) => element('div', { id, className: 'boxes', role: 'group', ariaLabel: WORDS.views },
+const boxes = (id, cameras, chosen) => element('div', { id, className: 'boxes', role: 'group', ariaLabel: OPTIONS.views },
   cameras.map((camera) => element('label', {}, element('input', { type: 'checkbox', value: camera, checked: chosen.includes(camera) }), camera)));
 
 const number = (id, kind) => element('input', {
@@ -50,7 +50,7 @@ function valueOf(input, kind, cameras) {
 }
 
 function field(name, input, required) {
-  const label = WORDS[name] ?? name.replaceAll('_', ' ');
+  const label = OPTIONS[name] ?? name.replaceAll('_', ' ');
   if (input.role === 'group') return element('fieldset', {}, element('legend', {}, label), input);
   input.required = required;
   const note = NOTES[name] && element('span', { id: `${input.id}-note` }, NOTES[name]);
