@@ -64,7 +64,7 @@ ALLOWED = {
     ("reconstruction/bench/paper/", "supervision"): "the paper's protocol: the losses it compares",
     ("reconstruction/stability/models.py", "model"): "a model of each motion, made without a recording",
     ("reconstruction/stability/stiff.py", "scene"): "the ticks of each stiff scene",
-    ("server/page/operator/naming.js", "job type"): "the word a person reads for a type; another is shown by its name",
+    ("server/page/operator/words.js", "job type"): "the word a person reads for a type; another is shown by its name",
     ("server/schemas/jobs.py", "status"): "a stage's status, which may be waiting besides",
     ("server/work/processes.py", "job type"): "those whose exit code 1 is an answer",
     ("server/work/stages.py", "job type"): "the method of each type of work that is not a task",

@@ -7,7 +7,6 @@ import { unchoose } from './selection.js';
 import { counted, inWords, JOBS } from './words.js';
 
 const MOST_NAMED = 8, PAUSE_MS = 1000, MOST_TRIES = 120;
-const OF_CAPTURES = ['reconstruct', 'images', 'check-rig', 'verify'];
 const nameOf = (item) => item.name ?? item.id;
 
 // Do something for one item, waiting where the service asks for fewer requests.
@@ -92,9 +91,12 @@ function common(items, context) {
   return first.filter((camera) => others.every((cameras) => cameras.includes(camera)));
 }
 
+// The types of jobs that work on one capture; a calibration is of a rig, which its own form asks for.
+const typesOf = ({ options }) => Object.keys(options).filter((name) => 'capture' in options[name].properties && name !== 'calibrate');
+
 function queueing(items, context) {
   const ask = () => {
-    const choice = element('select', { id: 'batch-type' }, OF_CAPTURES.map((name) => element('option', { value: name }, JOBS[name])));
+    const choice = element('select', { id: 'batch-type' }, typesOf(context).map((name) => element('option', { value: name }, JOBS[name] ?? name)));
     const place = element('div');
     let form;
     choice.onchange = () => {
