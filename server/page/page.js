@@ -71,7 +71,7 @@ function refresh() {
   return asking;
 }
 
-// Ask for them anew, also where a request under way was made of what is no longer wanted.
+// Ask for them anew: a request under way may ask for something else.
 const anew = () => (asking ?? Promise.resolve()).then(refresh);
 
 async function refreshed() {

@@ -293,7 +293,8 @@ def test_the_lists_fit(width: int, scheme: str, pair: list[Capture], done: str, 
     controls = "button, a[href], input, select, textarea"
     unnamed = page.evaluate(
         """(which) => [...document.querySelectorAll(which)].filter(
-            (one) => !(one.textContent.trim() || one.ariaLabel || one.labels?.length || one.querySelector('img[alt]'))).map((one) => one.outerHTML)""",
+            (one) => !(one.textContent.trim() || one.ariaLabel || one.labels?.length || one.querySelector('img[alt]'))
+        ).map((one) => one.outerHTML)""",
         controls,
     )
     assert unnamed == []
