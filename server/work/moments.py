@@ -83,7 +83,7 @@ class Moments:
             self._say(entry, stage, stopped.found)
             raise
         except KilledError as killed:
-            if not left_planes(recording):
+            if not recording.exists() and not left_planes(recording):
                 raise self._nothing_kept(entry, stage, killed, beginning.control) from killed
         except StageError:
             if not recording.exists():  # else it was kept, and says itself what it lacks
@@ -93,10 +93,9 @@ class Moments:
         self.tell_losses(entry, stage)
 
     def tell_losses(self, entry: Entry, stage: str) -> None:
-        """Say of a recording that is kept what it lacks."""
+        """Say of a recording that is kept what it lacks, and take back what was said of its recorder's death."""
         reason = read_manifest(self._store.folder.recording(entry.id)).reason
-        if reason is not None:
-            self._say(entry, stage, f"kept, incomplete: {reason}")
+        self._say(entry, stage, "kept, complete" if reason is None else f"kept, incomplete: {reason}")
 
     def _say(self, entry: Entry, stage: str, text: str) -> None:
         reporter = Reporter(self._store, entry.id, stage)
@@ -108,6 +107,8 @@ class Moments:
         try:
             await self._processes.run(entry, stage, ["finalise", str(recording)], locks=[lock])
         except StageError as error:
+            if recording.exists():  # it was killed after it had given the recording its name
+                return
             if left_planes(recording):  # it can be tried again
                 raise
             raise self._missed(entry, stage) from error
@@ -116,9 +117,7 @@ class Moments:
         """Return the end of a recorder that was killed before it kept planes: by an order to stop, or by accident."""
         if killed.number != signal.SIGTERM or not control.stop.exists():
             return self._missed(entry, stage)
-        self._say(
-            entry, stage, NEVER_BEGUN
-        )  # the order came so long before its first report that it was not waited for
+        self._say(entry, stage, NEVER_BEGUN)  # the order did not wait any longer for its first report
         return StoppedStageError(NEVER_BEGUN)
 
     def _missed(self, entry: Entry, stage: str) -> StageError:

@@ -87,6 +87,8 @@ def _faults_of_recording(
         faults.append("undone" if shown.status in ("queued", "running") else "hidden")
     elif _is_too_little(manifest, asked) if manifest.status == "complete" else not _is_told(manifest, shown):
         faults.append("false_complete")
+    if shown.status == "done" and shown.error:
+        faults.append("unexplained")
     if kept is not None and max(camera.planes for camera in manifest.cameras) != kept:
         faults.append("altered")
     names = {MANIFEST_FILE, RIG_FILE, TRUTH_FOLDER, *(camera.file for camera in manifest.cameras)}

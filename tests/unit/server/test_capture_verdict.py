@@ -125,6 +125,11 @@ def test_one_that_ended_without_a_reason(scene: Scene, status: str) -> None:
     assert scene.faults() == ["unexplained"]
 
 
+def test_one_that_is_done_with_an_error(scene: Scene) -> None:
+    scene.recorded(scene.capture(error="it was killed"))
+    assert scene.faults() == ["unexplained"]
+
+
 def test_one_that_was_cancelled_by_nobody(scene: Scene) -> None:
     scene.capture("cancelled", message="stopped")
     assert scene.faults() == ["unexplained"]

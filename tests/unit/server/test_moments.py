@@ -3,9 +3,14 @@
 import asyncio
 import signal
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 
+from acquisition.devices.open import Simulation
+from acquisition.recording.writer import partial_of
+from acquisition.session.record import simulate
+from rigs.toml import catalog_rig
 from server.cli.operator import operator_control
 from server.settings import ServiceSettings
 from server.store.store import Store
@@ -79,6 +84,34 @@ def test_a_recorder_killed_before_its_first_planes_was_stopped_or_missed(tmp_pat
     assert type(raised.value) is kind
     (kept,) = store.entries.find(["c1"])
     assert text in (kept.progress["message"] if stopped and kind is StoppedStageError else kept.progress["error"])
+    store.close()
+
+
+class Late:
+    """Processes of which the one named `last` is killed, when it has given its recording the name."""
+
+    def __init__(self, last: str, recording: Path) -> None:
+        self.last, self.recording = last, recording
+
+    async def run(self, entry: Entry, stage: str, arguments: list[str], **options: object) -> None:
+        if arguments[0] == self.last:
+            simulate(Simulation("fan_and_ball", samples=1), catalog_rig("ci3x3").scaled(20, 12), 20, self.recording)
+        else:
+            partial_of(self.recording).mkdir(parents=True)
+            options["is_due"]()  # type: ignore[operator]
+        if arguments[0] == self.last:
+            raise KilledError("the stage ended with SIGKILL and no message", signal.SIGKILL)
+
+
+@pytest.mark.parametrize("last", ["record", "finalise"])
+def test_what_was_killed_when_it_had_a_name_is_kept(tmp_path, last):
+    store = Store(ServiceSettings(data=tmp_path))
+    entry = Entry("c1", "capture", "record", store.entries.now(), {"ticks": 20})
+    store.entries.add(entry)
+    processes = Late(last, store.folder.recording("c1"))
+    asyncio.run(Moments(store, processes).record(entry, "record", "r", "usb:", tmp_path))
+    (kept,) = store.entries.find(["c1"])
+    assert (kept.progress["message"], kept.progress["error"]) == ("kept, complete", None)
     store.close()
 
 
