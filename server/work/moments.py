@@ -55,7 +55,7 @@ class Beginning:
 
 
 class Moments:
-    """Records the captures of one service."""
+    """Makes the captures of one service."""
 
     def __init__(self, store: Store, processes: Processes) -> None:
         self._store = store
@@ -91,6 +91,15 @@ class Moments:
         if not recording.exists():
             await self._finalise(entry, stage, recording, lock)
         self.tell_losses(entry, stage)
+
+    async def run_import(self, entry: Entry, stage: str, arguments: list[str]) -> None:
+        """Make a recording of files; raises StageError where it failed."""
+        try:
+            await self._processes.run(entry, stage, arguments)
+        except KilledError:
+            if not self._store.folder.recording(entry.id).exists():  # else it was killed after it had its name
+                raise
+            self.tell_losses(entry, stage)
 
     def tell_losses(self, entry: Entry, stage: str) -> None:
         """Say of a recording that is kept what it lacks, and take back what was said of its recorder's death."""

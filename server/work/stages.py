@@ -107,7 +107,7 @@ class Stages:
         recording = self._folder.recording(entry.id)
         dats = [self._folder.upload(upload_id) / "data" for upload_id in entry.request["dats"]]
         cameras = self._folder.entry(entry.id) / entry.request["cameras"]
-        await self._processes.run(entry, stage, import_arguments(entry.request, dats, cameras, recording))
+        await self._moments.run_import(entry, stage, import_arguments(entry.request, dats, cameras, recording))
 
     async def _preflight(self, entry: Entry, stage: str) -> None:
         rig, devices, lock = self._rig(entry)

@@ -12,10 +12,13 @@ from acquisition.recording.writer import partial_of
 from acquisition.session.record import simulate
 from rigs.toml import catalog_rig
 from server.cli.operator import operator_control
+from server.schemas.captures import ImportRequest
 from server.settings import ServiceSettings
 from server.store.store import Store
 from server.store.tables import Entry
+from server.work import stages as stages_module
 from server.work.moments import Beginning, Moments
+from server.work.stages import Stages
 from server.work.supervisor import KilledError, StageError, StoppedStageError
 
 
@@ -110,6 +113,20 @@ def test_what_was_killed_when_it_had_a_name_is_kept(tmp_path, last):
     store.entries.add(entry)
     processes = Late(last, store.folder.recording("c1"))
     asyncio.run(Moments(store, processes).record(entry, "record", "r", "usb:", tmp_path))
+    (kept,) = store.entries.find(["c1"])
+    assert (kept.progress["message"], kept.progress["error"]) == ("kept, complete", None)
+    store.close()
+
+
+def test_an_import_that_was_killed_when_it_had_a_name_is_kept(tmp_path, monkeypatch):
+    settings = ServiceSettings(data=tmp_path)
+    store = Store(settings)
+    asked = ImportRequest(uploads=["a"], cameras="b", tick_rate_hz=20_000).model_dump()
+    entry = Entry("c1", "capture", "import", store.entries.now(), asked | {"dats": ["a"], "ids": None})
+    store.entries.add(entry)
+    processes = Late("import", store.folder.recording("c1"))
+    monkeypatch.setattr(stages_module, "Processes", lambda *given: processes)
+    asyncio.run(Stages(settings, store).run("c1", "import"))
     (kept,) = store.entries.find(["c1"])
     assert (kept.progress["message"], kept.progress["error"]) == ("kept, complete", None)
     store.close()
