@@ -15,7 +15,7 @@ class Job(Progress):
 
     `position` is the place of a queued job in its queue, from 1 on. `expected_begin` and `expected_end` are estimated
     from the budget, the share that is done, earlier jobs of the type and the workers that are alive; null where these
-    do not tell. `resumable`: it failed or was cancelled, and resuming may help. A job whose input was refused
+    do not tell, and in the answer to a batch, which is queued as it is given. `resumable`: it failed or was cancelled, and resuming may help. A job whose input was refused
     (`bad_input`) would be refused again: queue one with other options.
     """
 

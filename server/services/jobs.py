@@ -53,12 +53,15 @@ class JobService:
     def get(self, job_id: str) -> Job:
         """Return one job; raises NotFoundError."""
         entry = self._store.entries.get("job", job_id)
-        return self._shown([entry])[0]
+        status = self._engine.status(entry)
+        outlook = self._forecast.of([job_id]).get(job_id) if status in ACTIVE else None
+        return _job(entry, status, outlook or Outlook())
 
     def find(self, job_ids: Sequence[str]) -> Jobs:
-        """Return those of the jobs that exist, in the order of their ids."""
+        """Return those of the jobs that exist, in the order of their ids, without their places and times."""
         entries = sorted(self._store.entries.find(job_ids), key=lambda entry: entry.id)
-        return Jobs(items=self._shown(entries))
+        states = self._engine.statuses(entries)
+        return Jobs(items=[_job(entry, states[entry.id], Outlook()) for entry in entries])
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100, order: Order = "newest") -> bytes:
         """Return a page of jobs: `Jobs` as JSON. Raises UnknownReferenceError for a cursor of another order."""
@@ -132,11 +135,6 @@ class JobService:
         outlooks = self._forecast.of([entry.id for entry, word in found if word in ACTIVE])
         blank = Outlook()
         return [job_document(entry, word) | outlooks.get(entry.id, blank)._asdict() for entry, word in found]
-
-    def _shown(self, entries: Sequence[Entry]) -> list[Job]:
-        states = self._engine.statuses(entries)
-        outlooks = self._forecast.of([entry.id for entry in entries if states[entry.id] in ACTIVE])
-        return [_job(entry, states[entry.id], outlooks.get(entry.id, Outlook())) for entry in entries]
 
     def _again(self, entry: Entry, stage: str | None = None) -> Job:
         self._queue.again(entry, stage)

@@ -222,7 +222,7 @@ def test_a_note_is_in_a_backup(tmp_path: Path) -> None:
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
-def searched(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TestClient]:
+def searched(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
     """A service on either database."""
     if request.param == "sqlite":
         with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url=LOOPBACK) as http:
@@ -233,7 +233,9 @@ def searched(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TestCli
     except PostgresqlMissingError as error:
         pytest.skip(str(error))
     try:
-        settings = ServiceSettings(data=tmp_path, database=server.url)
+        for name, value in server.environment.items():
+            monkeypatch.setenv(name, value)
+        settings = ServiceSettings(data=tmp_path)
         with TestClient(create_app(settings), base_url=LOOPBACK) as http:
             yield http
     finally:
