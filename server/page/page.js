@@ -5,6 +5,7 @@ import { learnCalibration } from './operator/calibrations.js';
 import { isFocusing } from './operator/cameras.js';
 import { capture } from './operator/captures.js';
 import { byId, element, keepingFocus, patchChildren } from './operator/dom.js';
+import { offerImport } from './operator/importing.js';
 import { job } from './operator/jobs.js';
 import { refreshLarge } from './operator/large.js';
 import { forCaptures, forJobs } from './operator/many.js';
@@ -199,6 +200,7 @@ async function start() {
   const { schema } = paths['/v1/jobs'].get.parameters.find(({ name }) => name === 'status');
   byId('jobs-status').append(...schema.anyOf.find((one) => one.enum).enum.map((status) => new Option(status)));
   byId('role').hidden = !looksOn();
+  offerImport(byId('import'), byId('captures').closest('section'), context);
   await refresh();
   follow('/v1/events', happened, heard);
   every(() => (live ? SLOW_MS : QUICK_MS), refresh);

@@ -1,6 +1,6 @@
 """Stands in for `spike4dgs record` and `spike4dgs reconstruct --stage`: counts steps, checkpoints, obeys SIGTERM.
 
-It also calibrates, by lengthening each lens by a tenth, and checks rigs.
+It also calibrates, by lengthening each lens by a tenth, and checks rigs. Imports are true ones.
 
 FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists, and
 refuses its input while DATA/jobs/refuse-STAGE does.
@@ -163,6 +163,8 @@ def main() -> None:
         return calibrate(Path(arguments[0]), arguments[1:])
     if command == "check-rig" and "--rig" in arguments:
         return check_rig(arguments[1:])
+    if command == "import":  # by the command itself
+        os.execv(sys.executable, [sys.executable, "-m", "server.cli", *sys.argv[1:]])
     if command == "preflight":
         return preflight()
     if command in ("verify", "check-rig"):

@@ -10,8 +10,9 @@ export const setToken = (text) => localStorage.setItem(KEY, text);
 const refused = (status, detail) => Object.assign(new Error(detail), { status });
 
 export async function request(path, { method = 'GET', body, headers, signal } = {}) {
-  const all = { ...headers, ...(body !== undefined && { 'Content-Type': 'application/json' }), ...(token() && { Authorization: `Bearer ${token()}` }) };
-  const response = await fetch(path, { method, headers: all, signal, body: JSON.stringify(body) }).catch((error) => {
+  const raw = body instanceof Blob;
+  const all = { ...headers, ...(body !== undefined && !raw && { 'Content-Type': 'application/json' }), ...(token() && { Authorization: `Bearer ${token()}` }) };
+  const response = await fetch(path, { method, headers: all, signal, body: raw ? body : JSON.stringify(body) }).catch((error) => {
     throw error.name === 'AbortError' ? error : refused(0, 'The service does not answer; check that it runs');
   });
   if (response.status === 401) document.dispatchEvent(new CustomEvent('token-wanted'));

@@ -8,10 +8,10 @@ export const refreshLarge = () => shown?.refresh?.();
 export const control = (label, id, onclick, title = '') => element('button', { type: 'button', id, className: 'plain', title, onclick }, label);
 
 // `keys` takes a key's name and says whether it was used; `back` says whether it went back one step; `refresh` is called
-// when the state of the page has changed. Returns the dialog.
-export function openLarge(key, heading, controls, body, { keys = () => false, back = () => false, refresh } = {}) {
+// when the state of the page has changed, `closed` at the end. Returns the dialog.
+export function openLarge(key, heading, controls, body, { keys = () => false, back = () => false, refresh, closing = 'Close', closed } = {}) {
   const from = document.activeElement;
-  const close = control('Close', 'large-close', () => made.close(), 'Escape');
+  const close = control(closing, 'large-close', () => made.close(), 'Escape');
   const head = element('header', { className: 'large-head' }, element('h2', { id: 'large-title' }, heading),
     element('div', { className: 'actions' }, controls, close));
   const made = element('dialog', { id: 'large', className: 'large' }, element('div', { className: 'large-all' }, head, body));
@@ -25,6 +25,7 @@ export function openLarge(key, heading, controls, body, { keys = () => false, ba
   made.onclose = () => {
     shown = null;
     made.remove();
+    closed?.();
     (from?.isConnected ? from : byId(from?.id))?.focus();
   };
   shown = { key, refresh };
