@@ -93,7 +93,7 @@ class Cameras {
     this.grid.classList.toggle('alone', id !== null);
     byId('large-back').hidden = id === null;
     for (const [name, { made }] of this.cells) {
-      made.classList.toggle('chosen', name === id);
+      made.classList.toggle('only', name === id);
       made.ariaPressed = String(name === id);
     }
     this.cells.get(id ?? before)?.made.focus();
