@@ -79,6 +79,13 @@ class Stand:
             more.click()
         return page
 
+    def searched(self, words: str) -> Any:
+        """Open the page and search."""
+        page = self.page()
+        page.fill("#search", words)
+        page.wait_for_selector("#no-jobs")
+        return page
+
     def viewer(self, *clicks: str) -> Any:
         """Open the viewer, and click what is named."""
         if not RENDERER.exists():
@@ -187,6 +194,7 @@ def compared(at: Stand) -> Any:
 STATES: dict[str, Callable[[Stand], Any]] = {
     "empty": lambda at: at.page(answers={r"/v1/(jobs|captures)\?": lambda _: NOTHING, r"/v1/rigs$": lambda _: NOTHING}),
     "rigs idle, a capture, a job": lambda at: at.page(),
+    "nothing found": lambda at: at.searched("no such name"),
     "everything unfolded": lambda at: at.page(
         f"#more-{at.capture} summary", *(f"#{name}-{at.job} summary" for name in ("results", "log", "manage"))
     ),
@@ -201,6 +209,12 @@ STATES: dict[str, Callable[[Stand], Any]] = {
     "evaluate form": lambda at: at.form("Evaluate…", f"#job-{at.job}"),
     "deletion of a capture": lambda at: at.form("Delete", f"#capture-{at.capture}"),
     "deletion of a job": lambda at: at.form("Delete", f"#job-{at.job}"),
+    "name and note": lambda at: at.form("Name and note…", f"#capture-{at.capture}"),
+    "again with other options": lambda at: at.form("Do again with other options…", f"#job-{at.job}"),
+    "all chosen": lambda at: at.page("#choose-all-captures", "#choose-all-jobs"),
+    "jobs for many": lambda at: at.page("#choose-all-captures", "#batch-captures", "#dialog summary"),
+    "exports of many": lambda at: at.page("#choose-all-jobs", "#export-jobs"),
+    "deletion of many": lambda at: at.page("#choose-all-jobs", "#delete-jobs"),
     "token form": refused,
     "a viewer's token": lambda at: at.page(
         answers={r"/v1/info$": changed(role="viewer")}, wanted="#role:not([hidden])"
