@@ -17,6 +17,7 @@ from acquisition.recording.writer import RecordingWriter
 from acquisition.session.capture import Capture, CaptureRules
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
+_LAST_SAVE_S = 0.3  # seconds that an order to save may be slower than the one to stop behind it
 _BUSY = 0.4  # share of the ring in use from which a pause of the disk will lose planes
 _STOP_MARGIN_S = 0.05  # seconds recorded beyond the furthest camera, so that all end at the same plane
 
@@ -107,11 +108,15 @@ class _Run:
 
     def steer(self) -> None:
         """Begin and end all cameras at common planes, when it is time."""
-        if not self._began and (self._pre_planes is None or self._control.save.is_set()):
+        if not self._began and not self._ended and (self._pre_planes is None or self._is_told_to_save()):
             self._begin()
         refused = any(capture.writer.failure for capture in self._captures)
         if not self._ended and (self._control.ends or self._recording.full or refused):
             self._end()
+
+    def _is_told_to_save(self) -> bool:
+        """Return whether the session is to be kept; an order given just before that to stop may still be on its way."""
+        return self._control.save.wait(_LAST_SAVE_S if self._control.stop.is_set() else 0.0)
 
     def conclude(self) -> None:
         """Note what went wrong; raise where nothing was recorded."""

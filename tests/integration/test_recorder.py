@@ -214,6 +214,47 @@ def test_a_pre_trigger_that_never_comes_keeps_nothing(tmp_path, capture):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_save_that_the_stop_behind_it_overtook_is_kept_whole(tmp_path, capture):
+    control = Control()
+    senders = [Sender(number, 100_000, pause_s=0.0005) for number in range(3)]
+
+    def stop_and_save(number):
+        if number == 100:
+            control.stop.set()
+            threading.Timer(0.1, control.save.set).start()
+
+    senders[0].before_block = stop_and_save
+    capture(senders, None, pre_planes=50, control=control)
+    manifest = read_any_manifest(tmp_path / "rec")
+    assert (manifest.status, manifest.trigger_plane) == ("complete", 50)
+    assert len({camera.planes for camera in manifest.cameras}) == 1
+
+
+class SavedTooLate(threading.Event):
+    """An order to save that comes between the first look for it after `stop` and the next."""
+
+    def __init__(self, stop):
+        super().__init__()
+        self.stop, self.looks = stop, 0
+
+    def is_set(self):
+        self.looks += self.stop.is_set()
+        return self.looks > 1
+
+    def wait(self, timeout=None):
+        return self.is_set()
+
+
+def test_a_save_after_the_end_begins_nothing(tmp_path, capture):
+    stop = threading.Event()
+    control = Control(stop=stop, save=SavedTooLate(stop))
+    senders = [Sender(number, 100_000, pause_s=0.0005) for number in range(3)]
+    senders[0].before_block = lambda number: control.stop.set() if number == 100 else None
+    with pytest.raises(StoppedError, match="stopped before it was told to save"):
+        capture(senders, None, pre_planes=50, control=control)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_manifest_says_what_is_going_on(tmp_path, capture):
     seen = set()
     fractions = []
