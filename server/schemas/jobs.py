@@ -14,9 +14,10 @@ class Job(Progress):
     """A job, done or to be done; `rig` is the one it, or the capture it works on, was made with. `note` is a person's.
 
     `position` is the place of a queued job in its queue, from 1 on. `expected_begin` and `expected_end` are estimated
-    from the budget, the share that is done, earlier jobs of the type and the workers that are alive; null where these
-    do not tell, and in the answer to a batch, which is queued as it is given. `resumable`: it failed or was cancelled, and resuming may help. A job whose input was refused
-    (`bad_input`) would be refused again: queue one with other options.
+    from the budget, the share that is done, earlier jobs of the type and the workers that are alive. They are null
+    where these do not tell, and in the answer to a batch, which is queued as it is given. `resumable`: it failed or
+    was cancelled, and resuming may help. A job whose input was refused (`bad_input`) would be refused again: queue one
+    with other options.
     """
 
     id: str
