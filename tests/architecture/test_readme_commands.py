@@ -8,6 +8,7 @@ import importlib
 import json
 import re
 import shlex
+import shutil
 import signal
 import sqlite3
 import time
@@ -19,15 +20,19 @@ import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
 
+from acquisition.devices.open import Simulation
 from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
 from rigs.exchange.nerfstudio import Frame, dump_frames, dump_transforms
 from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
 from server.cli.main import COMMANDS, cli
 from server.client import ServiceClient
+from server.contact_sheet import figures
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import ReconstructRequest
 from server.settings import ServiceSettings
+from server.store.looks import keep_look
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("README.md", "server/README.md", "server/guide/README.md", "acquisition/README.md", "reconstruction/README.md")
@@ -194,18 +199,30 @@ def requests() -> list[str]:
     return [line for name in NAMES for line in re.findall(r"`(curl [^`]+)`", (ROOT / name).read_text())]
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("small") / "rec"
+    simulate(Simulation("fan_and_ball", samples=1), catalog_rig("lab3x3").scaled(24, 16), 201, path)
+    return path
+
+
 @pytest.fixture
-def seeded(service) -> dict[str, str]:
-    """A capture and a reconstruction of it, both done: the ids that stand for CID and JID."""
+def seeded(service, recording) -> dict[str, str]:
+    """A rig that was looked at, a capture and a reconstruction of it, both done: CID and JID stand for their ids."""
     client, store = ServiceClient(service), service.app.state.services.store
     capture = client.start_capture("lab3x3", CaptureRequest(ticks=40))
+    shutil.copytree(recording, store.folder.recording(capture.id))
+    seen = figures(Recording.open(recording))
+    keep_look(store.folder.rig("lab3x3"), seen, {camera.id: b"a PNG" for camera in seen})
     finish(service)
     job = client.submit(ReconstructRequest(capture=capture.id, holdout="cam11"))
     finish(service)
     run = store.folder.run(job.id)
     run.mkdir(parents=True)
-    (run / "report.html").write_text("<title>report</title>")
-    store.artefacts.catalogue(job.id, run, iter(["report.html"]))
+    made = {"report.html": "<title>report</title>", "viewer.json": '{"white": 1.0}'}
+    for name, text in made.items():
+        (run / name).write_text(text)
+    store.artefacts.catalogue(job.id, run, iter(made))
     return {"CID": capture.id, "JID": job.id}
 
 

@@ -14,7 +14,7 @@ def test_it_is_the_psnr_of_a_running_mean():
     assert found.psnr_db == pytest.approx(20.0, abs=1e-4)
     found.see(target + 0.005, target)
     assert found.psnr_db == pytest.approx(10 * math.log10(0.25 / ((0.05**2 + 0.005**2) / 2)), abs=1e-4)
-    assert str(found) == f", PSNR {found.psnr_db:.2f} dB"
+    assert str(found) == f", training PSNR {found.psnr_db:.2f} dB"
 
 
 def test_it_forgets_what_is_long_past():

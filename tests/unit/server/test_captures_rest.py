@@ -3,7 +3,6 @@
 import hashlib
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +25,6 @@ from server.work.commands import import_arguments, look_arguments, preflight_arg
 
 RIG = catalog_rig("lab3x3").scaled(40, 24)
 PLANES = 60
-
-
-@pytest.fixture(scope="module")
-def http(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    settings = ServiceSettings(data=tmp_path_factory.mktemp("data"))
-    with TestClient(create_app(settings), base_url="http://127.0.0.1") as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
-def services(http: TestClient) -> Services:
-    return http.app.state.services  # type: ignore[attr-defined]
 
 
 def planes_of(number: int) -> np.ndarray:

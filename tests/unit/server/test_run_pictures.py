@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -15,25 +14,11 @@ from acquisition.spikes.packing import pack
 from reconstruction.images.catalogue import method
 from reconstruction.report.display import grey
 from rigs.toml import catalog_rig, dump_rig
-from server.app import create_app
 from server.services.services import Services
-from server.settings import ServiceSettings
 from server.store.tables import Entry
 
 RIG = catalog_rig("lab3x3").scaled(40, 24)
 PLANES, WHITE = 80, 0.8
-
-
-@pytest.fixture(scope="module")
-def http(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    settings = ServiceSettings(data=tmp_path_factory.mktemp("data"))
-    with TestClient(create_app(settings), base_url="http://127.0.0.1") as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
-def services(http: TestClient) -> Services:
-    return http.app.state.services  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")

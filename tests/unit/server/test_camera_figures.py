@@ -1,7 +1,6 @@
 """Focus and light of cameras' pictures: the figures against known values, and over REST."""
 
 import io
-from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -14,12 +13,10 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from rigs.toml import catalog_rig, dump_rig
-from server.app import create_app
 from server.contact_sheet import camera_picture, contact_sheet, figures
 from server.figures import figures_of
 from server.schemas.pictures import BINS, CameraFigures
 from server.services.services import Services
-from server.settings import ServiceSettings
 from server.store.looks import keep_look
 from server.store.tables import Entry
 
@@ -110,18 +107,6 @@ def test_no_plane_has_no_figures() -> None:
 
 
 @pytest.fixture(scope="module")
-def http(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    settings = ServiceSettings(data=tmp_path_factory.mktemp("data"))
-    with TestClient(create_app(settings), base_url="http://127.0.0.1") as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
-def services(http: TestClient) -> Services:
-    return http.app.state.services  # type: ignore[attr-defined]
-
-
-@pytest.fixture(scope="module")
 def capture_id(services: Services, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A capture whose camera `number` is dark in its first `number` columns and saturated in the next one."""
     folder, entries = tmp_path_factory.mktemp("dats"), services.store.entries
@@ -157,7 +142,7 @@ def test_a_look_is_kept_whole(http: TestClient, services: Services, capture_id: 
     for path in ("look", "look/cam11", "look.png"):
         answer = http.get(f"/v1/rigs/lab3x3/{path}")
         assert (answer.status_code, "POST /v1/rigs/lab3x3/look" in answer.text) == (404, True)
-    recording, rig = services.previews._recording(capture_id), services.store.folder.rig("lab3x3")
+    recording, rig = services.previews.recording(capture_id), services.store.folder.rig("lab3x3")
     pictures = {camera_id: camera_picture(recording, camera_id) for camera_id in RIG.ids}
     keep_look(rig, figures(recording), pictures)
     (rig / "look.png").write_bytes(contact_sheet(recording))
@@ -177,7 +162,7 @@ def test_a_look_is_kept_whole(http: TestClient, services: Services, capture_id: 
 
 
 def test_a_camera_without_a_plane_has_a_place_and_no_figures(services: Services, capture_id: str) -> None:
-    recording = services.previews._recording(capture_id)
+    recording = services.previews.recording(capture_id)
     entry = recording.manifest.camera("cam21")
     object.__setattr__(entry, "planes", 0)
     found = {one.id: one for one in figures(recording)}
