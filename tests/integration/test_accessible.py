@@ -16,8 +16,8 @@ import pytest
 from integration.fake_report import report_page
 from maintenance.operator_page import BROWSER, CHROMIUM, LONG_MS, Service
 
+from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
-from acquisition.revision import code_revision
 from server.routes import page as page_routes
 from server.schemas.captures import Capture
 
@@ -248,9 +248,11 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, list[d
     yield gathered
     out = Path(os.environ.get("SPIKE4DGS_AXE") or tmp_path_factory.mktemp("axe") / "axe.json")
     rows = [row for rows in gathered.values() for row in rows]
-    counts = {impact: sum(row["impact"] == impact for row in rows) for impact in ("minor", "moderate", *GRAVE)}
-    document = {"bench": "axe", "axe": version(), "revision": code_revision(), "widths": WIDTHS, "schemes": SCHEMES}
-    write_json(out, document | {"states": list(gathered), "rows": rows, "summary": {"states": len(gathered), **counts}})
+    counts = {impact: float(sum(row["impact"] == impact for row in rows)) for impact in ("minor", "moderate", *GRAVE)}
+    document = BenchDocument("axe")
+    document.rows = [{"state": state, "axe": version(), "found": rows} for state, rows in gathered.items()]
+    document.summary = {"states": float(len(gathered)), **counts}
+    write_json(out, document.to_json())
 
 
 def version() -> str:

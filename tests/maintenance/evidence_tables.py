@@ -11,14 +11,21 @@ from reconstruction.bench.conventions import means
 from reconstruction.bench.paper.tables import markdown
 
 COMMANDS = {
+    "axe": "make axe",
     "faults": "make faults",
     "service_load": "make load",
     "stability": "spike4dgs stability --full",
 }
 ABOUT = {
-    "faults": "Fifty jobs on a real web process with two workers, each database in turn, while processes are killed, "
-    "and clients cancel, resume and restart. `lost`: accepted and gone; `undone`: never completed; `repeated`: "
-    "finished work done again; `reopened`: a finished stage begun again; `torn`: half-written under a final name.",
+    "axe": "Every state of the pages, dialogs and the viewer among them, 1280 and 400 pixels wide, light and dark, by "
+    "axe-core's rules. The figures count findings by their impact.",
+    "faults": "Rounds of a real web process with two workers, jobs that sleep, and captures by the real recorder on "
+    "simulated cameras, while processes are killed with kill -9 and clients cancel, resume, restart, stop, save and "
+    "finalise; both databases side by side. `lost`: accepted and gone; `undone`: never ended; `repeated`: ended work "
+    "done again; `reopened`: a finished stage begun again; `torn`: half-written under a final name; `broken`: rounds "
+    "that did not come to their end. Of captures, `doubled`: begun twice; `false_complete`: called whole and is not; "
+    "`altered`: other planes than the killed recorder had on the disk (`cut_off` were compared); `hidden`: kept planes "
+    "that the service does not tell of; `unexplained`: no reason given. `failed` ones kept no plane.",
     "images": "The evaluation scenes, centre camera, 400x250, real sensor, three instants each; PSNR and SSIM against "
     "the exact light. `@light`: factors of the scene's light; `@drop` and `@reintegrate`: planes a second.",
     "leave-out": "200x125, 12,000 Gaussians, 400 steps. Positive costs are what the plan loses against the other run; "
