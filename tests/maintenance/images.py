@@ -21,12 +21,14 @@ IMAGES = {"server": "serve", "capture": "worker", "worker": "worker"}  # the com
 _TOLD = re.compile(r"(PIP_|NODE_EXTRA|npm_config_|https?_proxy|SSL_)")
 _CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 _KEPT_CERTIFICATES = "/etc/ssl/machine.crt"  # packages write over the other
-# Run in the finished image: the command is there, compilers and sources are not, and torch only where it computes.
+# Run in the finished image: it records, a worker reconstructs; no compilers, no sources, and torch for workers alone.
 _ASKED = """FROM spike4dgs-{name}
 RUN spike4dgs {command} --help
+RUN spike4dgs record --rig ci3x3 --devices "mock:fan_and_ball?samples=1" --ticks 60 --out /tmp/rec
+RUN {torch} || exit 0; spike4dgs reconstruct /tmp/rec --out /tmp/run --holdout cam11 --steps 4
 RUN test "$(id -un)" = spike4dgs && id -nG | grep -qw plugdev
 RUN ! command -v g++ && ! command -v cc && ! command -v make && ! command -v npm && ! test -e /opt/spike4dgs/tests
-RUN test "$(python -c 'import importlib.util as u; print(u.find_spec("torch") is not None)')" = {torch}
+RUN test "$(python -c 'import importlib.util as u; print(str(u.find_spec("torch") is not None).lower())')" = {torch}
 RUN test {viewer} "$(python -c 'import server.page as p; print(p.__path__[0])')/viewer/vendor/spark.js"
 """
 
@@ -96,7 +98,7 @@ def make_base(tag: str) -> None:
 
 def check(tool: str, name: str) -> None:
     """Ask a finished image for what it must have and must lack; raises ServiceError."""
-    torch, viewer = name == "worker", "-s" if name == "server" else "! -e"
+    torch, viewer = str(name == "worker").lower(), "-s" if name == "server" else "! -e"
     with tempfile.NamedTemporaryFile("w", suffix=".Dockerfile") as file:
         file.write(_ASKED.format(name=name, command=IMAGES[name], torch=torch, viewer=viewer))
         file.flush()
