@@ -104,6 +104,7 @@ function lost(text) {
   const notice = byId('notice');
   if (!text) seen = new Date();
   document.body.classList.toggle('away', Boolean(text));
+  byId('news').hidden = Boolean(text);
   if (text) complain(`${text}. What is shown is of ${seen.toLocaleTimeString()}.`);
   else if (notice.dataset.lost) complain('');
   notice.dataset.lost = text ? 'yes' : '';

@@ -29,6 +29,8 @@ pytestmark = BROWSER
 SOFTWARE_GL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 GRAVE = ("serious", "critical")
+TOO_WIDE = """[document.documentElement, ...document.querySelectorAll('dialog')]
+  .filter((one) => one.scrollWidth > one.clientWidth).map((one) => one.tagName)"""
 NOTHING = {"items": [], "next": None}
 Answer = Callable[[Any], Any]
 
@@ -277,6 +279,7 @@ def test_axe_finds_nothing_serious(state: str, stand: Stand, found: dict[str, li
             page.set_viewport_size({"width": width, "height": 900})
             page.emulate_media(color_scheme=scheme)
             page.wait_for_timeout(200)
+            assert page.evaluate(TOO_WIDE) == [], f"{width} px"
             for one in axe_playwright.Axe().run(page).response["violations"]:
                 row = seen.setdefault(one["id"], {"state": state, "rule": one["id"], "impact": one["impact"], "at": []})
                 targets = [str(node["target"][0]) for node in one["nodes"]]
