@@ -290,7 +290,9 @@ def test_one_of_nine_that_is_unplugged_costs_the_others_nothing(bench):
         bench.unplug("N4")
         for i, task in enumerate(tasks):
             if i == 4:
-                with pytest.raises(DeviceError, match=r"cam4 \(serial N4\): it is not connected any more"):
+                # A transfer that was under way as the plug was pulled may end with an error of the wire first.
+                gone = "it is not connected any more|the transfer failed on the wire"
+                with pytest.raises(DeviceError, match=rf"cam4 \(serial N4\): ({gone})"):
                     task.result()
             else:
                 np.testing.assert_array_equal(task.result(), planes)

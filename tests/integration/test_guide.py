@@ -198,6 +198,7 @@ def export(day: Day) -> None:
     day.press("Export…", day.job)
     day.queue()
     day.ended(day.job)
+    day.see("Export of Reconstruction of first", day.job)
     with day.page.expect_download() as saved:
         day.press("Download", day.job)
     assert Path(saved.value.path()).stat().st_size > 1000
