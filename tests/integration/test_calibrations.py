@@ -4,12 +4,12 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 
 from rigs.rig import Rig
 from rigs.toml import catalog_rig, dump_rig, load_rig, parse_rig
@@ -56,14 +56,6 @@ def start_worker(data: Path, client: ServiceClient) -> Iterator[Callable[[], sub
     for worker in workers:
         worker.terminate()
         worker.wait(30)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(2400):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for two minutes in vain")
 
 
 def record(client: ServiceClient, rig_id: str = "lab3x3") -> Capture:

@@ -8,14 +8,14 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 from PIL import Image
 
 from acquisition.recording.reader import Recording
@@ -31,14 +31,6 @@ from server.settings import RigSource, ServiceSettings
 pytestmark = pytest.mark.slow
 RIG = catalog_rig("lab3x3").scaled(40, 25)
 DEVICES = "mock:fan_and_ball?samples=1&truth_every=1000000"
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(2400):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for two minutes in vain")
 
 
 @pytest.fixture(scope="module")

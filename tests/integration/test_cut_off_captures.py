@@ -4,13 +4,13 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 
 from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
@@ -21,14 +21,6 @@ from server.settings import RigSource, ServiceSettings
 pytestmark = pytest.mark.slow
 RIG = catalog_rig("ci3x3")
 TICKS = 20_000  # far more than are recorded before a test cuts the capture off
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 @pytest.fixture

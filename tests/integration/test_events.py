@@ -3,14 +3,14 @@
 import json
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
 import pytest
 from fastapi import FastAPI
+from maintenance.waiting import wait_for
 
 from server.app import create_app
 from server.cli.serve import listening
@@ -54,14 +54,6 @@ def http(app: FastAPI) -> Iterator[httpx.Client]:
 def opened() -> Iterator[ExitStack]:
     with ExitStack() as stack:
         yield stack
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(400):
-        if condition():
-            return
-        time.sleep(0.025)
-    raise AssertionError("waited for ten seconds in vain")
 
 
 def entry(services: Services, told: str = "new", number: int = 1) -> str:

@@ -3,7 +3,7 @@
 import contextlib
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -11,6 +11,7 @@ import pytest
 from maintenance.deployment import Deployment
 from maintenance.postgresql import PostgresqlMissingError
 from maintenance.verdict import read_trace, torn
+from maintenance.waiting import wait_for
 
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
@@ -43,14 +44,6 @@ def deployment(request: pytest.FixtureRequest, disk: Path) -> Iterator[Deploymen
         pytest.skip(str(error))
     yield made
     made.close()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("waited for two minutes in vain")
 
 
 def seen(client: ServiceClient, job_id: str) -> Job | None:

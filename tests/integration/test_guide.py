@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from maintenance.operator_page import BROWSER, CHROMIUM, expect, wait_for
+from maintenance.operator_page import BROWSER, CHROMIUM, expect
+from maintenance.waiting import wait_for
 from PIL import Image
 
 from rigs.toml import catalog_rig, dump_rig

@@ -8,12 +8,12 @@ import pickle
 import sqlite3
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 
 from server.app import create_app
 from server.client import ServiceClient
@@ -33,14 +33,6 @@ class Hostile:
 
     def __reduce__(self):
         return os.mkdir, (str(self._witness),)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 @pytest.fixture

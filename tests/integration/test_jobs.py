@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 
 from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
@@ -31,14 +32,6 @@ from server.store.tables import Entry
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_stage.py")))
 LOOPBACK = "http://127.0.0.1"
 DAY_S = 24 * 3600
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 def verify(capture: str, **fields: object) -> JobBase:

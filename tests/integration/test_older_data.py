@@ -7,8 +7,7 @@ committed upload and one half sent. Two of the jobs asked for the supervision of
 import json
 import sqlite3
 import tarfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from click.testing import CliRunner
 from fastapi.testclient import TestClient
 from maintenance.deployment import Deployment
 from maintenance.verdict import read_trace
+from maintenance.waiting import wait_for
 
 from server.app import create_app
 from server.cli.main import cli
@@ -80,14 +80,6 @@ def finished(client: ServiceClient, job_id: str) -> bool:
         return client.job(job_id).status == "done"
     except Exception:  # noqa: BLE001 the service is starting
         return False
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("waited for a minute in vain")
 
 
 def test_a_folder_is_migrated_once(data, client) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from maintenance.operator_page import BROWSER, CONTRAST, EVIL, LONG_MS, Seen, Service, drawn, expect, newest, wait_for
+from maintenance.operator_page import BROWSER, CONTRAST, EVIL, LONG_MS, Seen, Service, drawn, expect, newest
+from maintenance.waiting import wait_for
 
 from server.schemas.captures import Capture
 from server.schemas.job_types import ReconstructRequest

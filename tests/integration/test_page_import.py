@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from maintenance.operator_page import BROWSER, CONTRAST, Seen, Service, expect, wait_for
+from maintenance.operator_page import BROWSER, CONTRAST, Seen, Service, expect
+from maintenance.waiting import wait_for
 
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack

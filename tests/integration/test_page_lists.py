@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from maintenance.operator_page import BROWSER, Seen, Service, wait_for
+from maintenance.operator_page import BROWSER, Seen, Service
+from maintenance.waiting import wait_for
 
 from server.client import ServiceClient
 from server.schemas.captures import Capture, CaptureRequest, Labels

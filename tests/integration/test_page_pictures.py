@@ -6,7 +6,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from maintenance.operator_page import BROWSER, CONTRAST, Seen, Service, drawn, expect, wait_for
+from maintenance.operator_page import BROWSER, CONTRAST, Seen, Service, drawn, expect
+from maintenance.waiting import wait_for
 
 from server.schemas.calibrations import CalibrationRequest
 from server.schemas.captures import Capture

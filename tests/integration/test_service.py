@@ -7,13 +7,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 from sqlalchemy import event
 
 from server.app import create_app
@@ -62,14 +63,6 @@ def capture(client: ServiceClient) -> Capture:
     made = client.start_capture("lab3x3", CaptureRequest(ticks=40, name="forty"))
     wait_for(lambda: client.capture(made.id).status == "done")
     return client.capture(made.id)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 def assert_problem(response, status: int, *words: str) -> None:

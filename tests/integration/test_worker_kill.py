@@ -7,7 +7,6 @@ import sqlite3
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import psutil
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 from sqlalchemy.exc import OperationalError
 
 from acquisition.session.record import record
@@ -52,14 +52,6 @@ def start_worker(tmp_path: Path) -> Iterator[Callable[[], subprocess.Popen[bytes
     for one in workers:
         one.terminate()
         one.wait(20)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 def attempts(run: Path) -> list[tuple[int, int]]:

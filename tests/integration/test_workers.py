@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -14,6 +14,7 @@ import pytest
 from maintenance.deployment import Deployment
 from maintenance.postgresql import PostgresqlMissingError
 from maintenance.verdict import STAGES, read_trace
+from maintenance.waiting import wait_for
 
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
@@ -40,14 +41,6 @@ def client(deployment: Deployment) -> Iterator[ServiceClient]:
     with ServiceClient.at(deployment.address) as service:
         wait_for(lambda: answers(service) and {one.id for one in service.workers()} == {"a", "b"})
         yield service
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("waited for two minutes in vain")
 
 
 def answers(service: ServiceClient) -> bool:

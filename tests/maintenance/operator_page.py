@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from maintenance.waiting import wait_for
 
 from server.client import ServiceClient
 from server.schemas.captures import Capture, CaptureRequest
@@ -52,14 +52,6 @@ class Seen:
 
     faults: list[str] = field(default_factory=list)
     hosts: set[str] = field(default_factory=set)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited for a minute in vain")
 
 
 @pytest.fixture(scope="module")
