@@ -35,6 +35,7 @@ from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig
 
 MOST_RIG_ERROR = 20.0  # degrees, cm and percent
+MOST_LIGHT = 1000.0  # factor of a scene's light
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,8 @@ class Simulation:
 
     Truth is written for every `truth_every`-th plane. `fault` gives one camera a fault, as `noisy:cam12`. The cameras
     stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them. On USB
-    they are devices of the `profile` of that name.
+    they are devices of the `profile` of that name. `light` is a factor of the scene's own; the sensor's dark current
+    stays.
     """
 
     scene: str
@@ -54,6 +56,7 @@ class Simulation:
     fault: str = ""
     rig_error: float = 0.0
     profile: str = "direct"
+    light: float = 1.0
 
     def __post_init__(self) -> None:
         if self.fault:
@@ -65,6 +68,8 @@ class Simulation:
         if not 0 <= self.rig_error <= MOST_RIG_ERROR:
             expected = f"0 to {MOST_RIG_ERROR:g} degrees, cm and percent"
             raise CameraSetupError(f"found the rig error {self.rig_error}", expected)
+        if not 0 < self.light <= MOST_LIGHT:
+            raise CameraSetupError(f"found the light {self.light}", f"a factor above 0, at most {MOST_LIGHT:g}")
         if self.profile not in profiles():
             raise CameraSetupError(f"found the profile {self.profile!r}", f"one of {', '.join(profiles())}")
 
@@ -130,7 +135,7 @@ def _drawing_of(rig: Rig) -> Rig | None:
 
 def _number(uri: str, name: str, value: str) -> int | float:
     kind, fits, expected = int, r"[0-9]+", "a whole number"
-    if name == "rig_error":
+    if name in ("rig_error", "light"):
         kind, fits, expected = float, r"[0-9]+(\.[0-9]+)?", "a number"
     if not re.fullmatch(fits, value):
         raise CameraSetupError(f"found {name}={value}", expected, where=uri)
@@ -156,7 +161,7 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
     if isinstance(devices, Path):
         scene, models = None, _replayed(rig, Recording.open(devices))
     else:
-        scene = build_scene(devices.scene, devices.seed)
+        scene = build_scene(devices.scene, devices.seed).lit(devices.light)
         models = _models(devices.built(rig), scene, devices, planes)
     box = TriggerBox(BoxModel("box", models))
     backend = MockBackend(models)

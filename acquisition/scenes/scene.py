@@ -1,8 +1,8 @@
 """A scene of moving bodies under one sun, seen by any pinhole camera at any instants."""
 
 import functools
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,10 @@ class Scene:
             uneven=self.uneven,
             mipmapped=self.mipmapped,
         )
+
+    def lit(self, factor: float) -> Self:
+        """Return the same scene in `factor` times its light."""
+        return replace(self, white=self.white * factor, background=self.background * factor)
 
     def placements(self, instants_s: NDArray[np.float64]) -> Placements:
         """Find where the shapes are at each of `instants_s` [n], and how bright the light is."""

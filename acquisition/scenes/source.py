@@ -1,5 +1,7 @@
 """Sources of a simulated camera's planes: a scene that is rendered a few planes ahead of the reader, or a recording."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,13 +15,15 @@ from rigs.camera import Camera
 from rigs.clock import RigClock
 
 CHUNK = 32  # planes rendered at a time: 13 MB of light at 400x250
+INSTANTS_HZ = 20000  # least rate at which a scene is rendered
 
 
 class SceneSource:
     """The planes of one camera in one scene, `ticks` of them, each the light at the middle of its tick.
 
-    A tick's light is that of one instant, not its integral: at 5 m/s and 120 rad/s the two agree to 64 dB. The cameras
-    of a rig run side by side, so by default each takes one of the cores; `threads` 0 takes every core.
+    A tick's light is that of one instant, not its integral: at 5 m/s and 120 rad/s and INSTANTS_HZ the two agree to
+    64 dB. A longer tick has the mean of as many instants as it takes. The cameras of a rig run side by side, so by
+    default each takes one of the cores; `threads` 0 takes every core.
     Raises BadRecordingError when camera, sensor and layout differ in size.
     """
 
@@ -59,10 +63,14 @@ class SceneSource:
     def _next_chunk(self) -> NDArray[np.uint8]:
         if self._raycaster is None:  # not in the constructor: nine cameras are built at once, and threads run them
             self._raycaster = self._scene.raycaster(self._camera, self._samples, self._threads)
-        last = min(self._rendered + CHUNK, self._ticks)
-        instants_s = np.array([self._clock.instant_s(k) for k in range(self._rendered, last)])
-        self._rendered = last
+        each = math.ceil(INSTANTS_HZ / self._clock.tick_rate_hz)
+        last = min(self._rendered + max(1, CHUNK // each), self._ticks)
+        parts = (np.arange(each) + 0.5) / each - 0.5
+        instants_s = np.array([self._clock.instant_s(k + part) for k in range(self._rendered, last) for part in parts])
         light = self._raycaster.intensity(*self._scene.placements(instants_s))
+        if each > 1:
+            light = light.reshape(last - self._rendered, each, *light.shape[1:]).mean(axis=1)
+        self._rendered = last
         light = light if self.sensitivity == 1 else light * np.float32(self.sensitivity)
         return pack(self._sensor.expose(light), self.layout)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from acquisition.devices.open import MOST_RIG_ERROR, Simulation
+from acquisition.devices.open import MOST_LIGHT, MOST_RIG_ERROR, Simulation
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
@@ -23,6 +23,8 @@ from server.cli.operator import operator_control
 from server.cli.options import PATH, json_option, load_named_rig, new_recording, parse_size
 from server.cli.output import answer, warn
 from server.cli.progress import progress_of
+
+MIN_RATE_HZ, MAX_RATE_HZ = 100.0, 1e6  # planes a second that `simulate` takes
 
 
 class ManyDats(click.Command):
@@ -75,6 +77,20 @@ _SCENES_HELP = "; ".join(
     type=click.FloatRange(0, MOST_RIG_ERROR),
     help="Put the cameras off the rig file by so many degrees, cm and percent of the focal length; it is then nominal.",
 )
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(MIN_RATE_HZ, MAX_RATE_HZ),
+    metavar="HZ",
+    help="Planes a second instead of the rig's. Thresholds grow with the tick: white stays as many spikes a tick.",
+)
+@click.option(
+    "--light",
+    default=1.0,
+    show_default=True,
+    type=click.FloatRange(0, MOST_LIGHT, min_open=True),
+    help="Factor of the scene's light; 2 at half the --rate is the same light on the same thresholds.",
+)
 @click.option("--spikecv", is_flag=True, help="Also write the config.yaml that SpikeCV reads.")
 @new_recording
 @json_option
@@ -83,6 +99,7 @@ def simulate_command(
     rig: str,
     ticks: int,
     size: tuple[int, int] | None,
+    rate_hz: float | None,
     spikecv: bool,
     out: Path,
     as_json: bool,
@@ -91,6 +108,7 @@ def simulate_command(
     """Record a simulated scene, with its ground truth beside the spikes."""
     found = load_named_rig(rig)
     found = found.scaled(*size) if size else found
+    found = dataclasses.replace(found, tick_rate_hz=rate_hz) if rate_hz else found
     manifest = simulate(Simulation(scene, **simulation), found, ticks, out, progress_of("simulate"))
     if spikecv:
         write_config(out, manifest)

@@ -41,6 +41,19 @@ def test_simulate_says_what_it_made(spike4dgs, tmp_path):
     assert recording.rig.cameras[0].fx == pytest.approx(catalog_rig("lab3x3").cameras[0].fx / 10)
 
 
+def test_simulate_takes_another_rate_and_another_light(spike4dgs, tmp_path):
+    rec, more = tmp_path / "rec", ("--rate", "2000", "--light", "0.1", "--sensor", "ideal")
+    assert spike4dgs("simulate", "--scene", "static", *SMALL, *more, "--out", rec)[0] == 0
+    recording, scene = Recording.open(rec), json.loads((rec / "truth/scene.json").read_text())
+    assert recording.tick_rate_hz == scene["tick_rate_hz"] == 2000
+    assert scene["white"] == pytest.approx(0.06)
+    light = np.load(rec / "truth/cam11/000000.npy")
+    assert recording.stream("cam11").counts(0, 30).mean() / 30 == pytest.approx(light.mean(), rel=0.1)
+    code, _, err = spike4dgs("simulate", "--scene", "static", *SMALL, "--light", "0", "--out", tmp_path / "dark")
+    assert code == 2
+    assert "0" in err[-1]
+
+
 def test_verify_accepts_and_finds_a_flipped_bit(spike4dgs, recorded, tmp_path):
     shutil.copytree(recorded, tmp_path / "rec")
     assert spike4dgs("verify", tmp_path / "rec")[0] == 0

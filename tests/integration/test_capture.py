@@ -378,6 +378,7 @@ def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
         ("mock:fan_and_ball?seed=-3", "expected a whole number"),
         ("mock:fan_and_ball?sensor=perfect", "found the sensor 'perfect'"),
         ("mock:fan_and_ball?samples=0", "at least 1"),
+        ("mock:fan_and_ball?light=0", "found the light 0.0, expected a factor above 0"),
         ("mock:fan_and_ball?profile=usb4", "found the profile 'usb4', expected one of direct, ft60x"),
     ],
 )

@@ -33,6 +33,36 @@ def source(camera=SMALL, ticks=70, **kind) -> SceneSource:
     return SceneSource(build_scene("fan_and_ball", 3), camera, RigClock(20000.0), ticks, sensor, layout, **kind)
 
 
+class Film:
+    """Keeps the light that a source exposes."""
+
+    def __init__(self, camera):
+        self.shape, self.light = (camera.height, camera.width), []
+
+    def expose(self, light):
+        self.light.append(light)
+        return (light > 1).astype(np.uint8)
+
+
+def test_a_longer_tick_gathers_the_mean_light_of_its_instants():
+    scene, layout = build_scene("fan_and_ball", 3), PlaneLayout(SMALL.width, SMALL.height)
+    seen = {}
+    for rate_hz, ticks in ((20000.0, 70), (2000.0, 7), (40000.0, 70)):
+        film = Film(SMALL)
+        SceneSource(scene, SMALL, RigClock(rate_hz), ticks, film, layout).next_planes(ticks)  # pyright: ignore[reportArgumentType]
+        seen[rate_hz] = np.concatenate(film.light)
+        assert len(seen[rate_hz]) == ticks
+    np.testing.assert_allclose(seen[2000.0], seen[20000.0].reshape(7, 10, 26, 41).mean(axis=1), atol=1e-6)
+    assert np.abs(seen[2000.0] - seen[20000.0][5::10]).max() > 0.01  # one instant is not the mean
+
+
+def test_less_light_is_a_factor_of_all_that_is_seen():
+    scene = build_scene("fan_and_ball", 3)
+    full, tenth = (s.render(SMALL, np.array([0.01]), 1).intensity for s in (scene, scene.lit(0.1)))
+    np.testing.assert_allclose(tenth, 0.1 * full, rtol=1e-5)
+    assert scene.lit(0.1).white == pytest.approx(0.06)
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_the_demo_scene_is_worth_reconstructing(seed):
     scene = build_scene("fan_and_ball", seed)
