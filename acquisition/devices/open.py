@@ -27,8 +27,8 @@ from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.misplaced import misplaced
-from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import ReplaySource, SceneSource
+from acquisition.scenes.view import Scenery
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
 from rigs.rig import Rig
@@ -95,7 +95,7 @@ class OpenCameras:
 
     cameras: tuple[UsbCamera, ...]
     trigger: SoftwareTrigger | TriggerBox
-    scene: Scene | None = None
+    scene: Scenery | None = None
 
 
 Devices = Simulation | Path | None  # simulated cameras, a recording that is sent again, or those on USB
@@ -171,7 +171,7 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
         yield OpenCameras(cameras, box, scene)
 
 
-def _models(rig: Rig, scene: Scene, simulation: Simulation, planes: int) -> list[DeviceModel]:
+def _models(rig: Rig, scene: Scenery, simulation: Simulation, planes: int) -> list[DeviceModel]:
     """Return simulated cameras that look at `scene` from where the rig's cameras stand."""
     threads = max(1, len(os.sched_getaffinity(0)) // len(rig.cameras))  # the cameras are read at the same time
     profile, models = profiles()[simulation.profile], []

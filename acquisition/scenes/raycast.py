@@ -14,24 +14,11 @@ from numpy.typing import NDArray
 from acquisition.errors import AcquisitionError
 from acquisition.native import Address, Kernel
 from acquisition.scenes.light import EVEN, Uneven
+from acquisition.scenes.view import Frames
 from rigs.camera import Camera
 
 Floats = NDArray[np.float64]
 MOST_SHAPES = 64  # the native code keeps sets of shapes in one word
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Images of one camera at n instants, pixel (0, 0) at the top left.
-
-    `intensity` [n, H, W] is linear light in spikes per tick, the mean over s x s rays a pixel. `depth` [n, H, W] is the
-    distance along z in metres of the pixel's centre ray (NaN where nothing is), `ids` [n, H, W] the object that this
-    ray meets (0 where nothing is).
-    """
-
-    intensity: NDArray[np.float32]
-    depth: NDArray[np.float32]
-    ids: NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,12 @@
 """A scene of moving bodies under one sun, seen by any pinhole camera at any instants."""
 
+from __future__ import annotations
+
+import dataclasses
 import functools
+import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +14,8 @@ from numpy.typing import NDArray
 from acquisition.errors import AcquisitionError
 from acquisition.scenes.bodies import Body
 from acquisition.scenes.light import EVEN, Flicker, Uneven
-from acquisition.scenes.raycast import Floats, Frames, Raycaster, SceneArrays
+from acquisition.scenes.raycast import Floats, Raycaster, SceneArrays
+from acquisition.scenes.view import Frames
 from rigs.camera import Camera
 
 NOWHERE_M = (0.0, 1e9, -1e9)  # below and behind
@@ -110,6 +115,52 @@ class Scene:
         rotations, positions, _ = self.placements(np.zeros(1))
         return Raycaster(self.arrays, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
 
+    def view(self, camera: Camera, samples: int, threads: int = 0) -> RaycastView:
+        """Return what `camera` sees, by a ray caster that has already traced what stands still."""
+        return RaycastView(self, self.raycaster(camera, samples, threads))
+
     def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:
         """Render what `camera` (pose in the rig frame) sees at `instants_s` [n], by samples x samples rays a pixel."""
-        return self.raycaster(camera, samples).frames(*self.placements(np.asarray(instants_s, dtype=np.float64)))
+        return self.view(camera, samples).frames(instants_s)
+
+    def since(self, begins_s: float) -> Self:
+        """Return the scene as it is where it has been going on for `begins_s` at the instant 0."""
+        return replace(self, begins_s=begins_s)
+
+    def description(self) -> dict[str, Any]:
+        """Return what `truth/scene.json` says of the scene: bodies, and how they are lit."""
+        return {
+            "object_ids": self.object_ids,
+            "movers": [self._mover(name) for name in self.movers],
+            "light": {
+                "ambient": self.ambient,
+                "to_sun": list(self.to_sun),
+                "flicker": dataclasses.asdict(self.flicker) if self.flicker else None,
+                "uneven": dataclasses.asdict(self.uneven) if self.uneven != EVEN else None,
+            },
+        }
+
+    def _mover(self, name: str) -> dict[str, Any]:
+        """Return its id and name and, where it is not always there, from and to which instant in seconds."""
+        body = self.bodies[self.object_ids[name] - 1]
+        found: dict[str, Any] = {"id": self.object_ids[name], "name": name}
+        if not body.lasting:  # None: no end
+            ends = ("from_s", body.from_s), ("to_s", body.to_s)
+            found |= {key: t if math.isfinite(t) else None for key, t in ends}
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class RaycastView:
+    """A scene through a ray caster that belongs to one camera."""
+
+    scene: Scene
+    raycaster: Raycaster
+
+    def light(self, instants_s: Floats) -> NDArray[np.float32]:
+        """Return the linear light at `instants_s` [n], in spikes per tick [n, H, W]."""
+        return self.raycaster.intensity(*self.scene.placements(instants_s))
+
+    def frames(self, instants_s: Floats) -> Frames:
+        """Return light, depth and objects at `instants_s` [n]."""
+        return self.raycaster.frames(*self.scene.placements(instants_s))

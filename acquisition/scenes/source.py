@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
-from acquisition.scenes.scene import Scene
+from acquisition.scenes.view import Scenery, View
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
@@ -29,7 +29,7 @@ class SceneSource:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scenery,
         camera: Camera,
         clock: RigClock,
         ticks: int,
@@ -47,7 +47,7 @@ class SceneSource:
         self._scene, self._camera, self._sensor = scene, camera, sensor
         self._clock, self._ticks = clock, ticks
         self._samples, self._threads = samples, threads
-        self._raycaster = None
+        self._view: View | None = None
         self._rendered = 0
         self._ready = np.empty((0, layout.plane_bytes), dtype=np.uint8)
 
@@ -61,13 +61,13 @@ class SceneSource:
         return planes[:count]
 
     def _next_chunk(self) -> NDArray[np.uint8]:
-        if self._raycaster is None:  # not in the constructor: nine cameras are built at once, and threads run them
-            self._raycaster = self._scene.raycaster(self._camera, self._samples, self._threads)
+        if self._view is None:  # not in the constructor: nine cameras are built at once, and threads run them
+            self._view = self._scene.view(self._camera, self._samples, self._threads)
         each = math.ceil(INSTANTS_HZ / self._clock.tick_rate_hz)
         last = min(self._rendered + max(1, CHUNK // each), self._ticks)
         parts = (np.arange(each) + 0.5) / each - 0.5
         instants_s = np.array([self._clock.instant_s(k + part) for k in range(self._rendered, last) for part in parts])
-        light = self._raycaster.intensity(*self._scene.placements(instants_s))
+        light = self._view.light(instants_s)
         if each > 1:
             light = light.reshape(last - self._rendered, each, *light.shape[1:]).mean(axis=1)
         self._rendered = last

@@ -6,8 +6,6 @@ Every k-th plane of each camera has four images [H, W]: `camRC/000120.npy` (floa
 nerfstudio's and exact. The light is the paper's clean frame (CI), the blur its blurred frame (BI).
 """
 
-import dataclasses
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +14,7 @@ import numpy as np
 from acquisition.durable import write_array, write_durably, write_json
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
-from acquisition.scenes.light import EVEN
-from acquisition.scenes.scene import Scene
+from acquisition.scenes.view import Scenery
 from acquisition.spikes.sensor import SensorKind
 from rigs.camera import Camera
 from rigs.exchange.nerfstudio import dump_transforms
@@ -31,7 +28,7 @@ NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # places in half widths of the rig: 
 
 
 def write_truth(
-    scene: Scene,
+    scene: Scenery,
     rig: Rig,
     ticks: int,
     every: int,
@@ -62,7 +59,7 @@ def write_truth(
     progress(1.0, f"truth of {len(cameras)} views, {len(planes)} instants each")
 
 
-def novel_cameras(scene: Scene, rig: Rig) -> tuple[Camera, ...]:
+def novel_cameras(scene: Scenery, rig: Rig) -> tuple[Camera, ...]:
     """Return viewpoints `novel0`, ... that look at the scene's centre with the lens of the rig's first camera."""
     centers = np.array([camera.center for camera in rig.cameras])
     middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
@@ -74,25 +71,24 @@ def novel_cameras(scene: Scene, rig: Rig) -> tuple[Camera, ...]:
     )
 
 
-def _write_views(scene: Scene, rig: Rig, camera: Camera, planes: list[int], folder: Path, samples: int) -> None:
-    raycaster = scene.raycaster(camera, samples)
+def _write_views(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], folder: Path, samples: int) -> None:
+    view = scene.view(camera, samples)
     for plane in planes:
-        frames = raycaster.frames(*scene.placements(np.array([rig.clock.instant_s(plane)])))
+        frames = view.frames(np.array([rig.clock.instant_s(plane)]))
         for prefix, image in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
             write_array(folder / camera.id / f"{prefix}{plane:06d}.npy", image[0])
 
 
-def _write_blur(scene: Scene, rig: Rig, camera: Camera, planes: list[int], folder: Path) -> None:
-    raycaster = scene.raycaster(camera, BLUR_SAMPLES)
+def _write_blur(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], folder: Path) -> None:
+    view = scene.view(camera, BLUR_SAMPLES)
     offsets = np.arange(-BLUR_PLANES / 2 + BLUR_STRIDE / 2, BLUR_PLANES / 2, BLUR_STRIDE)
     for plane in planes:
-        instants_s = np.array([rig.clock.instant_s(plane + offset) for offset in offsets])
-        light = raycaster.intensity(*scene.placements(instants_s))
+        light = view.light(np.array([rig.clock.instant_s(plane + offset) for offset in offsets]))
         blur = light.mean(axis=0, dtype=np.float64).astype(np.float32)
         write_array(folder / camera.id / f"blur_{plane:06d}.npy", blur)
 
 
-def _description(scene: Scene, rig: Rig, ticks: int, every: int) -> dict[str, object]:
+def _description(scene: Scenery, rig: Rig, ticks: int, every: int) -> dict[str, object]:
     return {
         "scene": scene.name,
         "seed": scene.seed,
@@ -100,22 +96,6 @@ def _description(scene: Scene, rig: Rig, ticks: int, every: int) -> dict[str, ob
         "ticks": ticks,
         "tick_rate_hz": rig.tick_rate_hz,
         "every": every,
-        "object_ids": scene.object_ids,
-        "movers": [_mover(scene, name) for name in scene.movers],
-        "light": {
-            "ambient": scene.ambient,
-            "to_sun": list(scene.to_sun),
-            "flicker": dataclasses.asdict(scene.flicker) if scene.flicker else None,
-            "uneven": dataclasses.asdict(scene.uneven) if scene.uneven != EVEN else None,
-        },
         "blur": {"window_ticks": BLUR_PLANES, "stride_ticks": BLUR_STRIDE, "samples": BLUR_SAMPLES},
+        **scene.description(),
     }
-
-
-def _mover(scene: Scene, name: str) -> dict[str, object]:
-    """Return its id and name and, where it is not always there, from and to which instant in seconds (None: no end)."""
-    body = scene.bodies[scene.object_ids[name] - 1]
-    found: dict[str, object] = {"id": scene.object_ids[name], "name": name}
-    if not body.lasting:
-        found |= {key: t if math.isfinite(t) else None for key, t in (("from_s", body.from_s), ("to_s", body.to_s))}
-    return found

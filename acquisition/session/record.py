@@ -1,6 +1,5 @@
 """Makes a whole recording: opens cameras by a URI, runs them once, and writes the truth where it is known."""
 
-import dataclasses
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -87,7 +86,7 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
             )
         nominal = take.sensitivity is None or take.sensitivity.gain == 1  # truth is in spikes of a nominal camera
         if isinstance(devices, Simulation) and opened.scene and nominal:
-            scene = dataclasses.replace(opened.scene, begins_s=recording.first_plane / rig.tick_rate_hz)
+            scene = opened.scene.since(recording.first_plane / rig.tick_rate_hz)
             planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
             with disk_errors(folder):
                 report = part(progress, share, _WRITTEN)

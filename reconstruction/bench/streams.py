@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.scenes.catalog import build_scene
-from acquisition.scenes.scene import Scene
+from acquisition.scenes.view import Scenery
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
@@ -36,7 +36,7 @@ class TrueImage:
 class LitScene:
     """A scene and the centre camera's stream of it at each light level, a factor of the scene's own light."""
 
-    scene: Scene
+    scene: Scenery
     rig: Rig
     streams: dict[float, SpikeStream]
 
@@ -53,13 +53,13 @@ def simulate_lights(name: str, seed: int, rig: Rig, planes: int, levels: Sequenc
     """Render `planes` of a scene once, and let a real sensor see them at each light level."""
     scene, camera = build_scene(name, seed), rig.camera(HOLDOUT)
     layout = PlaneLayout(camera.width, camera.height)
-    raycaster = scene.raycaster(camera, 2, 0)
+    view = scene.view(camera, 2)
     index = rig.ids.index(HOLDOUT)
     sensors = {level: Sensor(camera.width, camera.height, "real", seed, index, threads=0) for level in levels}
     packed: dict[float, list] = {level: [] for level in levels}
     for first in range(0, planes, CHUNK):
         instants_s = np.array([rig.clock.instant_s(k) for k in range(first, min(first + CHUNK, planes))])
-        light = raycaster.intensity(*scene.placements(instants_s))
+        light = view.light(instants_s)
         for level, sensor in sensors.items():
             packed[level].append(pack(sensor.expose(light * np.float32(level)), layout))
     streams = {k: SpikeStream(np.concatenate(v), layout, rig.tick_rate_hz) for k, v in packed.items()}

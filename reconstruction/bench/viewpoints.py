@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
 from acquisition.scenes.catalog import build_scene
-from acquisition.scenes.scene import Scene
+from acquisition.scenes.view import Scenery
 from reconstruction.bench.conventions import KnownRecording, means, named
 from reconstruction.evaluation.evaluate import score_view
 from reconstruction.run.folder import RunFolder
@@ -85,7 +85,7 @@ def bench_viewpoints(runs: Sequence[tuple[KnownRecording, RunFolder]], progress:
     return document
 
 
-def _scores(scene: Scene, cloud: SceneModel, camera: Camera) -> dict[str, float]:
+def _scores(scene: Scenery, cloud: SceneModel, camera: Camera) -> dict[str, float]:
     """Return means over INSTANTS; `empty` is the share of pixels without a surface where there is one."""
     instants_s = np.array([cloud.clip.instant_s(share) for share in INSTANTS])
     frames = scene.render(camera, instants_s, SAMPLES)

@@ -19,8 +19,8 @@ from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress, silent
 from acquisition.scenes.multiview import multiview_scene, random_rig
 from acquisition.scenes.random import random_camera, random_scene
-from acquisition.scenes.scene import Scene
 from acquisition.scenes.source import SceneSource
+from acquisition.scenes.view import Scenery
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
@@ -89,7 +89,7 @@ class CameraClips(ClipSet):
         scene = random_scene(seed, clock.instant_s(self.instants[len(self.instants) // 2]), self.size)
         sensor = Sensor(self.size, self.size, "real" if seed % IDEAL_EVERY else "ideal", seed, 0)
         instants_s = np.array([clock.instant_s(k) for k in self.instants])
-        truth = scene.raycaster(camera, CLIP_RAYS, 1).intensity(*scene.placements(instants_s))
+        truth = scene.view(camera, CLIP_RAYS, 1).light(instants_s)
         return CameraClip(exposed(scene, camera, clock, self.planes, sensor), self.instants, truth)
 
     def arrays(self, seed: int) -> Mapping[str, NDArray]:
@@ -142,7 +142,7 @@ class MultiviewClips(ClipSet):
         for number, camera in enumerate(rig.cameras):
             sensor = Sensor(self.width, self.height, "real", seed, number)
             streams.append(exposed(scene, camera, rig.clock, 2 * REACH + 1, sensor))
-            frames = scene.raycaster(camera, VIEW_RAYS, 1).frames(*scene.placements(np.array([middle_s])))
+            frames = scene.view(camera, VIEW_RAYS, 1).frames(np.array([middle_s]))
             light.append(frames.intensity[0])
             depth.append(frames.depth[0])
         return MultiviewClip(tuple(streams), REACH, np.stack(light), np.stack(depth), scene.white, rig)
@@ -162,7 +162,7 @@ class MultiviewClips(ClipSet):
             return MultiviewClip(streams, REACH, light, archive["depth"], white, rig)
 
 
-def exposed(scene: Scene, camera: Camera, clock: RigClock, planes: int, sensor: Sensor) -> SpikeStream:
+def exposed(scene: Scenery, camera: Camera, clock: RigClock, planes: int, sensor: Sensor) -> SpikeStream:
     """Return the first `planes` that `sensor` records where `camera` looks at `scene`."""
     layout = PlaneLayout(camera.width, camera.height)
     packed = SceneSource(scene, camera, clock, planes, sensor, layout).next_planes(planes)
