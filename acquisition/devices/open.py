@@ -27,15 +27,18 @@ from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
 from acquisition.scenes.misplaced import misplaced
+from acquisition.scenes.own import Own, owned
 from acquisition.scenes.source import ReplaySource, SceneSource
 from acquisition.scenes.view import Scenery
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import SENSOR_KINDS, Sensor, SensorKind
+from acquisition.spikes.traits import PLAIN, Traits
 from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig
 
 MOST_RIG_ERROR = 20.0  # degrees, cm and percent
 MOST_LIGHT = 1000.0  # factor of a scene's light
+MOST_GAINS, MOST_LAGS = 0.3, 100.0  # share, ticks
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ class Simulation:
     Truth is written for every `truth_every`-th plane. `fault` gives one camera a fault, as `noisy:cam12`. The cameras
     stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them. On USB
     they are devices of the `profile` of that name. `light` is a factor of the scene's own; the sensor's dark current
-    stays.
+    stays. The gains of the cameras differ by `camera_gains` (standard deviation); they see up to `camera_lags` ticks
+    early or late. `traits` come on top of the sensor's.
     """
 
     scene: str
@@ -57,6 +61,9 @@ class Simulation:
     rig_error: float = 0.0
     profile: str = "direct"
     light: float = 1.0
+    camera_gains: float = 0.0
+    camera_lags: float = 0.0
+    traits: Traits = PLAIN
 
     def __post_init__(self) -> None:
         if self.fault:
@@ -70,8 +77,26 @@ class Simulation:
             raise CameraSetupError(f"found the rig error {self.rig_error}", expected)
         if not 0 < self.light <= MOST_LIGHT:
             raise CameraSetupError(f"found the light {self.light}", f"a factor above 0, at most {MOST_LIGHT:g}")
+        for name, most in (("camera_gains", MOST_GAINS), ("camera_lags", MOST_LAGS)):
+            if not 0 <= getattr(self, name) <= most:
+                raise CameraSetupError(f"found {name} {getattr(self, name)}", f"0 to {most:g}")
         if self.profile not in profiles():
             raise CameraSetupError(f"found the profile {self.profile!r}", f"one of {', '.join(profiles())}")
+
+    def owned(self, rig: Rig) -> dict[str, Own]:
+        """Return the gain and lag of each camera, by its id."""
+        return dict(zip(rig.ids, owned(len(rig.ids), self.camera_gains, self.camera_lags, self.seed), strict=True))
+
+    def sensors(self, rig: Rig, threads: int = 1) -> dict[str, Sensor]:
+        """Return the sensor of each camera, by its id, as a recording begins with it."""
+        own = {"threads": threads, "traits": self.traits}
+        numbered = enumerate(rig.cameras)
+        return {c.id: Sensor(c.width, c.height, self.sensor, self.seed, number, **own) for number, c in numbered}
+
+    @property
+    def uneven(self) -> bool:
+        """A flag: cameras or pixels differ by more than those of the plain sensors."""
+        return bool(self.camera_gains or self.camera_lags or self.sensor == "harsh" or self.traits != PLAIN)
 
     def built(self, rig: Rig) -> Rig:
         """Return the rig as its cameras really stand, which a calibration does not move.
@@ -114,13 +139,15 @@ def parse_devices(uri: str) -> Devices:
     if parts.scheme != "mock":
         raise CameraSetupError(f"found the devices {uri!r}", "usb: or mock:SCENE, or replay:REC")
     values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
-    fields = [field.name for field in dataclasses.fields(Simulation)][1:]
+    traits = [field.name for field in dataclasses.fields(Traits)]
+    fields = [field.name for field in dataclasses.fields(Simulation) if field.name not in ("scene", "traits")]
     for name, value in values.items():
-        if name not in fields:
-            raise CameraSetupError(f"found {name}", ", ".join(fields), where=uri)
+        if name not in (*fields, *traits):
+            raise CameraSetupError(f"found {name}", ", ".join((*fields, *traits)), where=uri)
         if name not in ("sensor", "fault", "profile"):
             values[name] = _number(uri, name, str(value))
-    return Simulation(parts.path, **cast(dict, values))
+    chosen = Traits(**cast(dict, {name: values.pop(name) for name in traits if name in values}))
+    return Simulation(parts.path, traits=chosen, **cast(dict, values))
 
 
 def _drawing_of(rig: Rig) -> Rig | None:
@@ -135,7 +162,7 @@ def _drawing_of(rig: Rig) -> Rig | None:
 
 def _number(uri: str, name: str, value: str) -> int | float:
     kind, fits, expected = int, r"[0-9]+", "a whole number"
-    if name in ("rig_error", "light"):
+    if name not in ("seed", "samples", "truth_every"):
         kind, fits, expected = float, r"[0-9]+(\.[0-9]+)?", "a number"
     if not re.fullmatch(fits, value):
         raise CameraSetupError(f"found {name}={value}", expected, where=uri)
@@ -174,13 +201,12 @@ def open_cameras(rig: Rig, devices: Devices, planes: int) -> Iterator[OpenCamera
 def _models(rig: Rig, scene: Scenery, simulation: Simulation, planes: int) -> list[DeviceModel]:
     """Return simulated cameras that look at `scene` from where the rig's cameras stand."""
     threads = max(1, len(os.sched_getaffinity(0)) // len(rig.cameras))  # the cameras are read at the same time
-    profile, models = profiles()[simulation.profile], []
-    for number, camera in enumerate(rig.cameras):
+    profile, own, models = profiles()[simulation.profile], simulation.owned(rig), []
+    sensors = simulation.sensors(rig, threads)
+    for camera in rig.cameras:
         layout = PlaneLayout(camera.width, camera.height)
-        sensor = Sensor(layout.width, layout.height, simulation.sensor, simulation.seed, number, threads=threads)
-        source = SceneSource(
-            scene, camera, rig.clock, planes, sensor, layout, samples=simulation.samples, threads=threads
-        )
+        options = {"samples": simulation.samples, "threads": threads, "own": own[camera.id]}
+        source = SceneSource(scene, camera, rig.clock, planes, sensors[camera.id], layout, **options)
         models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz, profile=profile))
     return models
 

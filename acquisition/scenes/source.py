@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
+from acquisition.scenes.own import AS_NOMINAL, Own
 from acquisition.scenes.view import Scenery, View
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
@@ -23,7 +24,7 @@ class SceneSource:
 
     A tick's light is that of one instant, not its integral: at 5 m/s and 120 rad/s and INSTANTS_HZ the two agree to
     64 dB. A longer tick has the mean of as many instants as it takes. The cameras of a rig run side by side, so by
-    default each takes one of the cores; `threads` 0 takes every core.
+    default each takes one of the cores; `threads` 0 takes every core. `own` is the gain and lag of the camera.
     Raises BadRecordingError when camera, sensor and layout differ in size.
     """
 
@@ -38,12 +39,14 @@ class SceneSource:
         *,
         samples: int = 2,
         threads: int = 1,
+        own: Own = AS_NOMINAL,
     ):
         sizes = {(camera.height, camera.width), sensor.shape, (layout.height, layout.width)}
         if len(sizes) > 1:
             raise BadRecordingError(f"found camera, sensor and layout of the sizes {sizes}", "one", where=camera.id)
         self.layout = layout
         self.sensitivity = 1.0  # spikes for the same light, as a share of those at the nominal threshold
+        self.own = own
         self._scene, self._camera, self._sensor = scene, camera, sensor
         self._clock, self._ticks = clock, ticks
         self._samples, self._threads = samples, threads
@@ -65,13 +68,14 @@ class SceneSource:
             self._view = self._scene.view(self._camera, self._samples, self._threads)
         each = math.ceil(INSTANTS_HZ / self._clock.tick_rate_hz)
         last = min(self._rendered + max(1, CHUNK // each), self._ticks)
-        parts = (np.arange(each) + 0.5) / each - 0.5
+        parts = (np.arange(each) + 0.5) / each - 0.5 + self.own.lag_ticks
         instants_s = np.array([self._clock.instant_s(k + part) for k in range(self._rendered, last) for part in parts])
         light = self._view.light(instants_s)
         if each > 1:
             light = light.reshape(last - self._rendered, each, *light.shape[1:]).mean(axis=1)
         self._rendered = last
-        light = light if self.sensitivity == 1 else light * np.float32(self.sensitivity)
+        gain = self.sensitivity * self.own.gain
+        light = light if gain == 1 else light * np.float32(gain)
         return pack(self._sensor.expose(light), self.layout)
 
 

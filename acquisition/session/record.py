@@ -10,6 +10,7 @@ from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
+from acquisition.scenes.own import write_own
 from acquisition.scenes.truth import write_truth
 from acquisition.session.rig_lock import rig_lock
 from acquisition.session.session import Control, record_session
@@ -91,6 +92,8 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
             with disk_errors(folder):
                 report = part(progress, share, _WRITTEN)
                 write_truth(scene, devices.built(rig), planes, every, folder, report, sensor=devices.sensor)
+                if devices.uneven:
+                    write_own(folder, devices.owned(rig), devices.sensors(rig))
         manifest = recording.commit(recording.entries(), opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
     if manifest.reason:

@@ -5,27 +5,14 @@
 #include <cmath>
 #include <vector>
 
+#include "draws.h"
 #include "native.h"
 
 namespace {
 
 constexpr double kThreshold = 1099511627776.0;  // 2^40 units of charge make a spike
-constexpr uint64_t kTickStep = 0x9E3779B97F4A7C15u;
 constexpr uint64_t kResetSalt = 0xD6E8FEB86659FD93u;
 constexpr int64_t kBlock = 1024;
-
-uint64_t mix(uint64_t x) {  // the finaliser of SplitMix64
-  x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9u;
-  x = (x ^ (x >> 27)) * 0x94D049BB133111EBu;
-  return x ^ (x >> 31);
-}
-
-// About normal, mean 0 and variance 1: the sum of four 16-bit uniform numbers.
-double normal(uint64_t bits) {
-  const int64_t sum = int64_t(bits & 65535) + int64_t((bits >> 16) & 65535) + int64_t((bits >> 32) & 65535) +
-                      int64_t(bits >> 48);
-  return (double(sum) - 131070.0) * 2.6428997921e-5;
-}
 
 // `not below` and `not above` in this order turn NaN into 0.
 uint64_t units(double charge) {

@@ -8,16 +8,19 @@ what is above it, and fires at most once a tick; light above one spike per tick 
 import ctypes
 import math
 import os
-from typing import Literal
+from itertools import pairwise
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.native import Address, Kernel
+from acquisition.spikes.readout import read_out
+from acquisition.spikes.traits import DOUBLING_K, HARSH, HOT_LEVELS, PLAIN, Traits, draw_failures, spread_gain
 
-SensorKind = Literal["ideal", "real"]
-SENSOR_KINDS: tuple[SensorKind, ...] = ("ideal", "real")
+SensorKind = Literal["ideal", "real", "harsh"]
+SENSOR_KINDS: tuple[SensorKind, ...] = get_args(SensorKind)
 
 FRACTION_BITS = 40  # bits of a spike in units of charge
 _SPIKE = 2.0**FRACTION_BITS  # units
@@ -31,10 +34,10 @@ GAIN_SPREAD, THRESHOLD_SPREAD = 0.008, 0.006  # 0.01 together
 THERMAL_NOISE = 8.9e-4  # of the threshold, standard deviation
 DARK_LEVEL, DARK_SPREAD = 5e-4, 0.39  # spikes per tick, relative
 DEFECT_SHARE = 1e-4  # share of the pixels that are dead, and of those that are hot
-HOT_LEVELS = (0.2, 0.6)  # spikes per tick in the dark
 
 _TICK_STEP = np.uint64(0x9E3779B97F4A7C15)
 _RESET_SALT = np.uint64(0xD6E8FEB86659FD93)
+_GAINS, _FAILURES, _ROWS = range(3)  # draws of the traits, each by itself
 _NORMAL_SCALE = 2.6428997921e-5  # 1 / standard deviation of the sum of four uniform 16-bit numbers
 _EXPOSURE = (Address, ctypes.c_int64, ctypes.c_int64, Address, Address, ctypes.c_int32)
 _NOISE = (*(Address,) * 5, ctypes.c_double, ctypes.c_double, ctypes.c_int64)
@@ -53,11 +56,20 @@ class Sensor:
 
     The same `seed` and `camera_index` give the same planes for any `threads` (0: every core) and any cut into calls.
     The `ideal` sensor only integrates. The `real` one adds gain, dark current and threshold of each pixel, shot noise,
-    thermal noise of each reset, and a few dead and hot pixels.
+    thermal noise of each reset, and a few dead and hot pixels; the `harsh` one all of HARSH besides. `traits` come on
+    top of any.
     """
 
     def __init__(
-        self, width: int, height: int, kind: SensorKind, seed: int, camera_index: int, *, threads: int = 1
+        self,
+        width: int,
+        height: int,
+        kind: SensorKind,
+        seed: int,
+        camera_index: int,
+        *,
+        threads: int = 1,
+        traits: Traits = PLAIN,
     ) -> None:
         if kind not in SENSOR_KINDS:
             raise BadRecordingError(f"found the sensor {kind!r}", f"one of {', '.join(SENSOR_KINDS)}")
@@ -71,7 +83,7 @@ class Sensor:
         root = np.random.SeedSequence([seed, camera_index])
         self._keys = _mix(pixels * np.uint64(0xD1342543DE82EF95) + root.generate_state(1, np.uint64))
         self._charge = _mix(self._keys - _TICK_STEP) >> np.uint64(64 - FRACTION_BITS)
-        if kind == "real":
+        if kind != "ideal":
             self._electrons, self._thermal = ELECTRONS_PER_SPIKE, THERMAL_NOISE * _SPIKE
             self._gain, self._dark, self._full = _fixed_pattern(np.random.default_rng(root), width * height)
         else:
@@ -79,6 +91,23 @@ class Sensor:
             self._gain, self._dark = np.ones(width * height), np.zeros(width * height)
             self._full = np.full(width * height, _SPIKE, dtype=np.uint64)
         self._limit = self._full.copy()
+        self.traits = traits.over(HARSH if kind == "harsh" else PLAIN)
+        self._take_on(self.traits, seed, camera_index)
+
+    def _take_on(self, traits: Traits, seed: int, camera_index: int) -> None:
+        rng = lambda draws: np.random.default_rng([seed, camera_index, 0x7A, draws])  # noqa: E731
+        if traits.pixel_spread or traits.line_spread:
+            self._gain *= spread_gain(rng(_GAINS), traits, self.shape)
+        self._dark *= 2 ** (traits.warmer_k / DOUBLING_K)
+        self.failures = draw_failures(rng(_FAILURES), traits, self._gain.size)
+        self._row_keys = rng(_ROWS).integers(0, 2**64, self.shape[0], dtype=np.uint64)
+
+    @property
+    def response(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The gain and the rate in the dark, spikes per tick, that pixels [H, W] begin with."""
+        full = self._full / _SPIKE
+        gain, dark = (part.reshape(self.shape).astype(np.float32) for part in (self._gain / full, self._dark / full))
+        return gain, dark
 
     def expose(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Return the planes [n, H, W] of 0 and 1 that light [n, H, W] in spikes per tick makes.
@@ -86,19 +115,24 @@ class Sensor:
         The charge carries on to the next call. Negative light counts as none.
         Raises BadRecordingError for NaN or another shape.
         """
-        light = self._checked(intensity)
+        light = self._read(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
-        exposure = (light, len(light), self._charge.size, self._charge, spikes, self._threads)
-        pattern = (self._keys, self._gain, self._dark, self._full, self._limit)
-        _expose(*exposure, *pattern, self._electrons, self._thermal, self.tick)
-        self.tick += len(light)
+        first, last = self.tick, self.tick + len(light)
+        cuts = [first, *self.failures.between(first, last), last]
+        for begin, end in pairwise(cuts):
+            self._fail()
+            exposure = (light[begin - first :], end - begin, self._charge.size, self._charge, spikes[begin - first :])
+            pattern = (self._threads, self._keys, self._gain, self._dark, self._full, self._limit)
+            _expose(*exposure, *pattern, self._electrons, self._thermal, self.tick)
+            self.tick = end
         return spikes
 
     def expose_reference(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Do what `expose` does, bit for bit, in readable NumPy."""
-        light = self._checked(intensity)
+        light = self._read(intensity)
         spikes = np.empty(light.shape, dtype=np.uint8)
         for plane, seen in zip(spikes, light, strict=True):
+            self._fail()
             with np.errstate(over="ignore"):
                 bits = _mix(self._keys + np.uint64(self.tick & (2**64 - 1)) * _TICK_STEP)
             mean = np.clip(seen.astype(np.float64).ravel(), 0, 1e6) * self._gain + self._dark
@@ -112,6 +146,19 @@ class Sensor:
             plane[:] = fired.reshape(self.shape)
             self.tick += 1
         return spikes
+
+    def _fail(self) -> None:
+        """Let the pixels fail whose tick this is."""
+        now = self.failures.at(self.tick)
+        pixels = self.failures.pixels[now]
+        self._gain[pixels], self._dark[pixels] = 0.0, self.failures.dark[now]
+
+    def _read(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+        light, traits = self._checked(intensity), self.traits
+        if not (traits.row_jitter or traits.blooming):
+            return light
+        options = (traits.row_jitter, traits.blooming)
+        return read_out(light, self._row_keys, self.tick, *options, threads=self._threads)
 
     def _checked(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         if intensity.ndim != 3 or intensity.shape[1:] != self.shape:

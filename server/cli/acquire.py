@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from acquisition.devices.open import MOST_LIGHT, MOST_RIG_ERROR, Simulation
+from acquisition.devices.open import MOST_GAINS, MOST_LAGS, MOST_LIGHT, MOST_RIG_ERROR, Simulation
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
@@ -19,8 +19,10 @@ from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, SCENES, STRESS
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
+from acquisition.spikes.sensor import SENSOR_KINDS
+from acquisition.spikes.traits import Traits
 from server.cli.operator import operator_control
-from server.cli.options import PATH, json_option, load_named_rig, new_recording, parse_size
+from server.cli.options import PATH, json_option, load_named_rig, new_recording, numbers_of, parse_size
 from server.cli.output import answer, warn
 from server.cli.progress import progress_of
 
@@ -59,7 +61,28 @@ _SCENES_HELP = "; ".join(
 @click.option("--ticks", default=400, show_default=True, type=click.IntRange(min=1), help="Planes from every camera.")
 @click.option("--size", type=parse_size, metavar="WxH", help="Pixels of every camera; the rig's intrinsics are scaled.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
-@click.option("--sensor", default="real", show_default=True, type=click.Choice(["real", "ideal"]))
+@click.option(
+    "--sensor",
+    default="real",
+    show_default=True,
+    type=click.Choice(SENSOR_KINDS),
+    help="The harsh one has all of the traits below, as real sensors have them.",
+)
+@numbers_of(Traits)
+@click.option(
+    "--camera-gains",
+    default=0.0,
+    show_default=True,
+    type=click.FloatRange(0, MOST_GAINS),
+    help="Spread the gain of the cameras by this share (standard deviation).",
+)
+@click.option(
+    "--camera-lags",
+    default=0.0,
+    show_default=True,
+    type=click.FloatRange(0, MOST_LAGS),
+    help="Let cameras see up to so many ticks early or late.",
+)
 @click.option(
     "--samples",
     default=2,
@@ -109,7 +132,8 @@ def simulate_command(
     found = load_named_rig(rig)
     found = found.scaled(*size) if size else found
     found = dataclasses.replace(found, tick_rate_hz=rate_hz) if rate_hz else found
-    manifest = simulate(Simulation(scene, **simulation), found, ticks, out, progress_of("simulate"))
+    traits = Traits(**{field.name: simulation.pop(field.name) for field in dataclasses.fields(Traits)})
+    manifest = simulate(Simulation(scene, traits=traits, **simulation), found, ticks, out, progress_of("simulate"))
     if spikecv:
         write_config(out, manifest)
     _print_recording(out, manifest, as_json)

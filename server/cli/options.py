@@ -1,5 +1,6 @@
 """Options and values that several commands take."""
 
+import dataclasses
 import functools
 import re
 from collections.abc import Callable
@@ -20,6 +21,22 @@ data_folder = click.option("--data", type=PATH, help="Data folder.  [default: .s
 def several(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Return a decorator that adds all `options` to a command, in this order."""
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
+
+
+def numbers_of(kind: type) -> Callable[[Any], Any]:
+    """Return the options for a dataclass of numbers whose fields say `most` and `about` in their metadata."""
+    return several(
+        *(
+            click.option(
+                f"--{field.name.replace('_', '-')}",
+                default=field.default,
+                show_default=True,
+                type=click.FloatRange(0, field.metadata["most"]),
+                help=field.metadata["about"],
+            )
+            for field in dataclasses.fields(kind)
+        )
+    )
 
 
 def parse_size(text: str) -> tuple[int, int]:

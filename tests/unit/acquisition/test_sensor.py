@@ -148,7 +148,7 @@ def test_every_reset_has_thermal_noise_and_every_pixel_its_threshold(monkeypatch
 
 def test_ideal_interval_images_have_the_mean_of_window_images_at_the_cars_light():
     light = np.tile(np.linspace(0.05, 0.682, 250 * 400, dtype=np.float32).reshape(1, 250, 400), (200, 1, 1))
-    for kind in SENSOR_KINDS:
+    for kind in ("ideal", "real"):
         planes = Sensor(400, 250, kind, 3, 0).expose(light)
         assert planes.mean() == pytest.approx(0.366, rel=0.01)  # spikes per tick of the real recording of a car
         assert _interval_rate(planes, 100) == pytest.approx(planes.mean(), rel=0.01)
