@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from dataclasses import dataclass, replace
@@ -11,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigs.errors import RigError
+from rigs.lens import Lens, LensModel
 from rigs.transform import Floats, Transform
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with OpenCV distortion (k1, k2, p1, p2); lengths in pixels, `cam_from_rig` in metres.
+    """A camera with one of OpenCV's lenses (`rigs.lens`); lengths in pixels, `cam_from_rig` in metres.
 
-    `pixels` is the file with the gain, offset and defects of its pixels, where they were measured. The id names files,
-    so it consists of letters, digits, `_` and `-`. Raises RigError, naming the camera, for another id, a size or focal
-    length that is not positive, or a number that is not finite.
+    `distortion` is k1, k2, p1, p2 and perhaps k3; of a `lens_model` fisheye k1, k2, k3, k4. `pixels` is the file with
+    the gain, offset and defects of its pixels, where they were measured. The id names files, so it consists of letters,
+    digits, `_` and `-`. Raises RigError, naming the camera, for another id, a size or focal length that is not
+    positive, a number that is not finite, or distortion that no lens has.
     """
 
     id: str
@@ -31,9 +34,10 @@ class Camera:
     cx: float
     cy: float
     cam_from_rig: Transform
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     serial: str = ""
     pixels: Path | None = None
+    lens_model: LensModel = "opencv"
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.id):
@@ -45,6 +49,18 @@ class Camera:
             raise RigError(f"found focal lengths {self.fx}, {self.fy}", "positive pixels", where=self.id)
         if self.width < 1 or self.height < 1:
             raise RigError(f"found the size {self.width}x{self.height}", "at least 1x1", where=self.id)
+        with RigError.located(self.id):
+            _ = self.lens  # refuses what no lens can have
+
+    @functools.cached_property
+    def lens(self) -> Lens:
+        """The lens between the pinhole and the pixels."""
+        return Lens(self.lens_model, tuple(float(k) for k in self.distortion))
+
+    @property
+    def bends(self) -> bool:
+        """Tell whether the lens does anything a pinhole does not."""
+        return self.lens.bends
 
     @property
     def K(self) -> Floats:  # noqa: N802
@@ -57,16 +73,31 @@ class Camera:
         return self.cam_from_rig.center
 
     def project(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Project points [N, 3] of the rig frame, in metres, as a pinhole does, without distortion.
+        """Project points [N, 3] of the rig frame, in metres, through the lens.
 
-        Returns their places in the picture [N, 2] in pixels, NaN for points that are not in front of the camera, and
-        which of them lie inside the picture [N].
+        Returns their places in the picture [N, 2] in pixels, NaN for points that are not in front of the camera or lie
+        beyond the fold of its lens, and which of them lie inside the picture [N].
         """
         x, y, z = self.cam_from_rig.apply(points).T
         depth = np.where(z > 0, z, np.nan)
+        if self.bends:
+            x, y, depth = *self.lens.bent(np.stack([x / depth, y / depth], axis=1)).T, 1.0
         pixels = np.stack([self.fx * x / depth + self.cx, self.fy * y / depth + self.cy], axis=1)
         inside = np.logical_and(pixels >= 0, pixels < (self.width, self.height))
         return pixels, inside[:, 0] & inside[:, 1]
+
+    def slopes(self, pixels: NDArray[np.floating]) -> Floats:
+        """Return where places [N, 2] in px look: x / z and y / z [N, 2] in camera axes, NaN where no ray reaches."""
+        places = (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        return self.lens.straightened(places) if self.bends else places
+
+    def straightened(self, pixels: Floats) -> Floats:
+        """Return where the pinhole without the lens sees what is seen at places [N, 2] in px; NaN where none is."""
+        return self.slopes(pixels) * (self.fx, self.fy) + (self.cx, self.cy) if self.bends else pixels
+
+    def pinhole(self) -> Camera:
+        """Return the same camera without the bend of its lens."""
+        return replace(self, distortion=(0.0,) * 4, lens_model="opencv") if self.bends else self
 
     def scaled(self, width: int, height: int) -> Camera:
         """Return the same lens over a sensor of another size in pixels; their calibration holds for one size only."""

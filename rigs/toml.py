@@ -13,13 +13,15 @@ import tomli_w
 
 from rigs.camera import Camera
 from rigs.errors import RigError
+from rigs.lens import LEAST_NUMBERS, NAMES, LensModel
 from rigs.rig import Calibration, Poses, Rig
 from rigs.tables import Fields
 from rigs.transform import Transform
 
 RIG_FIELDS = ("name", "tick_rate_hz", "poses", "calibration", "camera")
 CALIBRATION_FIELDS = ("date", "residual_px", "rotation_sd_deg")
-CAMERA_FIELDS = ("id", "serial", "width", "height", "fx", "fy", "cx", "cy", "distortion", "cam_from_rig", "pixels")
+CAMERA_FIELDS = ("id", "serial", "width", "height", "fx", "fy", "cx", "cy")
+CAMERA_FIELDS += ("lens_model", "distortion", "cam_from_rig", "pixels")
 POSE_FIELDS = ("quat_wxyz", "translation_m")
 GRID_ID = re.compile(r"cam(\d)(\d)")
 
@@ -117,14 +119,22 @@ def _camera(entry: object, where: str, number: int, folder: Path | None) -> Came
     pose.refuse_others(POSE_FIELDS)
     width, height = fields.whole("width"), fields.whole("height")
     fx, fy, cx, cy = (fields.number(name) for name in ("fx", "fy", "cx", "cy"))
-    k1, k2, p1, p2 = fields.numbers("distortion", (4,), (0.0, 0.0, 0.0, 0.0)).tolist()
+    model = cast(LensModel, fields.word("lens_model", "opencv"))
+    distortion = tuple(fields.numbers("distortion", (_coefficients(fields, model),), (0.0,) * LEAST_NUMBERS).tolist())
     quat_wxyz, translation_m = pose.numbers("quat_wxyz", (4,)), pose.numbers("translation_m", (3,))
     extras = {"serial": fields.word("serial", ""), "pixels": _pixels(fields, folder)}
     with RigError.located(pose.where):
         cam_from_rig = Transform.from_quat_wxyz(quat_wxyz, translation_m)
     with RigError.located(where):
         lens = (width, height, fx, fy, cx, cy)
-        return Camera(fields.word("id"), *lens, cam_from_rig, distortion=(k1, k2, p1, p2), **extras)
+        return Camera(fields.word("id"), *lens, cam_from_rig, distortion=distortion, lens_model=model, **extras)
+
+
+def _coefficients(fields: Fields, model: LensModel) -> int:
+    """Return how many numbers the distortion must have: as many as it has where the lens allows that."""
+    given = fields.table.get("distortion")
+    most = len(NAMES.get(model, ()))
+    return most if isinstance(given, list) and len(given) == most else LEAST_NUMBERS
 
 
 def _pixels(fields: Fields, folder: Path | None) -> Path | None:
@@ -143,6 +153,8 @@ def _camera_table(camera: Camera) -> dict[str, object]:
     if camera.pixels:
         table["pixels"] = camera.pixels.name
     table |= {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
+    if camera.lens_model != "opencv":
+        table["lens_model"] = camera.lens_model
     table["distortion"] = [float(k) for k in camera.distortion]
     table["cam_from_rig"] = {
         "quat_wxyz": camera.cam_from_rig.quat_wxyz.tolist(),

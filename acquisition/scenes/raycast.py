@@ -102,7 +102,7 @@ class Raycaster:
     def __init__(
         self, scene: SceneArrays, camera: Camera, placement: tuple[Floats, Floats], *, samples: int, threads: int = 0
     ):
-        if any(camera.distortion):
+        if camera.bends:
             raise AcquisitionError(
                 f"found lens distortion {camera.distortion}", "none", "scenes are seen by pinholes", where=camera.id
             )

@@ -157,8 +157,10 @@ def _from_one(corners: Floats, pixels: Floats, camera: Camera) -> list[Transform
     spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     if len(corners) < LEAST_POINTS or spread[1] < LEAST_WIDTH * spread[0]:
         return []
-    lens = np.array(camera.distortion)
-    found = cv2.solvePnPGeneric(corners, pixels[:, None].copy(), camera.K, lens, flags=cv2.SOLVEPNP_IPPE)
+    slopes = camera.slopes(pixels)
+    if not np.isfinite(slopes).all():
+        return []
+    found = cv2.solvePnPGeneric(corners, slopes[:, None].copy(), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     rig_from_cam = camera.cam_from_rig.inverse()
     poses = []
     for turn, shift in zip(found[1], found[2], strict=True):

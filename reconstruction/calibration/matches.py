@@ -59,7 +59,7 @@ def _clear(alike: NDArray[np.float32]) -> NDArray[np.int64]:
 
 def gated(places: tuple[Floats, Floats], cameras: tuple[Camera, Camera], gate: Gate, distance_m: float) -> NDArray:
     """Return which of M matched places ([M, 2], [M, 2] in px) the nominal cameras allow."""
-    rays = [np.insert(rays_of(p, c), 2, 1.0, axis=1) for p, c in zip(places, cameras, strict=True)]
+    rays = [np.insert(c.slopes(p), 2, 1.0, axis=1) for p, c in zip(places, cameras, strict=True)]
     one, other = cameras
     base = other.cam_from_rig @ one.cam_from_rig.inverse()
     lines = rays[0] @ (cross_matrices(base.translation) @ base.rotation).T  # epipolar lines in the other image
@@ -71,13 +71,6 @@ def gated(places: tuple[Floats, Floats], cameras: tuple[Camera, Camera], gate: G
     inverse = np.stack([1 / np.where(np.abs(d) < 1e-9, 1e-9, d) for d in depths])
     low, high = 1 / (gate.farthest * distance_m) - slack, 1 / (gate.nearest * distance_m) + slack
     return (off * other.fx < gate.epipolar_px) & ((inverse > low) & (inverse < high)).all(axis=0)
-
-
-def rays_of(places: NDArray[np.floating], camera: Camera) -> Floats:
-    """Return where places [M, 2] in px look, lens distortion removed, as x / z and y / z [M, 2] in camera axes."""
-    if not len(places):
-        return np.zeros((0, 2))
-    return np.asarray(cv2.undistortPoints(places[:, None], camera.K, np.array(camera.distortion))[:, 0], np.float64)
 
 
 def _depths(rays: Sequence[Floats], rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:

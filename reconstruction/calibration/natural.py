@@ -106,7 +106,8 @@ def _coarse(nominal: Rig, evidence: Evidence, gate: Gate, seed: int) -> tuple[So
     features = evidence.features
     allowed = _allowed(nominal.cameras, features, evidence.candidates, gate)
     for (a, b), pairs in allowed.items():
-        places = features[a].places[pairs[:, 0]], features[b].places[pairs[:, 1]]
+        one, other = features[a].places[pairs[:, 0]], features[b].places[pairs[:, 1]]
+        places = nominal.cameras[a].straightened(one), nominal.cameras[b].straightened(other)
         allowed[a, b] = pairs[verified(places, seed)]
     tracks = evidence.enough(joined(features, allowed, LEAST_VIEWS))
     start = coarse(Cameras.of(nominal.cameras), spread(tracks, nominal.cameras, COARSE_TRACKS, seed))
@@ -195,11 +196,9 @@ def observed(tracks: Tracks, sd_px: float) -> Observations:
 
 
 def triangulated(cameras: Cameras, tracks: Tracks) -> Floats:
-    """Return the points [T, 3] in m nearest to all rays of their tracks; distortion is left to the adjustment."""
+    """Return the points [T, 3] in m nearest to all rays of their tracks."""
     track, view = np.nonzero(tracks.seen)
-    fx, fy, cx, cy = cameras.lenses[view, :4].T
-    x, y = tracks.places[track, view].T
-    rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=1)
+    rays = np.insert(cameras.slopes(tracks.places[track, view], view), 2, 1.0, axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rays = (rays[:, None] @ cameras.rotations[view])[:, 0]
     across = np.eye(3) - rays[:, :, None] * rays[:, None]

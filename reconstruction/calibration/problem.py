@@ -105,7 +105,7 @@ class Loss:
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """The camera parameters that may change: steps [C, 14] of PARAMETERS are `mixing` [C, 14, G] times G free values.
+    """The camera parameters that may change: steps [C, 15] of PARAMETERS are `mixing` [C, 15, G] times G free values.
 
     `prior_sd` [G] is how far each value may be from zero (infinity: anywhere), `groups` [G] what it is a part of.
     """
@@ -126,7 +126,7 @@ class Freedom:
         return freedom.each(PARAMETERS[3:6], center_sd_m, "poses")
 
     def freed(self, columns: Floats, prior_sd: float, group: str) -> Freedom:
-        """Add a group of values that mix steps by `columns` [C, 14, n], all with the same prior around zero."""
+        """Add a group of values that mix steps by `columns` [C, 15, n], all with the same prior around zero."""
         sds = np.append(self.prior_sd, np.full(columns.shape[2], prior_sd))
         return Freedom(np.concatenate([self.mixing, columns], axis=2), sds, self.groups + (group,) * columns.shape[2])
 
@@ -157,7 +157,7 @@ class Freedom:
 
 
 def _own_focal(cameras: Cameras) -> Floats:
-    """Return the steps [C, 14, C] by which both focal lengths of one camera grow by their own size."""
+    """Return the steps [C, 15, C] by which both focal lengths of one camera grow by their own size."""
     every = np.arange(len(cameras))
     columns = np.zeros((len(cameras), len(PARAMETERS), len(cameras)))
     for number, name in enumerate(("fx", "fy")):

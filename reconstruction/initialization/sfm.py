@@ -61,24 +61,24 @@ def _shared_lens(rig: Rig) -> Camera:
     """Return the pinhole that all views are seen through: the mean of the rig's lenses, without their distortion."""
     mean = {name: float(np.mean([getattr(c, name) for c in rig.cameras])) for name in ("fx", "fy", "cx", "cy")}
     first = first_of_one_size(rig.cameras, "structure from motion takes one lens for all cameras")
-    return replace(first, **mean, distortion=(0.0, 0.0, 0.0, 0.0))
+    return replace(first, **mean, distortion=(0.0, 0.0, 0.0, 0.0), lens_model="opencv")
 
 
 def _write_images(folder: Path, rig: Rig, lens: Camera, images: Mapping[str, NDArray[np.float32]]) -> None:
     (folder / "images").mkdir()
     for camera_id, image in images.items():
         camera = rig.camera(camera_id)
-        if any(camera.distortion) or not np.allclose(camera.K, lens.K, rtol=1e-9):
+        if camera.bends or not np.allclose(camera.K, lens.K, rtol=1e-9):
             image = _seen_through(lens, camera, image)
         cv2.imwrite(str(folder / "images" / f"{camera_id}.png"), np.round(255 * image).astype(np.uint8))
 
 
 def _seen_through(lens: Camera, camera: Camera, image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return what `camera` took [H, W] as `lens` would have taken it from the same place."""
-    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel has its centre at zero
-    size = (lens.width, lens.height)
-    distortion = np.array(camera.distortion)
-    maps = cv2.initUndistortRectifyMap(camera.K - half, distortion, np.eye(3), lens.K - half, size, cv2.CV_32FC1)
+    rows, columns = np.indices((lens.height, lens.width)).reshape(2, -1) + 0.5
+    slopes = lens.slopes(np.stack([columns, rows], axis=1))
+    places = camera.lens.bent(slopes) * (camera.fx, camera.fy) + (camera.cx, camera.cy) - 0.5  # OpenCV's first is at 0
+    maps = np.nan_to_num(places, nan=-1.0).T.reshape(2, lens.height, lens.width).astype(np.float32)
     seen = cv2.remap(image, maps[0], maps[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.clip(seen, 0, 1).astype(np.float32)
 

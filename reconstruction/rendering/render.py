@@ -21,7 +21,7 @@ NAMES = Instantaneous._fields
 
 def refuse_distortion(camera: Camera) -> None:
     """Raise ReconstructionError where a lens distorts: scenes are shown as a pinhole sees them."""
-    if any(camera.distortion):
+    if camera.bends:
         raise ReconstructionError("found lens distortion", "a pinhole", "undistort its images first", where=camera.id)
 
 

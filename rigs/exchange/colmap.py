@@ -4,25 +4,43 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigs.camera import Camera
 from rigs.errors import RigError
+from rigs.lens import LEAST_NUMBERS, LensModel, shortened
 from rigs.transform import Transform
 
-# model -> its number in binary files and where fx fy cx cy k1 k2 p1 p2 stand in its parameters (None: zero)
-MODELS: dict[str, tuple[int, tuple[int | None, ...]]] = {
-    "SIMPLE_PINHOLE": (0, (0, 0, 1, 2, None, None, None, None)),
-    "PINHOLE": (1, (0, 1, 2, 3, None, None, None, None)),
-    "SIMPLE_RADIAL": (2, (0, 0, 1, 2, 3, None, None, None)),
-    "RADIAL": (3, (0, 0, 1, 2, 3, 4, None, None)),
-    "OPENCV": (4, (0, 1, 2, 3, 4, 5, 6, 7)),
+
+class Model(NamedTuple):
+    """A camera model: its number in binary files, and the places in its `size` parameters of fx fy cx cy and a `lens`.
+
+    A coefficient without a place (None) is zero; a parameter that has none here must be.
+    """
+
+    number: int
+    size: int
+    places: tuple[int, ...]
+    coefficients: tuple[int | None, ...]
+    lens: LensModel = "opencv"
+
+
+ONE_FOCAL, TWO_FOCALS = (0, 0, 1, 2), (0, 1, 2, 3)
+MODELS = {
+    "SIMPLE_PINHOLE": Model(0, 3, ONE_FOCAL, (None, None, None, None)),
+    "PINHOLE": Model(1, 4, TWO_FOCALS, (None, None, None, None)),
+    "SIMPLE_RADIAL": Model(2, 4, ONE_FOCAL, (3, None, None, None)),
+    "RADIAL": Model(3, 5, ONE_FOCAL, (3, 4, None, None)),
+    "OPENCV": Model(4, 8, TWO_FOCALS, (4, 5, 6, 7)),
+    "OPENCV_FISHEYE": Model(5, 8, TWO_FOCALS, (4, 5, 6, 7), "fisheye"),
+    "FULL_OPENCV": Model(6, 12, TWO_FOCALS, (4, 5, 6, 7, 8)),  # k4 k5 k6, of a rational lens, must be zero
+    "SIMPLE_RADIAL_FISHEYE": Model(8, 4, ONE_FOCAL, (3, None, None, None), "fisheye"),
+    "RADIAL_FISHEYE": Model(9, 5, ONE_FOCAL, (3, 4, None, None), "fisheye"),
 }
-NUMBERED_MODELS = {number: model for model, (number, _) in MODELS.items()}
-PARAMETERS = {model: 1 + max(p for p in places if p is not None) for model, (_, places) in MODELS.items()}
+NUMBERED_MODELS = {model.number: name for name, model in MODELS.items()}
 
 Lens = tuple[str, int, int, tuple[float, ...]]  # model, width, height, parameters
 Pose = tuple[str, int, tuple[float, ...]]  # image name, camera number, qw qx qy qz tx ty tz
@@ -48,12 +66,21 @@ def dump_model(cameras: Sequence[Camera]) -> dict[str, str]:
     """Return the text files of a COLMAP model by file name: cameras.txt, images.txt and an empty points3D.txt."""
     lenses, images = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS"], ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"]
     for number, camera in enumerate(cameras, start=1):
-        lens, bent = (camera.fx, camera.fy, camera.cx, camera.cy), any(camera.distortion)
-        model, parameters = ("OPENCV", (*lens, *camera.distortion)) if bent else ("PINHOLE", lens)
+        model, parameters = _parameters(camera)
         lenses.append(f"{number} {model} {camera.width} {camera.height} {_digits(parameters)}")
         pose = (*camera.cam_from_rig.quat_wxyz, *camera.cam_from_rig.translation)
         images += [f"{number} {_digits(pose)} {number} {camera.id}.png", ""]
     return {"cameras.txt": "\n".join(lenses) + "\n", "images.txt": "\n".join(images) + "\n", "points3D.txt": ""}
+
+
+def _parameters(camera: Camera) -> tuple[str, tuple[float, ...]]:
+    """Return the smallest model that holds a camera's lens, and its parameters."""
+    places, k = (camera.fx, camera.fy, camera.cx, camera.cy), camera.distortion
+    if camera.lens_model == "fisheye":
+        return "OPENCV_FISHEYE", (*places, *k)
+    if any(k[LEAST_NUMBERS:]):
+        return "FULL_OPENCV", (*places, *k, 0.0, 0.0, 0.0)
+    return ("OPENCV", (*places, *k[:LEAST_NUMBERS])) if camera.bends else ("PINHOLE", places)
 
 
 def dump_points(points: NDArray[np.floating], greys: NDArray[np.uint8]) -> str:
@@ -82,20 +109,26 @@ def _camera(pose: Pose, lenses: dict[int, Lens], folder: Path) -> Camera:
     if lens_number not in lenses:
         raise RigError(f"found no camera {lens_number}", f"one of {', '.join(map(str, lenses))}", where=where)
     model, width, height, parameters = lenses[lens_number]
-    fx, fy, cx, cy, k1, k2, p1, p2 = (0.0 if at is None else parameters[at] for at in MODELS[model][1])
+    known = MODELS[model]
+    fx, fy, cx, cy = (parameters[at] for at in known.places)
+    distortion = shortened(tuple(0.0 if at is None else parameters[at] for at in known.coefficients))
+    used = {*known.places, *known.coefficients}
+    if any(value for at, value in enumerate(parameters) if at not in used):
+        raise RigError("found k4, k5 or k6 of a FULL_OPENCV lens", "zeros", "undistort the pictures", where=where)
     if not all(map(math.isfinite, numbers)):
         raise RigError("found a pose with NaN or infinity", "finite numbers", "mend the pose", where=where)
     with RigError.located(where):
         cam_from_rig = Transform.from_quat_wxyz(numbers[:4], numbers[4:])
     with RigError.located(folder):
-        return Camera(camera_id, width, height, fx, fy, cx, cy, cam_from_rig, distortion=(k1, k2, p1, p2))
+        lens = {"distortion": distortion, "lens_model": known.lens}
+        return Camera(camera_id, width, height, fx, fy, cx, cy, cam_from_rig, **lens)
 
 
 def _lens(model: str | int, width: int, height: int, parameters: Sequence[float]) -> Lens:
     if model not in MODELS:
         raise RigError(f"found the camera model {model}", f"one of {', '.join(MODELS)}", "undistort the pictures")
-    if len(parameters) != PARAMETERS[model]:
-        raise RigError(f"found {len(parameters)} parameters of {model}", str(PARAMETERS[model]))
+    if len(parameters) != MODELS[model].size:
+        raise RigError(f"found {len(parameters)} parameters of {model}", str(MODELS[model].size))
     return model, width, height, tuple(parameters)
 
 
@@ -127,7 +160,7 @@ def _binary_lenses(data: bytes) -> dict[int, Lens]:
         model = NUMBERED_MODELS.get(model_number, "")
         if not model:
             raise RigError(f"found the camera model number {model_number}", f"one of {', '.join(MODELS)}")
-        parameters = struct.unpack_from(f"<{PARAMETERS[model]}d", data, at + 24)
+        parameters = struct.unpack_from(f"<{MODELS[model].size}d", data, at + 24)
         lenses[number] = _lens(model, width, height, parameters)
         at += 24 + 8 * len(parameters)
     _refuse_other_length(data, at)

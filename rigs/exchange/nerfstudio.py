@@ -10,11 +10,18 @@ import numpy as np
 
 from rigs.camera import Camera
 from rigs.errors import RigError
+from rigs.lens import NAMES, LensModel, shortened
 from rigs.tables import Fields
 from rigs.transform import Floats, Transform
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
-MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+MODELS: dict[str, LensModel] = {
+    "OPENCV": "opencv",
+    "PINHOLE": "opencv",
+    "SIMPLE_PINHOLE": "opencv",
+    "OPENCV_FISHEYE": "fisheye",
+}
+WRITTEN = {"opencv": "OPENCV", "fisheye": "OPENCV_FISHEYE"}
 Size = tuple[int, int]  # width, height
 
 
@@ -57,7 +64,8 @@ def load_frames(path: Path) -> list[Frame]:
 
 def dump_transforms(cameras: Sequence[Camera]) -> str:
     """Return the cameras as the text of a `transforms.json`; reading it back gives the same numbers."""
-    document = {"camera_model": "OPENCV", "frames": [_frame_table(camera) for camera in cameras]}
+    model = _common_model(cameras)
+    document = {"camera_model": model, "frames": [_frame_table(camera, model) for camera in cameras]}
     return json.dumps(document, indent=1) + "\n"
 
 
@@ -66,12 +74,13 @@ def dump_frames(frames: Sequence[Frame], pictures: Sequence[str], points: str | 
 
     `pictures` and `points` are files relative to it.
     """
+    model = _common_model([frame.camera for frame in frames])
     tables = [
-        {"file_path": picture, "time": frame.instant_s, **_frame_table(frame.camera)}
+        {"file_path": picture, "time": frame.instant_s, **_frame_table(frame.camera, model)}
         for frame, picture in zip(frames, pictures, strict=True)
     ]
     cloud = {"ply_file_path": points} if points else {}
-    return json.dumps({"camera_model": "OPENCV", **cloud, "frames": tables}, indent=1) + "\n"
+    return json.dumps({"camera_model": model, **cloud, "frames": tables}, indent=1) + "\n"
 
 
 def _frames(path: Path) -> list[Fields]:
@@ -99,17 +108,19 @@ def _camera(frame: Fields, camera_id: str, path: Path, size: Size | None) -> Cam
     model = fields.word("camera_model", "OPENCV")
     if model not in MODELS:
         raise RigError(f"found camera_model {model!r}", f"one of {', '.join(MODELS)}", where=fields.where)
-    if fields.number("k3", 0.0) or fields.number("k4", 0.0):
-        raise RigError("found a lens with k3 or k4", "k1 k2 p1 p2 only", "undistort the pictures", where=fields.where)
+    lens, names = MODELS[model], NAMES[MODELS[model]]
+    if surplus := [key for key in ("k3", "k4", "p1", "p2") if key not in names and fields.number(key, 0.0)]:
+        expected = f"{' '.join(names)} of an {model} lens"
+        raise RigError(f"found a lens with {surplus[0]}", expected, "undistort the pictures", where=fields.where)
     width, height = (fields.whole(key, size[axis] if size else None) for axis, key in enumerate("wh"))
     fx = fields.number("fl_x")
     matrix = fields.numbers("transform_matrix", (4, 4))
     with RigError.located(f"{fields.where}: transform_matrix"):
         world_from_cam = Transform(_nearest_rotation(matrix[:3, :3]) @ OPENCV_FROM_OPENGL, matrix[:3, 3])
-    k1, k2, p1, p2 = (fields.number(key, 0.0) for key in ("k1", "k2", "p1", "p2"))
+    distortion = shortened(tuple(fields.number(key, 0.0) for key in names))
     with RigError.located(path):
-        lens = (fx, fields.number("fl_y", fx), fields.number("cx", width / 2), fields.number("cy", height / 2))
-        return Camera(camera_id, width, height, *lens, world_from_cam.inverse(), distortion=(k1, k2, p1, p2))
+        places = (fx, fields.number("fl_y", fx), fields.number("cx", width / 2), fields.number("cy", height / 2))
+        return Camera(camera_id, width, height, *places, world_from_cam.inverse(), distortion, lens_model=lens)
 
 
 def _nearest_rotation(matrix: Floats) -> Floats:
@@ -120,14 +131,23 @@ def _nearest_rotation(matrix: Floats) -> Floats:
     return left @ right
 
 
-def _frame_table(camera: Camera) -> dict[str, object]:
+def _common_model(cameras: Sequence[Camera]) -> str:
+    """Return the model that most tools look for at the top only: OPENCV, unless all lenses are fisheyes."""
+    fisheyes = {camera.lens_model for camera in cameras} == {"fisheye"}
+    return WRITTEN["fisheye" if fisheyes else "opencv"]
+
+
+def _frame_table(camera: Camera, common: str) -> dict[str, object]:
     world_from_cam = camera.cam_from_rig.inverse().matrix
     world_from_cam[:3, :3] = world_from_cam[:3, :3] @ OPENCV_FROM_OPENGL
-    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    places = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    places |= dict(zip(NAMES[camera.lens_model], camera.distortion, strict=False))
+    model = WRITTEN[camera.lens_model]
     return {
         "camera_id": camera.id,
         "w": camera.width,
         "h": camera.height,
-        **{key: float(n) for key, n in zip(("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"), numbers, strict=True)},
+        **({"camera_model": model} if model != common else {}),
+        **{key: float(n) for key, n in places.items()},
         "transform_matrix": world_from_cam.tolist(),
     }

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from acquisition.progress import Progress, part, silent
-from reconstruction.calibration.matches import rays_of
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.dust3r.alignment import aligned
 from reconstruction.initialization.dust3r.start import PairMaps
@@ -48,7 +47,7 @@ def dust3r_with(network: Dust3r, rig: Rig, images: Images, progress: Progress = 
     seen = rig.only(views)
     first = first_of_one_size(seen.cameras, "dust3r takes images of one size")
     rows, columns = sampled_pixels(first.height, first.width, MOST_PIXELS)
-    rays = np.stack([rays_of(np.stack([columns + 0.5, rows + 0.5], axis=-1), camera) for camera in seen.cameras])
+    rays = np.stack([camera.slopes(np.stack([columns + 0.5, rows + 0.5], axis=-1)) for camera in seen.cameras])
     tones = toned({c: images[c] for c in views})
     edges = list(itertools.permutations(range(len(views)), 2))
     pairs = predicted(network, [tones[c] for c in views], edges, (rows, columns), part(progress, 0, 0.8))

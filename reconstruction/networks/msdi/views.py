@@ -43,7 +43,7 @@ class Views:
     @classmethod
     def of_rig(cls, rig: Rig, factor: int = 1, distance: float | None = None) -> Views:
         """Return the cameras of `rig` over pixels `factor` times as large; raises BadRunError for lens distortion."""
-        bent = [camera.id for camera in rig.cameras if any(camera.distortion)]
+        bent = [camera.id for camera in rig.cameras if camera.bends]
         if bent:
             raise BadRunError(f"found lens distortion in {', '.join(bent)}", "none", "msdi is for pinhole cameras")
         stacked = {

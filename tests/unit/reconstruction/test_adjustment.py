@@ -43,7 +43,8 @@ def errors(cameras):
 
 def test_derivatives_of_the_projection_are_those_of_finite_differences():
     rng = np.random.default_rng(0)
-    bent = replace(TRUE, lenses=TRUE.lenses + np.array([0, 3, 1, -2, 0.05, -0.02, 0.01, -0.01]))
+    fisheye = np.arange(VIEWS) % 3 == 1
+    bent = replace(TRUE, lenses=TRUE.lenses + np.array([0, 3, 1, -2, 0.05, -0.02, 0.01, -0.01, 0.03]), fisheye=fisheye)
     points, which = rng.uniform((-0.7, -0.4, 1.2), (0.7, 0.4, 3), (60, 3)), rng.integers(0, VIEWS, 60)
     found = project(points, bent, which)
     for k in range(len(PARAMETERS)):
@@ -54,6 +55,23 @@ def test_derivatives_of_the_projection_are_those_of_finite_differences():
     for axis, shift in enumerate(1e-6 * np.eye(3)):
         apart = project(points + shift, bent, which).pixels - project(points - shift, bent, which).pixels
         np.testing.assert_allclose(apart / 2e-6, found.by_point[:, :, axis], rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("model", "distortion"), [("opencv", (-0.2, 0.05, 0.002, -0.001, 0.01)), ("fisheye", (-0.02, 0.01, 0.0, 0.001))]
+)
+def test_cameras_project_as_the_rig_does_and_look_back(model, distortion):
+    rng = np.random.default_rng(0)
+    cameras = tuple(replace(c, lens_model=model, distortion=distortion) for c in RIG.cameras)
+    some = Cameras.of(cameras)
+    points = rng.uniform((-0.7, -0.4, 1.2), (0.7, 0.4, 3), (60, 3))
+    for number, camera in enumerate(cameras):
+        which = np.full(60, number)
+        found = project(points, some, which).pixels
+        np.testing.assert_allclose(found, camera.project(points)[0], atol=1e-9)
+        inside = camera.cam_from_rig.apply(points)
+        np.testing.assert_allclose(some.slopes(found, which), inside[:, :2] / inside[:, 2:], atol=1e-9)
+    assert some.written_to(RIG).cameras[3].distortion == distortion
 
 
 def test_points_behind_a_camera_are_not_seen_and_have_no_derivatives():
@@ -124,6 +142,7 @@ def test_the_adjustment_agrees_with_pycolmap():
         np.array([p.rotation.matrix() for p in poses]),
         np.array([-p.rotation.matrix().T @ p.translation for p in poses]),
         TRUE.lenses,
+        TRUE.fisheye,
     )
     apart = pose_errors(
         theirs.written_to(RIG),

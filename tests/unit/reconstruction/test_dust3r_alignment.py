@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from acquisition.scenes.catalog import build_scene
-from reconstruction.calibration.matches import rays_of
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.dust3r.alignment import aligned
 from reconstruction.initialization.dust3r.initialiser import sampled_pixels
@@ -35,7 +34,7 @@ def views():
     rig = catalog_rig("lab3x3").only(["cam00", "cam02", "cam11", "cam20", "cam22"])
     scene = build_scene("fan_and_ball", 1)
     rows, columns = sampled_pixels(250, 400, MOST)
-    rays = np.stack([rays_of(np.stack([columns + 0.5, rows + 0.5], axis=-1), camera) for camera in rig.cameras])
+    rays = np.stack([camera.slopes(np.stack([columns + 0.5, rows + 0.5], axis=-1)) for camera in rig.cameras])
     points = []
     for camera, looks in zip(rig.cameras, rays, strict=True):
         depth = scene.raycaster(camera, 1).frames(*scene.placements(np.zeros(1))).depth[0, rows, columns]

@@ -24,6 +24,11 @@ lengths = st.floats(1e-3, 1e5)
 quats = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
 poses = st.builds(Transform.from_quat_wxyz, quats, st.tuples(*[st.floats(-10, 10)] * 3))
 sizes = st.integers(1, 5000)
+fours = st.tuples(numbers, numbers, numbers, numbers)
+fives = st.tuples(numbers, numbers, numbers, numbers, numbers.filter(bool))
+lenses = st.fixed_dictionaries({"distortion": fours | fives}) | st.fixed_dictionaries(
+    {"distortion": fours, "lens_model": st.just("fisheye")}
+)
 
 
 @st.composite
@@ -32,7 +37,7 @@ def camera_rows(draw) -> tuple[Camera, ...]:
         Camera(
             f"cam0{column}",
             *(draw(sizes), draw(sizes), draw(lengths), draw(lengths), draw(numbers), draw(numbers), draw(poses)),
-            distortion=draw(st.tuples(numbers, numbers, numbers, numbers)),
+            **draw(lenses),
         )
         for column in range(draw(st.integers(1, 4)))
     )
@@ -40,7 +45,7 @@ def camera_rows(draw) -> tuple[Camera, ...]:
 
 def assert_same_cameras(found: tuple[Camera, ...], wanted: tuple[Camera, ...]) -> None:
     for a, b in zip(found, wanted, strict=True):
-        assert (a.id, a.width, a.height, a.distortion) == (b.id, b.width, b.height, b.distortion)
+        assert (a.id, a.width, a.height, a.lens) == (b.id, b.width, b.height, b.lens)
         np.testing.assert_array_equal(a.K, b.K)
         np.testing.assert_allclose(a.cam_from_rig.matrix, b.cam_from_rig.matrix, rtol=0, atol=1e-12)
 
@@ -145,8 +150,8 @@ NAN_POSE[0][3] = math.nan
         (TOP | {"frames": [frame("cam00", fl_x=math.inf)]}, ["cam00", "fl_x"]),
         (TOP | {"frames": [frame("cam00", fl_x=-1)]}, ["cam00", "-1"]),
         (TOP | {"frames": [frame("cam00", w=0)]}, ["cam00", "w = 0"]),
-        (TOP | {"frames": [frame("cam00", k3=0.1)]}, ["cam00", "k3"]),
-        (TOP | {"frames": [frame("cam00", camera_model="OPENCV_FISHEYE")]}, ["cam00", "OPENCV_FISHEYE"]),
+        (TOP | {"frames": [frame("cam00", k4=0.1)]}, ["cam00", "k4"]),
+        (TOP | {"frames": [frame("cam00", camera_model="THIN_PRISM_FISHEYE")]}, ["cam00", "THIN_PRISM"]),
         (TOP | {"frames": [frame("cam00"), frame("cam00")]}, ["cam00"]),
         (TOP | {"frames": [frame("../cam00")]}, ["../cam00"]),
         (TOP | {"frames": [3]}, ["frame 0"]),
@@ -232,11 +237,14 @@ def test_pycolmap_reads_our_text_and_we_read_what_it_writes(tmp_path):
         ("SIMPLE_RADIAL", "9 4 3 .1", (9, 9, 4, 3, 0.1, 0, 0, 0)),
         ("RADIAL", "9 4 3 .1 .2", (9, 9, 4, 3, 0.1, 0.2, 0, 0)),
         ("OPENCV", "9 8 4 3 .1 .2 .3 .4", (9, 8, 4, 3, 0.1, 0.2, 0.3, 0.4)),
+        ("OPENCV_FISHEYE", "9 8 4 3 .1 .2 .3 .4", (9, 8, 4, 3, 0.1, 0.2, 0.3, 0.4)),
+        ("FULL_OPENCV", "9 8 4 3 .1 .2 .3 .4 .5 0 0 0", (9, 8, 4, 3, 0.1, 0.2, 0.3, 0.4, 0.5)),
     ],
 )
 def test_colmap_models_in_text_and_binary(tmp_path, model, parameters, want):
     numbers = [float(p) for p in parameters.split()]
-    number = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"].index(model)
+    listed = "SIMPLE_PINHOLE PINHOLE SIMPLE_RADIAL RADIAL OPENCV OPENCV_FISHEYE FULL_OPENCV"  # COLMAP's models.h
+    number = listed.split().index(model)
     text, binary = tmp_path / "text", tmp_path / "binary"
     for folder in (text, binary):
         folder.mkdir()
@@ -251,6 +259,7 @@ def test_colmap_models_in_text_and_binary(tmp_path, model, parameters, want):
         first, second = load_cameras(folder, 20000).cameras
         assert (first.id, second.id) == ("cam00", "cam01")
         assert (first.fx, first.fy, first.cx, first.cy, *first.distortion) == want
+        assert first.lens_model == ("fisheye" if "FISHEYE" in model else "opencv")
         np.testing.assert_array_equal(second.cam_from_rig.translation, [1, 2, 3])
     for file in (binary / "cameras.bin", binary / "images.bin"):
         whole = file.read_bytes()

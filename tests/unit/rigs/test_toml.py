@@ -16,6 +16,11 @@ numbers = st.floats(-1e3, 1e3)
 lengths = st.floats(1e-3, 1e5)
 quats = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
 poses = st.builds(Transform.from_quat_wxyz, quats, st.tuples(numbers, numbers, numbers))
+fours = st.tuples(numbers, numbers, numbers, numbers)
+fives = st.tuples(numbers, numbers, numbers, numbers, numbers.filter(bool))
+lenses = st.fixed_dictionaries({"distortion": fours | fives}) | st.fixed_dictionaries(
+    {"distortion": fours, "lens_model": st.just("fisheye")}
+)
 
 
 @st.composite
@@ -28,7 +33,7 @@ def rigs(draw) -> Rig:
             draw(st.integers(1, 5000)),
             *(draw(lengths), draw(lengths), draw(numbers), draw(numbers)),
             draw(poses),
-            distortion=draw(st.tuples(numbers, numbers, numbers, numbers)),
+            **draw(lenses),
             serial=draw(st.text(max_size=8)),
         )
         for row in range(rows)
