@@ -14,7 +14,7 @@ from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
 from acquisition.scenes.runner import runner
 from acquisition.scenes.scene import Scene
-from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, static, stiff
+from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, plain, static, stiff
 from acquisition.scenes.traffic import traffic
 from acquisition.scenes.turntable import turntable
 
@@ -31,7 +31,7 @@ def _listed(*builders: Callable[[int], Scene]) -> tuple[str, ...]:
 
 DEVELOPMENT = _listed(fan_and_ball)
 EVALUATION = _listed(traffic, runner, turntable, collision, fan)
-STRESS = _listed(static, stiff, flicker, outdoor, dim, bright, burst, deforming, faint)
+STRESS = _listed(static, stiff, flicker, outdoor, dim, bright, burst, deforming, faint, plain)
 CALIBRATION = _listed(
     calibration.flat,
     calibration.dark,

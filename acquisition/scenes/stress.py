@@ -21,6 +21,13 @@ BURST_S = 0.008  # when the bodies of `burst` appear
 FLICKER = Flicker(rate_hz=100.0, depth=0.8)
 ACROSS = Uneven(slope=(0.5, -0.2, 0.0), offset=0.6, least=0.08)  # full light on the right, little on the left
 DIM_WHITE, FAINT_WHITE, BRIGHT_WHITE = 0.01, 0.07, 0.95  # spikes per tick
+WALLS = (  # name, middle in m, turn, albedo
+    ("back", (0.0, 0.0, 3.4), np.eye(3), 0.62),
+    ("floor", (0.0, FLOOR_Y_M, 2.0), about(0, math.pi / 2), 0.4),
+    ("ceiling", (0.0, -1.1, 2.0), about(0, math.pi / 2), 0.85),
+    ("left", (-1.5, 0.0, 2.0), about(1, math.pi / 2), 0.55),
+    ("right", (1.5, 0.0, 2.0), about(1, math.pi / 2), 0.7),
+)
 STRIPS, STRIP_M = 33, 0.028
 
 
@@ -93,6 +100,21 @@ def faint(seed: int) -> Scene:
     face = stage.shape("rectangle", (0.22, 0.16), Finish(CLOTH, 0.006, (0.7, 1.0)))
     card = Body("card", (face,), Motion(at(-0.25, 0.0, 1.7), velocity_m_s=(15.0, 0.0, 0.0)))
     return _scene("faint", seed, stage, card, white=FAINT_WHITE, background=FAINT_WHITE / 30)
+
+
+def plain(seed: int) -> Scene:
+    """Build a room of painted walls without any texture, with a poster, plain furniture and two textured movers."""
+    stage = Stage.numbered(seed, NUMBER)
+    for name, center, turned, albedo in WALLS:
+        paint = Finish(CLOTH, 0.01, (albedo, albedo))
+        stage.bodies.append(still(name, center, Shape("rectangle", (3.0, 3.0), paint, Transform(turned, np.zeros(3)))))
+    stage.block("bed", stage.near(0.62, 0.46, 1.9), (0.25, 0.16, 0.3), Finish(CLOTH, 0.01, (0.8, 0.8)), 0.5)
+    stage.block("chest", stage.near(-0.95, 0.2, 2.7), (0.25, 0.42, 0.2), Finish(CLOTH, 0.01, (0.45, 0.45)), -0.4)
+    stage.marker((0.75, -0.42, 3.05), -0.15)
+    turning = fan_of(stage, "propeller", (-0.1, -0.08, 1.75), (0.2, -0.1, 1.0), (4, 0.15, 0.1), 50.0)
+    ball = _ball(stage, "ball", 0.14, (-0.5, 0.25, 1.9), 6.0, lane_m=4.0)
+    light = {"to_sun": (-0.2, -0.12, -0.97), "uneven": Uneven((0.05, 0.03, -0.1), offset=1.2, least=0.3)}
+    return _scene("plain", seed, stage, turning, ball, **light)
 
 
 def _turning(name: str, seed: int, *, spin_rad_s: float = 50.0, **light: Any) -> Scene:

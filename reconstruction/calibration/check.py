@@ -8,6 +8,7 @@ import numpy as np
 from acquisition.progress import Progress, silent
 from reconstruction.calibration.calibrated import Calibrated, displacement
 from reconstruction.calibration.features import Image
+from reconstruction.calibration.moments import Movers
 from reconstruction.calibration.natural import calibrate_natural
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
@@ -28,13 +29,18 @@ class CameraCheck:
 
 
 def check_rig(
-    rig: Rig, images: Mapping[str, Image], date: str, progress: Progress = silent
+    rig: Rig,
+    images: Mapping[str, Image],
+    date: str,
+    progress: Progress = silent,
+    *,
+    movers: Movers | None = None,
 ) -> tuple[Calibrated, list[CameraCheck]]:
     """Calibrate from today's images, and compare each camera of `rig` that has one with where it is stored.
 
     Raises GeometryError where today's scene does not tell.
     """
-    today = calibrate_natural(rig, images, date, progress=progress)
+    today = calibrate_natural(rig, images, date, progress=progress, movers=movers)
     kept = [c for c in rig.ids if c in images]
     while True:
         checks = _compared(rig, today, kept)

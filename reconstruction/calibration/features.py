@@ -62,12 +62,13 @@ def toned(image: Image) -> Image:
     return np.sqrt(np.clip(image / np.float32(white), 0, 1))
 
 
-def find_features(image: Image) -> Features:
-    """Find at most MOST_FEATURES features of an image [H, W]."""
+def find_features(image: Image, where: NDArray[np.bool_] | None = None) -> Features:
+    """Find at most MOST_FEATURES features of an image [H, W], all of it or `where` a mask is true."""
+    mask = None if where is None else where.astype(np.uint8)
     sift = cv2.SIFT.create(
         nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, edgeThreshold=10, enable_precise_upscale=True
     )
-    keypoints, descriptors = sift.detectAndCompute(np.round(255 * toned(image)).astype(np.uint8), None)
+    keypoints, descriptors = sift.detectAndCompute(np.round(255 * toned(image)).astype(np.uint8), mask)
     if descriptors is None or not len(keypoints):
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     places = np.array([k.pt for k in keypoints]) + 0.5  # OpenCV puts the first pixel's centre at 0

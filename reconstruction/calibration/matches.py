@@ -107,6 +107,11 @@ class Tracks:
         """Return whether each view sees each track [T, V]."""
         return np.isfinite(self.places[:, :, 0])
 
+    @classmethod
+    def of(cls, parts: Sequence[Tracks]) -> Tracks:
+        """Return the tracks of all parts, one after another."""
+        return cls(np.concatenate([part.places for part in parts]))
+
     def __len__(self) -> int:
         return len(self.places)
 

@@ -11,16 +11,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.progress import Progress, silent
 from reconstruction.calibration.adjustment import Solution, adjust, covariance
 from reconstruction.calibration.calibrated import Calibrated, Fit, calibrated, camera_sds
 from reconstruction.calibration.features import Features, Image, find_features
 from reconstruction.calibration.matches import Gate, Matches, Pair, Tracks, gated, joined, matched, verified
+from reconstruction.calibration.moments import Movers
 from reconstruction.calibration.patches import refined
 from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, ScenePoints, State
 from reconstruction.calibration.projection import Cameras
-from reconstruction.calibration.verdict import Evidence, judge, refuse_blind, refuse_unsure
+from reconstruction.calibration.verdict import Evidence, judge, refuse_blind, refuse_few, refuse_unsure
 from rigs.camera import Camera
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
@@ -50,26 +52,30 @@ def calibrate_natural(
     *,
     gate: Gate = NOMINAL_GATE,
     seed: int = 0,
+    movers: Movers | None = None,
 ) -> Calibrated:
     """Find the poses of the cameras of `rig` that have an image, and one focal factor; the others keep what they have.
 
     `images` (camera id to [H, W], spikes per tick) are of the same instant or the same long window; `date` is the
-    calibration's, in ISO form; `gate` is what the rig as drawn says of matches, `seed` that of all draws. Raises
-    GeometryError, with the reason, where the result could not be trusted: keep the nominal rig then.
+    calibration's, in ISO form; `gate` is what the rig as drawn says of matches, `seed` that of all draws; `movers` are
+    looked at where still things give fewer than MOST_TRACKS. Raises GeometryError, with the reason, where the result
+    could not be trusted: keep the nominal rig then.
     """
     began = time.monotonic()
     ordered = {c: images[c] for c in rig.ids if c in images}
     refuse_blind(ordered)
-    found = solve(rig, gather(ordered, progress), date, progress, gate=gate, seed=seed)
+    found = solve(rig, gather(ordered, progress), date, progress, gate=gate, seed=seed, movers=movers)
     found.report["seconds"] = round(time.monotonic() - began, 3)
     return found
 
 
-def gather(images: Mapping[str, Image], progress: Progress = silent) -> Evidence:
-    """Find the features of all images, and match every two images; nothing here knows a rig."""
+def gather(
+    images: Mapping[str, Image], progress: Progress = silent, *, where: Mapping[str, NDArray[np.bool_]] | None = None
+) -> Evidence:
+    """Find the features of all images, or those in the masks `where`, and match every two; nothing here knows a rig."""
     features = []
     for i, (camera, picture) in enumerate(images.items()):
-        features.append(find_features(picture))
+        features.append(find_features(picture, where[camera] if where else None))
         progress(0.3 * (i + 1) / len(images), f"features of {camera}: {len(features[-1])}")
     candidates = {(a, b): matched(features[a], features[b]) for a, b in itertools.combinations(range(len(images)), 2)}
     progress(0.5, f"{sum(map(len, candidates.values()))} matches")
@@ -84,36 +90,59 @@ def solve(
     *,
     gate: Gate = NOMINAL_GATE,
     seed: int = 0,
+    movers: Movers | None = None,
 ) -> Calibrated:
     """Return what `calibrate_natural` does, from features and matches that were gathered before."""
     nominal = rig.only(evidence.images)
-    start, tracks = _coarse(nominal, evidence, gate, seed)
+    seen, tracks = _looked_at(nominal, evidence, movers, gate, seed)
+    start, parts = _coarse(nominal, seen, tracks, seed)
+    tracks = Tracks.of(parts)
     progress(0.6, f"{len(tracks)} tracks")
     solution = annealed(start, tracks)
-    tracks = refined(tracks, list(evidence.images.values()))
+    tracks = Tracks.of([refined(part, list(one.images.values())) for part, one in zip(parts, seen, strict=True)])
     progress(0.8, "patches refined")
     fine = observed(tracks, PATCH_SD_PX)
     solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX))
     progress(0.95, "adjusted")
     judge(nominal, solution)
-    found = _calibrated(rig, nominal, solution, len(tracks), date)
+    found = _calibrated(rig, nominal, solution, [len(part) for part in parts], date)
     progress(1.0, str(found.report["summary"]))
     return found
 
 
-def _coarse(nominal: Rig, evidence: Evidence, gate: Gate, seed: int) -> tuple[Solution, Tracks]:
-    """Find the cameras' turns from matches that the nominal rig allows, and the tracks that these turns allow."""
+def _looked_at(
+    nominal: Rig, still: Evidence, movers: Movers | None, gate: Gate, seed: int
+) -> tuple[list[Evidence], Tracks]:
+    """Return the evidence, with that of movers where still things are too few, and the tracks that the rig allows."""
+    seen, tracks = [still], [_verified(nominal, still, gate, seed)]
+    if movers is not None and len(tracks[0]) < MOST_TRACKS:
+        seen += [gather(moment.images, where=moment.moving) for moment in movers()]
+        tracks += [_verified(nominal, one, gate, seed) for one in seen[1:]]
+    return seen, Tracks.of(tracks)
+
+
+def _verified(nominal: Rig, evidence: Evidence, gate: Gate, seed: int) -> Tracks:
+    """Return the tracks of matches that the nominal rig allows and one fundamental matrix a pair explains."""
     features = evidence.features
     allowed = _allowed(nominal.cameras, features, evidence.candidates, gate)
     for (a, b), pairs in allowed.items():
         one, other = features[a].places[pairs[:, 0]], features[b].places[pairs[:, 1]]
         places = nominal.cameras[a].straightened(one), nominal.cameras[b].straightened(other)
         allowed[a, b] = pairs[verified(places, seed)]
-    tracks = evidence.enough(joined(features, allowed, LEAST_VIEWS))
+    return joined(features, allowed, LEAST_VIEWS)
+
+
+def _coarse(nominal: Rig, seen: Sequence[Evidence], tracks: Tracks, seed: int) -> tuple[Solution, list[Tracks]]:
+    """Find the cameras' turns from the verified tracks, and of each evidence the tracks that these turns allow."""
+    refuse_few(nominal.ids, tracks)
     start = coarse(Cameras.of(nominal.cameras), spread(tracks, nominal.cameras, COARSE_TRACKS, seed))
     turned = start.state.cameras.written_to(nominal).cameras
-    tracks = joined(features, _allowed(turned, features, evidence.candidates, COARSE_GATE), LEAST_VIEWS)
-    return start, spread(evidence.enough(tracks), nominal.cameras, MOST_TRACKS, seed)
+    parts = [
+        joined(one.features, _allowed(turned, one.features, one.candidates, COARSE_GATE), LEAST_VIEWS) for one in seen
+    ]
+    total = len(refuse_few(nominal.ids, Tracks.of(parts)))
+    share = min(1.0, MOST_TRACKS / total)
+    return start, [spread(part, nominal.cameras, round(share * len(part)), seed) for part in parts]
 
 
 def _allowed(
@@ -142,8 +171,10 @@ def spread(tracks: Tracks, cameras: Sequence[Camera], most: int, seed: int) -> T
     return tracks.only(np.sort(order[np.argsort(rank, kind="stable")[:most]]))
 
 
-def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, date: str) -> Calibrated:
-    """Return the outcome for `rig`, of which the cameras of `nominal` were adjusted."""
+def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: Sequence[int], date: str) -> Calibrated:
+    """Return the outcome for `rig`, of which the cameras of `nominal` were adjusted; `counts` of tracks by evidence."""
+    tracks, moving = sum(counts), sum(counts[1:])
+    counted = f"{tracks} tracks" + (f", {moving} of them on movers" if moving else "")
     cameras, problem, fit = solution.state.cameras, solution.problem, Fit.of(solution)
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
     sd_deg = refuse_unsure(sds)
@@ -152,9 +183,9 @@ def _calibrated(rig: Rig, nominal: Rig, solution: Solution, tracks: int, date: s
     report: dict[str, object] = {
         "date": date,
         "method": "natural",
-        "summary": f"{tracks} tracks, residual {fit.rms_px:.3f} px, rotations to {sd_deg:.4f} degrees, "
-        f"focal {focal:+.2%}",
+        "summary": f"{counted}, residual {fit.rms_px:.3f} px, rotations to {sd_deg:.4f} degrees, focal {focal:+.2%}",
         "tracks": tracks,
+        "moving_tracks": moving,
         "focal_change": focal,
         "focal_sd_percent": sds[0].focal_percent,
         "metric_scale": "from the nominal camera centres alone",

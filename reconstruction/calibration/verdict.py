@@ -34,23 +34,24 @@ class Evidence:
     features: Sequence[Features]
     candidates: Mapping[Pair, Matches]
 
-    def enough(self, tracks: Tracks) -> Tracks:
-        """Return the tracks if they suffice for all views; raises GeometryError naming the views that lack them."""
-        seen = tracks.seen.sum(axis=0)
-        few = [c for c, n in zip(self.images, seen, strict=True) if n < LEAST_OBSERVATIONS]
-        if few and len(few) < len(seen) - 2:
-            raise GeometryError(
-                f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}",
-                "more as in the others",
-                "it is covered, moved, or in another camera's place: mend it or leave it out",
-            )
-        if len(tracks) < LEAST_TRACKS:
-            raise GeometryError(
-                f"found {len(tracks)} tracks over {LEAST_VIEWS} or more views",
-                f"{LEAST_TRACKS} or more",
-                "texture, light or time is too little; show the cameras something else, or a board",
-            )
-        return tracks
+
+def refuse_few(views: Sequence[str], tracks: Tracks) -> Tracks:
+    """Return the tracks if they suffice for all views; raises GeometryError naming the views that lack them."""
+    seen = tracks.seen.sum(axis=0)
+    few = [c for c, n in zip(views, seen, strict=True) if n < LEAST_OBSERVATIONS]
+    if few and len(few) < len(seen) - 2:
+        raise GeometryError(
+            f"found fewer than {LEAST_OBSERVATIONS} tracks in {', '.join(few)}",
+            "more as in the others",
+            "it is covered, moved, or in another camera's place: mend it or leave it out",
+        )
+    if len(tracks) < LEAST_TRACKS:
+        raise GeometryError(
+            f"found {len(tracks)} tracks over {LEAST_VIEWS} or more views",
+            f"{LEAST_TRACKS} or more",
+            "texture, light or time is too little; move something textured through the scene, or show a board",
+        )
+    return tracks
 
 
 def refuse_blind(images: Mapping[str, Image]) -> None:

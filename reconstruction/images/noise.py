@@ -13,6 +13,7 @@ from acquisition.spikes.sensor import ELECTRONS_PER_SPIKE
 
 Image = NDArray[np.float32]
 _ENDS = 1 / 6
+PIXEL_SPREAD = 0.01  # of gain and threshold together, from pixel to pixel
 
 
 def interval_sigma(ticks: NDArray[np.integer]) -> Image:
@@ -38,6 +39,11 @@ def interpolated_sigma(rate: Image, ticks: NDArray[np.integer], planes: int) -> 
     ends = np.minimum(np.square(rate) / (9 * planes**2), np.square(np.square(rate)) * np.float32(_ENDS))
     bound = np.float32(_ENDS) / np.square(span)  # of a window without a spike: at most one
     return np.sqrt(np.where(rate * span < 1, bound, ends) + _shot(rate) / span)
+
+
+def still_sigma(rate: Image, planes: int) -> Image:
+    """Return the deviation between neighbours of a mean over n planes: that of the window, and pixels that differ."""
+    return np.sqrt(np.square(window_sigma(rate, planes)) + np.square(np.float32(PIXEL_SPREAD) * rate))
 
 
 def slope_sigma(rate: Image, planes: NDArray | int) -> Image:

@@ -45,10 +45,12 @@ def _sweep(recording: Recording, views: Sequence[str], options: InitOptions, pro
 
 
 def _natural(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
+    from reconstruction.calibration.moments import movers_of
     from reconstruction.calibration.natural import calibrate_natural
 
     images, today = _long_images(recording, views, options), datetime.date.today().isoformat()
-    found = calibrate_natural(recording.rig, images, today, progress, seed=options.seed)
+    movers = movers_of(recording, views)
+    found = calibrate_natural(recording.rig, images, today, progress, seed=options.seed, movers=movers)
     return Geometry(found.rig, report=found.report)
 
 
@@ -67,12 +69,14 @@ def _dust3r(recording: Recording, views: Sequence[str], options: InitOptions, pr
 
 def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, progress: Progress) -> Geometry:
     """Find the cameras by MSDI, then adjust them by the bundle from where it leaves them."""
+    from reconstruction.calibration.moments import movers_of
     from reconstruction.calibration.natural import AFTER_MSDI, calibrate_natural
 
     found = msdi_alone(recording, views, part(progress, 0, MSDI_SHARE))
     images, today = _long_images(recording, views, options), datetime.date.today().isoformat()
     rest = part(progress, MSDI_SHARE, 1)
-    fine = calibrate_natural(found.rig, images, today, rest, gate=AFTER_MSDI, seed=options.seed)
+    movers = movers_of(recording, views)
+    fine = calibrate_natural(found.rig, images, today, rest, gate=AFTER_MSDI, seed=options.seed, movers=movers)
     return Geometry(fine.rig, found.points, found.confidence, {**fine.report, "msdi": found.report})
 
 

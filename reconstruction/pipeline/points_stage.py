@@ -8,7 +8,9 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
 from reconstruction.images.composite import CompositeSource, shrunk
+from reconstruction.images.noise import still_sigma
 from reconstruction.initialization.points import Points, sample_points
+from reconstruction.initialization.surfaces import with_planes
 from reconstruction.initialization.sweep import (
     DepthMap,
     Image,
@@ -19,6 +21,7 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
+from reconstruction.initialization.texture import judge_poses, textured
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.run.document import BodyCounts
@@ -28,7 +31,6 @@ from rigs.camera import Camera
 
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200  # points of the still scene
-LEAST_SHARE = 0.3  # least share of pixels with a confirmed depth; shuffled poses leave 0.12 to 0.27, right ones 0.8
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 
 
@@ -85,19 +87,20 @@ def _still_points(
 ) -> Points:
     """Sweep the backgrounds, and keep each view's depth where two others confirm it and nothing ever moves."""
     stills = [source.background.image for source in sources.values()]
-    maps = swept_maps(cameras, stills, SweepOptions(*depth_range_m(cameras)))
-    share = float(np.mean([np.isfinite(m.depth).mean() for m in maps]))
-    report(f"still scene: {share:.0%} of the pixels have a depth that two views confirm")
+    options = SweepOptions(*depth_range_m(cameras))
+    maps = swept_maps(cameras, stills, options)
+    noises = [still_sigma(s.background.image, len(s.stream)) for s in sources.values()]
+    sure = [textured(image, noise, options) for image, noise in zip(stills, noises, strict=True)]
+    report(f"still scene: {judge_poses(maps, sure)}")
+    maps = with_planes(maps, stills, noises, sure, options, rng)
     for (view, source), found in zip(sources.items(), maps, strict=True):
         still = source.background.trusted & ~source.moving
         run.write_array(artefacts.DEPTH.format(view=view), np.where(still, found.depth, np.float32(np.nan)))
     masks, whole = [source.background.trusted for source in sources.values()], [filled(m) for m in maps]
     points = sample_points(whole, stills, masks, run.plan.still_gaussians, 0.0, rng)
-    if len(points) < LEAST_POINTS or share < LEAST_SHARE:
+    if len(points) < LEAST_POINTS:
         raise StereoError(
-            f"found {len(points)} points and a confirmed depth in {share:.1%} of the pixels",
-            f"{LEAST_POINTS} and {LEAST_SHARE:.0%}",
-            "check the poses, and that the scene is lit and textured",
+            f"found {len(points)} points", f"{LEAST_POINTS}", "check that the scene is lit and stands still"
         )
     return points
 

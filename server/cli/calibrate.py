@@ -16,6 +16,7 @@ from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.calibrated import Calibrated
 from reconstruction.calibration.check import check_rig
 from reconstruction.calibration.features import long_images
+from reconstruction.calibration.moments import movers_of
 from reconstruction.calibration.natural import calibrate_natural
 from reconstruction.calibration.residual_picture import draw_residuals
 from reconstruction.images.pixels import PixelCalibration, estimate_pixels, write_pixels
@@ -54,7 +55,8 @@ def calibrate_command(
     if spec:
         found = calibrate_board(opened, spec, today, progress)
     else:
-        found = calibrate_natural(opened.rig, long_images(opened, opened.camera_ids), today, progress=progress)
+        images, movers = long_images(opened, opened.camera_ids), movers_of(opened, opened.camera_ids)
+        found = calibrate_natural(opened.rig, images, today, progress=progress, movers=movers)
     picture = out.with_name(f"{out.stem}-residuals.png")
     _write_calibrated(found, out, picture)
     _print_calibrated(found, out, picture, as_json)
@@ -69,7 +71,8 @@ def check_rig_command(recording: Path, rig: Path | None, as_json: bool) -> None:
     opened = Recording.open(recording)
     stored = load_rig(rig) if rig else opened.rig
     today = datetime.date.today().isoformat()
-    found, checks = check_rig(stored, long_images(opened, opened.camera_ids), today, progress_of("check-rig"))
+    images, movers = long_images(opened, opened.camera_ids), movers_of(opened, opened.camera_ids)
+    found, checks = check_rig(stored, images, today, progress_of("check-rig"), movers=movers)
     moved = [check.camera for check in checks if not check.fits]
     lines = [
         f"{check.camera}: {'fits' if check.fits else 'HAS MOVED'}: {check.turn_deg:.3f} degrees, "

@@ -13,6 +13,7 @@ from acquisition.scenes.scene import Scene
 from reconstruction.calibration.check import check_rig
 from reconstruction.calibration.features import find_features, repaired
 from reconstruction.calibration.matches import Gate, Tracks, gated, joined, matched
+from reconstruction.calibration.moments import Moment
 from reconstruction.calibration.natural import calibrate_natural, spread, triangulated
 from reconstruction.calibration.patches import refined
 from reconstruction.calibration.projection import Cameras, project
@@ -23,6 +24,7 @@ from rigs.toml import catalog_rig
 from rigs.transform import Transform
 
 RIG = misplaced(catalog_rig("lab3x3"), 1.5, 77)
+FIVE = ("cam00", "cam02", "cam11", "cam20", "cam22")
 DATE = "2026-11-21"
 PERIOD = 64  # texels of the pattern that repeats
 
@@ -55,11 +57,11 @@ def blocks(rng):
     ]
 
 
-def pictures(*bodies, noise=0.004):
+def pictures(*bodies, noise=0.004, views=RIG.ids):
     rng = np.random.default_rng(5)
     scene = Scene("test", 0, bodies, textures(), (0, 0, 1.9), to_sun=(-0.36, -0.42, -0.83), mipmapped=True)
     found = {}
-    for camera in RIG.cameras:
+    for camera in RIG.only(views).cameras:
         light = scene.render(camera, np.array([0.0]), 2).intensity[0]
         found[camera.id] = np.maximum(light + noise * rng.normal(size=light.shape), 0).astype(np.float32)
     return found
@@ -76,8 +78,9 @@ def errors_of(found, images):
 
 @pytest.mark.parametrize(("error", "seed"), [(2, 0), (5, 2)])
 def test_an_ordinary_scene_gives_the_cameras(room, error, seed):
-    found = calibrate_natural(misplaced(RIG, error, seed), room, DATE)
+    found = calibrate_natural(misplaced(RIG, error, seed), room, DATE, movers=lambda: pytest.fail("not needed"))
     off = errors_of(found, room)
+    assert found.report["moving_tracks"] == 0
     assert off.rotation_deg < 0.01
     assert off.translation_percent < 0.01
     assert off.focal_percent < 0.15
@@ -234,3 +237,40 @@ def test_a_camera_that_was_knocked_is_named(room):
     assert [c.camera for c in checks if not c.fits] == ["cam02"]
     (knocked,) = (c for c in checks if not c.fits)
     assert knocked.turn_deg == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.fixture(scope="module")
+def passing():
+    """Return a plain wall with a small poster, and moments of textured balls that pass before it."""
+    poster = Shape("rectangle", (0.2, 0.2), Finish(0, 0.005, (0.05, 1.0)))
+    still_part = [wall(2), still("poster", (0.5, -0.2, 2.9), poster)]
+    balls = []
+    for moment in range(6):
+        balls.append(
+            [
+                still(
+                    f"ball{i}",
+                    (x + 0.06 * moment, y, 1.5 + 0.12 * moment),
+                    Shape("sphere", (0.17,), Finish(0, 0.004, (0.05, 1.0), (30.0 * i, 9.0 * moment))),
+                )
+                for i, (x, y) in enumerate(((-0.5, -0.2), (0.0, 0.2), (0.3, -0.25)))
+            ]
+        )
+    background = pictures(*still_part, views=FIVE)
+    moments = []
+    for thrown in balls:
+        seen = pictures(*still_part, *thrown, views=FIVE)
+        moments.append(Moment(seen, {c: np.abs(seen[c] - background[c]) > 0.03 for c in seen}))
+    return background, moments
+
+
+def test_movers_are_a_wand_where_walls_are_plain(passing):
+    background, moments = passing
+    nominal = misplaced(RIG, 2, 1)
+    with pytest.raises(GeometryError, match="move something textured through the scene"):
+        calibrate_natural(nominal, background, DATE)
+    found = calibrate_natural(nominal, background, DATE, movers=lambda: moments)
+    off = errors_of(found, background)
+    assert off.rotation_deg < 0.05
+    assert off.translation_percent < 0.1
+    assert int(str(found.report["moving_tracks"])) > 200
