@@ -87,7 +87,7 @@ def held_out_camera(
     """Return the camera to score and the truth to score against, both in the frame of the cameras `views` that trained.
 
     With truth it is the true camera, carried by the similarity that lays the true `views` on those of the recording's
-    rig; where these are the true ones, that changes nothing.
+    rig, with the factor of the focal length that those were found with; where they are the true ones, nothing changes.
     """
     rig = recording.rig
     true = truth.cameras(rig.tick_rate_hz) if truth else None
@@ -95,7 +95,9 @@ def held_out_camera(
         return HeldOut(rig.camera(camera_id), recording), truth
     similarity = align(true.only(views), rig.only(views))
     camera = similarity.carry_rig(true.only([camera_id])).cameras[0]
-    return HeldOut(camera, recording), replace(truth, metre=similarity.scale)
+    factor = float(np.mean([rig.camera(view).fx / true.camera(view).fx for view in views]))
+    lens = {"fx": camera.fx * factor, "fy": camera.fy * factor}
+    return HeldOut(replace(camera, **lens), recording), replace(truth, metre=similarity.scale)
 
 
 def placed_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:

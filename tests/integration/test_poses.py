@@ -158,6 +158,16 @@ def test_the_truth_is_met_in_the_frame_of_the_run(small):
     np.testing.assert_allclose(scaled.frame("cam11", plane).depth, 1.5 * truth.frame("cam11", plane).depth, rtol=1e-5)
 
 
+def test_the_held_out_lens_is_the_one_that_was_found(small):
+    recording, true = Recording.open(small), true_rig(small)
+    found = replace(true, cameras=tuple(replace(c, fx=1.01 * c.fx, fy=1.01 * c.fy) for c in true.cameras))
+    views = [c for c in true.ids if c != "cam11"]
+    held_out, _ = held_out_camera(replace(recording, rig=found), "cam11", views, Truth.open(small / "truth"))
+    assert held_out.camera.fx == pytest.approx(1.01 * true.camera("cam11").fx)
+    assert held_out.camera.fy == pytest.approx(1.01 * true.camera("cam11").fy)
+    assert held_out.camera.cx == true.camera("cam11").cx
+
+
 def test_the_bench_scores_what_it_is_given(small):
     clip = KnownRecording("fan_and_ball", 3, small)
     row = measured("nominal", clip, Sight(error=1.0), scored=True)
