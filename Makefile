@@ -36,7 +36,7 @@ demo: install
 	$(VENV)/bin/spike4dgs demo
 
 # A file's tests stay in one of the two processes, as its fixtures do.
-PYTEST = $(PY) -m pytest -n 2 --dist loadfile
+PYTEST = $(PY) -m pytest -n 2 --dist loadfile --durations=25 --durations-min=5
 
 test: install
 	$(PYTEST) -m "not slow"
