@@ -12,6 +12,8 @@ from reconstruction.errors import BadRunError
 from reconstruction.evaluation.floors import depth_blend, nearest_view
 from reconstruction.evaluation.resection import Counted, resected
 from reconstruction.images.composite import CompositeSource
+from reconstruction.images.pixels import read_pixels
+from reconstruction.images.response import Response
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 from reconstruction.scene_model import SceneModel, View
@@ -40,6 +42,13 @@ class HeldOut:
         planes = len(self.recording.stream(self.camera.id))
         window = max(1, min(COUNT_WINDOW, planes // 2 if self.resected else planes))
         return window, list(range(0, planes - window + 1, window * (2 if self.resected else 1)))
+
+    def rate(self, first: int, last: int) -> NDArray[np.float32]:
+        """Return the light [H, W] that planes [first, last) count, spikes per tick, evened out where maps are known."""
+        counts = self.recording.stream(self.camera.id).counts(first, last)
+        rate = (counts / (last - first)).astype(np.float32)
+        maps = self.recording.rig.camera(self.camera.id).pixels
+        return Response.calibrated(read_pixels(maps)).mended(rate, 1) if maps else rate
 
 
 def score_against_truth(
@@ -71,12 +80,12 @@ def score_floors(
 
 def score_against_counts(cloud: SceneModel, held_out: HeldOut) -> dict[str, float]:
     """Return errors of spike counts over 32-plane windows of the held-out camera, in spikes, where no truth exists."""
-    stream, clock = held_out.recording.stream(held_out.camera.id), held_out.recording.rig.clock
+    clock = held_out.recording.rig.clock
     window, firsts = held_out.windows()
     errors = []
     for first in spread(firsts, INSTANTS):
         expected = cloud.look(held_out.camera, clock.instant_s(first + (window - 1) / 2)).intensity * window
-        errors.append(expected - stream.counts(first, first + window))
+        errors.append(expected - held_out.rate(first, first + window) * window)
     gaps = np.stack(errors)
     return {"counts.mae": float(np.abs(gaps).mean()), "counts.rmse": float(np.sqrt((gaps**2).mean()))}
 
@@ -108,7 +117,7 @@ def placed_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:
     odd = [first + window for first in even if first + 2 * window <= len(stream)]
     counted = []
     for first in spread(odd, PLACING_WINDOWS):
-        light = (stream.counts(first, first + window) / window).astype(np.float32)
+        light = held_out.rate(first, first + window)
         counted.append(Counted(clock.instant_s(first + (window - 1) / 2), light))
     return replace(found, camera=resected(cloud, held_out.camera, counted)) if counted else held_out
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.flicker import Light
+from reconstruction.images.mending import mended
+from reconstruction.images.response import Response
 
 WINDOWS = 20  # equal parts of the clip
 SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background
@@ -54,30 +56,42 @@ def _steady_counts(stream: SpikeStream, windows: int, light: Light) -> tuple[NDA
     return np.stack([stream.counts(*s) / np.float32(gain) for s, gain in zip(spans, gains, strict=True)]), min(gains)
 
 
-def background(stream: SpikeStream, moving: NDArray[np.bool_], light: Light) -> Background:
-    """Find the background behind the `moving` pixels [H, W] in mean light; stuck pixels take the median around them."""
+def background(
+    stream: SpikeStream, moving: NDArray[np.bool_], light: Light, response: Response | None = None
+) -> Background:
+    """Find the background behind the `moving` pixels [H, W] in mean light; pixels of no use take what is around them.
+
+    Pixels answer light as `response` says (None: all alike); those that fail are counted up to there.
+    """
     mean = stream.counts(0, len(stream)).astype(np.float32) / np.float32(len(stream))
     stuck = stuck_pixels(mean)
     length = len(stream) // WINDOWS
-    if length == 0 or not moving.any():
-        return Background(mended(mean, stuck), ~moving, stuck)
-    counts, _ = _steady_counts(stream, WINDOWS, light)
-    median = np.median(counts, axis=0).astype(np.float32)
-    elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)
-    image = mean.copy()
-    np.copyto(image, median / np.float32(length), where=moving)
-    trusted = ~moving | (cv2.blur(elsewhere, (3, 3)) < MOSTLY)
+    image, trusted = mean.copy(), ~moving
+    if length and moving.any():
+        counts, _ = _steady_counts(stream, WINDOWS, light)
+        median = np.median(counts, axis=0).astype(np.float32)
+        elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)
+        np.copyto(image, median / np.float32(length), where=moving)
+        trusted = ~moving | (cv2.blur(elsewhere, (3, 3)) < MOSTLY)
+    if response is not None:
+        _before_failures(image, stream, moving, response, light)
+        image, stuck = response.light(image), stuck | response.useless(1)
     return Background(mended(image, stuck), np.asarray(trusted, dtype=bool), stuck)
+
+
+def _before_failures(
+    image: NDArray[np.float32], stream: SpikeStream, moving: NDArray[np.bool_], response: Response, light: Light
+) -> None:
+    """Write the rates that failing pixels had before they failed into an image [H, W]."""
+    for end in np.unique(response.fails[(response.fails > 0) & (response.fails < len(stream))]).tolist():
+        own = response.fails == end
+        parts = min(WINDOWS, end)
+        spans = [(end * i // parts, end * (i + 1) // parts) for i in range(parts)]
+        counts = [stream.counts(*span)[own] / (light.over(*span) * (span[1] - span[0])) for span in spans]
+        image[own] = np.where(moving[own], np.median(counts, axis=0), np.mean(counts, axis=0))
 
 
 def stuck_pixels(mean: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Find pixels [H, W] that never or always fired over a clip with this mean, unlike their neighbours."""
     neighbours = cv2.medianBlur(mean, 3)
     return ((mean <= 0) | (mean >= 1)) & (np.abs(mean - neighbours) > STUCK_GAP)
-
-
-def mended(image: NDArray[np.float32], stuck: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Replace the stuck pixels of an image [H, W] by the median of their 3x3 surroundings."""
-    if not stuck.any():
-        return image
-    return np.where(stuck, cv2.medianBlur(image, 3), image).astype(np.float32)

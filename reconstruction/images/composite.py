@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.background import Background, mended
+from reconstruction.images.background import Background
 from reconstruction.images.catalogue import ImageMethod
 from reconstruction.images.flicker import Light
+from reconstruction.images.mending import mended
+from reconstruction.images.response import Response
 from rigs.camera import Camera
 
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
+REACH = 5  # planes behind an image's own that it is made from, as far as they tell much
 KEPT_BYTES = 64_000_000  # memory for a view's short images, which training asks for again and again
 
 
@@ -22,7 +25,8 @@ KEPT_BYTES = 64_000_000  # memory for a view's short images, which training asks
 class CompositeSource:
     """One camera's target images under `light`: its background, but a short image by `method` where `moving` [H, W].
 
-    Short images are kept, their moving pixels alone, until they fill KEPT_BYTES; then the first goes first.
+    Short images are kept, their moving pixels alone, until they fill KEPT_BYTES; then the first goes first. Images and
+    counts are of the light behind what pixels fire, as `response` has it (None: they are all alike).
     """
 
     stream: SpikeStream
@@ -31,6 +35,7 @@ class CompositeSource:
     method: ImageMethod
     light: Light
     kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    response: Response | None = None
 
     def at(self, plane: int) -> NDArray[np.float32]:
         """Return the image [H, W] at `plane` in spikes per tick."""
@@ -48,11 +53,22 @@ class CompositeSource:
     def _short(self, plane: int) -> NDArray[np.float32]:
         """Return the moving pixels' values at `plane`."""
         if plane not in self.kept:
-            values = mended(self.method(self.stream, plane).intensity, self.background.stuck)[self.moving]
+            image, useless = self.method(self.stream, plane).intensity, self.useless(plane + REACH)
+            values = mended(self.response.light(image) if self.response else image, useless)[self.moving]
             while self.kept and (len(self.kept) + 1) * values.nbytes > KEPT_BYTES:
                 self.kept.pop(next(iter(self.kept)))
             self.kept[plane] = values
         return self.kept[plane]
+
+    def counts(self, first: int, last: int) -> NDArray[np.float32]:
+        """Return the light [H, W] that pixels gathered over planes [first, last), in spikes."""
+        length, counts = np.float32(last - first), self.stream.counts(first, last).astype(np.float32)
+        return self.response.light(counts / length) * length if self.response else counts
+
+    def useless(self, last: int) -> NDArray[np.bool_]:
+        """Return which pixels [H, W] are of no use in planes before `last`."""
+        stuck = self.background.stuck
+        return stuck | self.response.useless(last) if self.response else stuck
 
     def movers(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
         """Return which pixels of an image [H, W] at `plane` see a mover: unlike the background, or with no sure one."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.images.mending import mended
 
 LEAST_SPIKES = 200  # a pixel, of the light alone: its gain to 0.2 %
 BRIGHTEST = 0.95  # spikes per tick; pixels fire at most once a tick
@@ -52,12 +53,7 @@ class PixelCalibration:
         if image.shape != self.gain.shape:
             raise BadRecordingError(f"found an image of {image.shape}", f"{self.gain.shape} as calibrated")
         even = np.maximum((image - self.offset) / self.gain, 0).astype(np.float32)
-        good = np.pad(np.where(self.defect, np.nan, even), 1, constant_values=np.nan)
-        for row, column in np.argwhere(self.defect):
-            around = good[row : row + 3, column : column + 3]
-            known = around[~np.isnan(around)]
-            even[row, column] = np.median(known) if known.size else np.median(even[~self.defect])
-        return even
+        return mended(even, self.defect)
 
 
 def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:

@@ -1,12 +1,13 @@
 """The artefacts that several stages read, each by the one file name it has in a run folder.
 
-The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND; points STILL, MOVERS, DEPTH, and BODIES for
-the model `bases`; train checkpoint.pt, snapshots/ and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*,
-report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
+The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND, UNEVEN, and RESPONSE for the views that are;
+points STILL, MOVERS, DEPTH, and BODIES for the model `bases`; train checkpoint.pt, snapshots/ and REFINED_RIG; report
+HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TypeVar
@@ -21,6 +22,7 @@ from reconstruction.images.background import Background
 from reconstruction.images.catalogue import GIVEN, ImageMethod, method_for
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
+from reconstruction.images.response import Response
 from reconstruction.run.decisions import Plan
 from reconstruction.run.folder import RunFolder
 from rigs.camera import Camera
@@ -31,6 +33,8 @@ LIGHT = "plan/light"  # gain [T] of each plane
 MOVING = "plan/moving_{view}"  # pixels [H, W] of a view that ever see a mover
 DEPTH = "points/depth_{view}"  # confirmed depth [H, W] of a view in m, NaN where none is
 BACKGROUND = "images/{field}_{view}"  # a `Background`
+RESPONSE = "images/response_{field}_{view}"  # a `Response` of a view whose pixels are not all alike and good
+UNEVEN = "images/uneven"  # which of the plan's views [V] have one
 STILL, MOVERS = "points/still_{field}", "points/moving_{field}"  # `Points`
 BODIES = "points/bodies_{field}"  # `Bodies`
 FOUND_RIG, REFINED_RIG, HELD_OUT_RIG = "poses/rig.toml", "poses/refined.toml", "poses/held_out.toml"
@@ -58,12 +62,27 @@ def read(run: RunFolder, name: str, kind: type[Arrays], view: str = "") -> Array
 
 def read_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
     """Return the images of every training view, by its id, from the artefacts of the plan and images stages."""
-    plan, light, sources = run.plan, read_light(run), {}
+    plan, light, responses, sources = run.plan, read_light(run), read_responses(run), {}
     for view in plan.views:
         stream, moving = recording.stream(view), run.read_array(MOVING.format(view=view))
-        method = short_images(plan, stream, moving)
-        sources[view] = CompositeSource(stream, read(run, BACKGROUND, Background, view), moving, method, light)
+        method, still = short_images(plan, stream, moving), read(run, BACKGROUND, Background, view)
+        sources[view] = CompositeSource(stream, still, moving, method, light, response=responses.get(view))
     return sources
+
+
+def write_responses(run: RunFolder, responses: Mapping[str, Response]) -> None:
+    """Write the responses of the views that have one; the pixels of the others are all alike and good."""
+    for view, response in responses.items():
+        write(run, RESPONSE, response, view)
+    run.write_array(UNEVEN, np.array([view in responses for view in run.plan.views]))
+
+
+def read_responses(run: RunFolder) -> dict[str, Response]:
+    """Read the responses of the views that have one; none in a run of an earlier revision."""
+    if not run.has_array(UNEVEN):
+        return {}
+    uneven = zip(run.plan.views, run.read_array(UNEVEN), strict=True)
+    return {view: read(run, RESPONSE, Response, view) for view, has in uneven if has}
 
 
 def short_images(plan: Plan, stream: SpikeStream, moving: Mask) -> ImageMethod:

@@ -1,16 +1,55 @@
-"""Finds the background of every training view: what stays when the movers are taken away."""
+"""Finds how the pixels of every training view answer light, and its background: what stays without the movers."""
+
+import numpy as np
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
 from reconstruction.images.background import background
-from reconstruction.pipeline.artefacts import BACKGROUND, MOVING, read_light, write
+from reconstruction.images.failures import failing_pixels
+from reconstruction.images.flicker import Light
+from reconstruction.images.pixels import read_pixels
+from reconstruction.images.response import NEVER, Response
+from reconstruction.pipeline.artefacts import BACKGROUND, MOVING, read_light, write, write_responses
+from reconstruction.run.configuration import MAPS
+from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
+from rigs.camera import Camera
 
 
 def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
-    """Find and keep the background of every training view."""
+    """Find and keep the response and the background of every training view."""
     views, light = run.plan.views, read_light(run)
+    responses, failed = {}, 0
     for i, view in enumerate(views):
-        found = background(recording.stream(view), run.read_array(MOVING.format(view=view)), light)
+        stream, calibrated = recording.stream(view), run.plan.pixels == MAPS
+        response, failing = _response(recording.rig.camera(view), stream, light, calibrated=calibrated)
+        if response is not None:
+            responses[view] = response
+        failed += failing
+        found = background(stream, run.read_array(MOVING.format(view=view)), light, response)
         write(run, BACKGROUND, found, view)
         progress((i + 1) / len(views), f"background of {view}, {int(found.stuck.sum())} stuck pixels")
+    write_responses(run, responses)
+    if failed:
+        reason = "lone pixels that jump, and from then on see nothing change; no image or count reads them after that"
+        run.amend("images", Decision("failing pixels", f"{failed} left out once they fail", reason, "none"))
+
+
+def _response(camera: Camera, stream: SpikeStream, light: Light, *, calibrated: bool) -> tuple[Response | None, int]:
+    """Return how the pixels of a view answer light, None where they are all alike and good, and how many fail."""
+    response = None
+    if calibrated and camera.pixels is not None:
+        maps, size = read_pixels(camera.pixels), (camera.height, camera.width)
+        if maps.gain.shape != size:
+            found = f"found pixel maps of {maps.gain.shape[::-1]}"
+            raise BadRunError(found, f"{size[::-1]}, as the camera has", "calibrate again", where=camera.pixels)
+        response = Response.calibrated(maps)
+    fails = failing_pixels(stream, light)
+    if response is not None:
+        fails[response.useless(1)] = NEVER
+    failing = int(np.count_nonzero(fails != NEVER))
+    if failing:
+        response = (response or Response.even(fails.shape)).failing(fails)
+    return response, failing

@@ -16,6 +16,10 @@ from reconstruction.training.term import supervisions
 DEFAULT_BUDGET_S = 120.0
 STAGES = ("plan", "poses", "images", "points", "train", "report")
 SUPERVISIONS = supervisions()
+PIXELS = MAPS, EVEN = (
+    "maps",
+    "even",
+)  # what is taken of single pixels: what a calibration found, or that all are alike
 CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "model": ("auto", *METHODS),
@@ -23,6 +27,7 @@ CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "images": ("auto", *image_catalogue.sources()),
         "supervision": ("auto", *SUPERVISIONS),
         "refine": ("auto", "on", "off"),
+        "pixels": ("auto", *PIXELS),
     }
 )
 RENAMED = {"variation": "image-variation"}  # supervisions of run folders written before the first had another meaning
@@ -34,8 +39,8 @@ class ReconstructionConfig:
 
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
-    lags are learnt beside the Gaussians. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of
-    that name. Raises BadRunError naming the field.
+    lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `dust3r_checkpoint`: the file with
+    the user's weights, for the initialiser of that name. Raises BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -50,6 +55,7 @@ class ReconstructionConfig:
     gaussians: int | None = None
     tick_stride: int = 4
     refine: str = "auto"
+    pixels: str = "auto"
     dust3r_checkpoint: str | None = None
 
     def __post_init__(self) -> None:

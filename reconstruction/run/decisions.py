@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any
 
-from reconstruction.run.configuration import RENAMED
+from reconstruction.run.configuration import EVEN, RENAMED
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Plan:
     """A plan in numbers and names: what the stages of a run will do.
 
     `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`: names, none of them `auto`.
-    `refine`: whether poses, gains and lags are learnt in training. The most Gaussians there may be are split into
-    `still_gaussians` and `moving_gaussians`.
+    `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels. The most
+    Gaussians there may be are split into `still_gaussians` and `moving_gaussians`.
     """
 
     views: tuple[str, ...]
@@ -53,6 +53,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     init: str = "sweep"
     refine: bool = False
+    pixels: str = EVEN
 
     def amended(self, amendment: Amendment) -> Plan:
         """Return the plan with the amendment's decision in place of the one about the same thing, and its changes."""
@@ -74,7 +75,7 @@ class Plan:
 class Amendment:
     """A change of the plan by a later stage that had seen more: one decision, and fields of the plan."""
 
-    stage: Literal["poses", "train"]
+    stage: str
     decision: Decision
     changes: Mapping[str, str | bool] = field(default_factory=dict)
 

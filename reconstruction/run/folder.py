@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +76,7 @@ class RunFolder:
             raise BadRunError("found no plan", "the plan stage to have run first", where=self.path)
         return plan
 
-    def amend(self, stage: Literal["poses", "train"], decision: Decision, **changes: str | bool) -> None:
+    def amend(self, stage: str, decision: Decision, **changes: str | bool) -> None:
         """Add a decision of a later stage to the plan, with what it changes; an older one about the same gives way."""
         others = [a for a in self.document.amendments if a.decision.about != decision.about]
         self.document.amendments = [*others, Amendment(stage, decision, changes)]
@@ -131,10 +130,14 @@ class RunFolder:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_array(file, array)
 
+    def has_array(self, name: str) -> bool:
+        """Return whether there is an array of this name."""
+        return (self.path / f"{name}.npy").exists()
+
     def read_array(self, name: str) -> NDArray:
         """Read an array that `write_array` wrote; raises BadRunError where an earlier stage is missing."""
         file = self.path / f"{name}.npy"
-        if not file.exists():
+        if not self.has_array(name):
             raise BadRunError("not found", "the artefact of an earlier stage", "run that stage first", where=file)
         return np.load(file)
 

@@ -13,7 +13,7 @@ from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
 from rigs.rig import Rig
@@ -50,10 +50,11 @@ def make_plan(
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
     still, moving = _split(work.gaussians, method, masks)
     decisions += _economies(config, work, _share(masks), (still, moving))
-    decisions += _left_out(rig, views, work)
+    decisions += _left_out(work)
+    pixels = _choose_pixels(config, rig, views, decisions)
     init = _choose_init(config, rig, work, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
-    return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine), masks, light
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine, pixels), masks, light
 
 
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
@@ -113,16 +114,27 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
     ]
 
 
-def _left_out(rig: Rig, views: Sequence[str], work: Work) -> list[Decision]:
+def _left_out(work: Work) -> list[Decision]:
     """Return what no reconstruction does."""
-    maps = "the recording has no maps; `spike4dgs calibrate --pixels` makes them"
-    if calibrated := sum(rig.camera(view).pixels is not None for view in views):
-        maps = f"maps of {calibrated} views are there, but training does not read them"
     grey = "a spike carries no colour; against three channels of third-degree harmonics"
     return [
-        Decision("pixels", "taken as even", maps, "none"),
         Decision("colour", "one grey channel, no view dependence", grey, "none", None, work.colour_bytes()),
     ]
+
+
+def _choose_pixels(config: ReconstructionConfig, rig: Rig, views: Sequence[str], decisions: list[Decision]) -> str:
+    """Return what is taken of single pixels; raises BadRunError where maps are asked for and none is there."""
+    calibrated = sum(rig.camera(view).pixels is not None for view in views)
+    if config.pixels == MAPS and not calibrated:
+        raise BadRunError("found --pixels maps and no map", "a calibrated rig", "run `spike4dgs calibrate --pixels`")
+    pixels = config.pixels if config.pixels != "auto" else MAPS if calibrated else EVEN
+    choice, reason = "taken as even", "the recording has no maps; `spike4dgs calibrate --pixels` makes them"
+    if pixels == MAPS:
+        choice, reason = "evened out by maps", f"{calibrated} of {len(views)} views have a calibration of their pixels"
+    elif calibrated:
+        reason = f"maps of {calibrated} views are there, and were not asked for"
+    decisions.append(Decision("pixels", choice, reason, "--pixels"))
+    return pixels
 
 
 def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:

@@ -13,8 +13,9 @@ from acquisition.native import code_path, code_paths
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.background import mended, stuck_pixels
+from reconstruction.images.background import stuck_pixels
 from reconstruction.images.catalogue import Estimate, methods
+from reconstruction.images.mending import mended
 from reconstruction.images.pixels import estimate_pixels
 from reconstruction.stability.case import Case, Observation
 

@@ -71,7 +71,7 @@ def look_again(views: Sequence[TrainingView]) -> dict[int, Mask]:
     found = {}
     for i, view in enumerate(views):
         source = view.source
-        changed = changed_pixels(source.stream, ~source.moving & ~source.background.stuck, source.light)
+        changed = changed_pixels(source.stream, ~source.moving & ~source.useless(len(source.stream)), source.light)
         if changed.any():
             found[i] = changed
     return found

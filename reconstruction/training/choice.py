@@ -19,14 +19,12 @@ def count_error(cloud: SceneModel, views: Sequence[TrainingView], planes: Sequen
     """
     total, pixels = 0.0, 0
     for view in views:
-        moving = view.source.moving & ~view.source.background.stuck
-        if not moving.any():
-            continue
-        for plane in planes:
+        for plane in planes if view.source.moving.any() else ():
             first = max(0, plane - WINDOW // 2)
             last = min(len(view.source.stream), first + WINDOW)
+            moving = view.source.moving & ~view.source.useless(last)
             light = cloud.look(view.camera, clock.instant_s((first + last - 1) / 2)).intensity
-            gap = view.source.stream.counts(first, last)[moving] - light[moving] * (last - first)
+            gap = view.source.counts(first, last)[moving] - light[moving] * (last - first)
             total, pixels = total + float(np.abs(gap).sum()), pixels + int(moving.sum())
     return total / pixels if pixels else 0.0
 

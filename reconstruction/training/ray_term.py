@@ -54,7 +54,7 @@ class RayTerm:
         low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
         first = int(rng.integers(planes - window + 1))
-        pixels = self._drawn(view, rng)
+        pixels = self._drawn(view, first + window, rng)
         light, alpha = self._integral(field, view, pixels, (first, window), rng)
         spikes, rates = self._explained(light, view, pixels, (first, window))
         if self.closeness:
@@ -62,8 +62,8 @@ class RayTerm:
         cells = torch.from_numpy(rng.integers(len(field), size=self.sampled))
         return spikes / self.white + self.solid * (1 - alpha).mean() + self.smooth * field.variation(cells)
 
-    def _drawn(self, view: TrainingView, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Return the pixels [R] of random squares, without stuck ones; neighbours read the same cached cells."""
+    def _drawn(self, view: TrainingView, last: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Return the pixels [R] of random squares, of use before plane `last`; neighbours read the same cells."""
         height, width = view.source.moving.shape
         tall, wide = min(SQUARE, height), min(SQUARE, width)
         seen, count = np.flatnonzero(view.source.moving), -(-self.rays // (tall * wide))
@@ -74,7 +74,7 @@ class RayTerm:
         tops = np.clip(rows - tall // 2, 0, height - tall)[:, None, None] + np.arange(tall)[:, None]
         lefts = np.clip(columns - wide // 2, 0, width - wide)[:, None, None] + np.arange(wide)
         pixels = (tops * width + lefts).ravel()
-        return pixels[~view.source.background.stuck.ravel()[pixels]]
+        return pixels[~view.source.useless(last).ravel()[pixels]]
 
     def _explained(
         self, light: Tensor, view: TrainingView, pixels: NDArray[np.int64], span: tuple[int, int]
@@ -86,8 +86,8 @@ class RayTerm:
         moving = torch.from_numpy(source.moving.ravel()[pixels])
         loss = torch.zeros(())
         if moving.any():
-            counts = source.stream.counts(first, first + window).ravel()[pixels]
-            rates = torch.where(moving, torch.from_numpy(counts.astype(np.float32) / window), rates)
+            counts = source.counts(first, first + window).ravel()[pixels]
+            rates = torch.where(moving, torch.from_numpy(counts / window), rates)
             loss = robust_loss(light[moving], rates[moving], window).mean() * moving.float().mean()
         if not moving.all():
             still = robust_loss(light[~moving], rates[~moving], len(source.stream)).mean()

@@ -47,7 +47,8 @@ class SpikeTerm:
         first = begin + int(rng.integers(end - begin - window + 1))
         nodes = min(MOST_NODES, math.ceil(window / PLANES_A_NODE))
         parts = 1 if self.loss else nodes
-        length, good = window // parts, torch.from_numpy(part.good)
+        length = window // parts
+        good = torch.from_numpy(~view.source.useless(first + window)[part.within])
         starts = [first + i * length for i in range(parts)]
         renders = [self.image.over(cloud, view, part.camera, (start, length, nodes // parts)) for start in starts]
         light = torch.stack([r.intensity[..., 0] for r in renders])[:, good]
@@ -62,17 +63,21 @@ class SpikeTerm:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A rectangle of a view: its camera, its first row and column, and its pixels [H, W] that are not stuck."""
+    """A rectangle of a view: its camera, its first row and column."""
 
     camera: Camera
     top: int
     left: int
-    good: NDArray[np.bool_]
 
     def counts(self, view: TrainingView, first: int, last: int) -> NDArray[np.float32]:
         """Return the spikes [H, W] over planes [first, last)."""
-        whole, height, width = view.source.stream.counts(first, last), self.camera.height, self.camera.width
-        return whole[self.top : self.top + height, self.left : self.left + width].astype(np.float32)
+        return view.source.counts(first, last)[self.within]
+
+    @property
+    def within(self) -> tuple[slice, slice]:
+        """The rows and columns of the view that it covers."""
+        height, width = self.camera.height, self.camera.width
+        return slice(self.top, self.top + height), slice(self.left, self.left + width)
 
 
 def part_with_mover(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:
@@ -87,4 +92,4 @@ def part_with_mover(view: TrainingView, size_px: tuple[int, int] | None, rng: np
     left = int(np.clip(column - width // 2, 0, camera.width - width))
     lens = {"cx": camera.cx - left, "cy": camera.cy - top}
     cut = replace(camera, width=width, height=height, pixels=None, **lens)
-    return Part(cut, top, left, ~view.source.background.stuck[top : top + height, left : left + width])
+    return Part(cut, top, left)

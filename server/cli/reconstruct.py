@@ -22,6 +22,7 @@ from server.cli.progress import progress_of, warn
 _MORE = {  # of the help of a choice
     "init": "; auto is natural for a nominal rig",
     "supervision": "; both compares images and counts",
+    "pixels": "; maps are those of calibrate --pixels",
     "refine": "; learn poses, gains and lags beside the Gaussians",
 }
 _choices = (

@@ -126,6 +126,22 @@ def about(plan, what):
     return next(d for d in plan.decisions if d.about == what)
 
 
+def test_maps_of_pixels_are_read_where_they_are_there(tmp_path):
+    none = about(make_plan(ReconstructionConfig(), RIG, streams())[0], "pixels")
+    assert (none.choice, none.override) == ("taken as even", "--pixels")
+    assert "calibrate --pixels" in none.reason
+    mapped = dataclasses.replace(
+        RIG, cameras=tuple(dataclasses.replace(c, pixels=tmp_path) for c in RIG.cameras[:3]) + RIG.cameras[3:]
+    )
+    plan, _, _ = make_plan(ReconstructionConfig(), mapped, streams())
+    assert plan.pixels == "maps"
+    assert "3 of 9 views" in about(plan, "pixels").reason
+    plan, _, _ = make_plan(ReconstructionConfig(pixels="even"), mapped, streams())
+    assert plan.pixels == "even"
+    with pytest.raises(BadRunError, match="found --pixels maps and no map"):
+        make_plan(ReconstructionConfig(pixels="maps"), RIG, streams())
+
+
 def test_what_is_left_out_says_what_it_saves():
     plan, _, _ = make_plan(ReconstructionConfig(budget_s=None, steps=1000), RIG, streams())
     assert about(plan, "supervision").saves_s == pytest.approx(
