@@ -1,7 +1,8 @@
 """Lists the named scenes by their use: development, evaluation, stress, calibration.
 
 Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They are scored on EVALUATION scenes with
-EVALUATION_SEEDS, which nothing is tuned on. STRESS scenes have one difficulty each; CALIBRATION ones calibrate a rig.
+EVALUATION_SEEDS, which nothing is tuned on. OPEN_AIR scenes develop far, even and empty backgrounds. STRESS scenes have
+one difficulty each; CALIBRATION ones calibrate a rig.
 Every other list of scene names, as of the command line and the benches, is made from these.
 """
 
@@ -12,6 +13,7 @@ from acquisition.scenes import calibration
 from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
+from acquisition.scenes.open_air import black, far, sky
 from acquisition.scenes.runner import runner
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, plain, static, stiff
@@ -31,6 +33,7 @@ def _listed(*builders: Callable[[int], Scene]) -> tuple[str, ...]:
 
 DEVELOPMENT = _listed(fan_and_ball)
 EVALUATION = _listed(traffic, runner, turntable, collision, fan)
+OPEN_AIR = _listed(sky, far, black)
 STRESS = _listed(static, stiff, flicker, outdoor, dim, bright, burst, deforming, faint, plain)
 CALIBRATION = _listed(
     calibration.flat,

@@ -22,14 +22,15 @@ def fan_and_ball(seed: int) -> Scene:
     wall = stage.shape("rectangle", (4.0, 3.0), Finish(EVEN, 0.01, (0.1, 0.6)))
     ground = stage.shape("rectangle", (4.0, 4.0), Finish(SPECKLE, 0.015, (0.15, 0.8)), STANDING)
     stage.bodies += still("wall", (0, FLOOR_Y_M - 3.0, WALL_Z_M), wall), still("floor", (0, FLOOR_Y_M, 2.0), ground)
-    _furnish(stage)
-    stage.bodies += _fan(stage), _ball(stage)
+    furnish(stage)
+    stage.bodies += movers(stage)
     pictures = textures.build(np.random.default_rng([seed, 0]))
     to_sun = (-0.42, -0.5, -0.75)
     return Scene("fan_and_ball", seed, tuple(stage.bodies), pictures, center=(0.0, 0.0, 1.8), to_sun=to_sun)
 
 
-def _furnish(stage: Stage) -> None:
+def furnish(stage: Stage) -> None:
+    """Add what stands around."""
     crate = stage.shape("box", (0.14, 0.2, 0.12), Finish(CHECKS, 0.0035, (0.05, 0.6)))
     tower = stage.shape("box", (0.22, 0.5, 0.18), Finish(DETAIL, 0.007, (0.4, 1.0)))
     plinth = stage.shape("box", (0.17, 0.18, 0.17), Finish(STRIPES, 0.004, (0.15, 0.85)))
@@ -46,6 +47,11 @@ def _furnish(stage: Stage) -> None:
         still("board", stage.near(0.62, -0.55, 2.85), board, turn_rad=-0.3),
         still("shelf", stage.near(-0.75, -0.72, 2.95), shelf),
     )
+
+
+def movers(stage: Stage) -> tuple[Body, Body]:
+    """Return the fan and the ball."""
+    return _fan(stage), _ball(stage)
 
 
 def _fan(stage: Stage) -> Body:

@@ -71,7 +71,7 @@ def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
 
 
 def _run(job: Job) -> RunFolder:
-    """Reconstruct up to the training; masks, which have no option, are put in after the plan."""
+    """Reconstruct up to the training; masks, which have no option, are put in after the plan, and a blind plan too."""
     config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
     made = partial(reconstruct, job.recording, job.out, config, lambda _: silent)
     run = made(last="plan")
@@ -79,6 +79,13 @@ def _run(job: Job) -> RunFolder:
         for view in run.plan.views:
             name = MOVING.format(view=view)
             run.write_array(name, np.ones_like(run.read_array(name)))
+    if job.arm.blind:
+        for view in run.plan.views:
+            name = MOVING.format(view=view)
+            run.write_array(name, np.zeros_like(run.read_array(name)))
+        still = run.plan.still_gaussians + run.plan.moving_gaussians
+        run.document.planned = replace(run.plan, model="static", still_gaussians=still, moving_gaussians=0)
+        run.save()
     return made(last="train")
 
 

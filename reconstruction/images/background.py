@@ -14,6 +14,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.flicker import Light
 from reconstruction.images.mending import mended
 from reconstruction.images.response import Response
+from reconstruction.images.scarce import changing, is_scarce, steady_background
 
 WINDOWS = 20  # equal parts of the clip
 SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background
@@ -21,6 +22,7 @@ MOSTLY = 0.4  # share of the parts that may show something else
 CUTS = (4, 16)  # equal windows the clip is cut into, once for slow and once for brief change
 CHANGE = 3  # smallest spread of counts that constant light does not explain
 GROW_PX = 2  # a mover's edge is soft: its neighbours see it too
+FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene differences of intensity are smaller
 STUCK_GAP = 0.05  # spikes per tick a stuck pixel must differ from its neighbours to matter
 
 
@@ -36,6 +38,11 @@ class Background:
     stuck: NDArray[np.bool_]
 
 
+def dimming(white: float) -> float:
+    """Return by what factor differences of intensity are smaller than usual in a scene of this white."""
+    return min(1.0, white / FULL_WHITE)
+
+
 def moving_pixels(stream: SpikeStream, light: Light) -> NDArray[np.bool_]:
     """Find the pixels [H, W] that change somewhere in the stream by more than `light` does."""
     seen = np.zeros((stream.layout.height, stream.layout.width), dtype=np.uint8)
@@ -45,6 +52,8 @@ def moving_pixels(stream: SpikeStream, light: Light) -> NDArray[np.bool_]:
             shot = np.sqrt(counts.mean(axis=0)) * 0.05
             seen |= (np.ptp(counts, axis=0) >= CHANGE / least + shot).astype(np.uint8)
     seen = cv2.medianBlur(seen, 3)  # a lone flickering pixel is the sensor's, not the scene's
+    if is_scarce(stream):
+        seen = np.maximum(seen, changing(stream, light).astype(np.uint8))
     return cv2.dilate(seen, np.ones((2 * GROW_PX + 1,) * 2, dtype=np.uint8)).astype(bool)
 
 
@@ -67,7 +76,10 @@ def background(
     stuck = stuck_pixels(mean)
     length = len(stream) // WINDOWS
     image, trusted = mean.copy(), ~moving
-    if length and moving.any():
+    if moving.any() and is_scarce(stream):
+        steady, mostly = steady_background(stream, light)
+        image, trusted = np.where(moving, steady, mean), ~moving | mostly
+    elif length and moving.any():
         counts, _ = _steady_counts(stream, WINDOWS, light)
         median = np.median(counts, axis=0).astype(np.float32)
         elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.background import Background
+from reconstruction.images.background import Background, dimming
 from reconstruction.images.catalogue import ImageMethod
 from reconstruction.images.flicker import Light
 from reconstruction.images.mending import mended
@@ -18,6 +19,7 @@ from rigs.camera import Camera
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
 REACH = 5  # planes behind an image's own that it is made from, as far as they tell much
+WHITE_PERCENTILE = 99.9
 KEPT_BYTES = 64_000_000  # memory for a view's short images, which training asks for again and again
 
 
@@ -36,6 +38,11 @@ class CompositeSource:
     light: Light
     kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
     response: Response | None = None
+
+    @cached_property
+    def white(self) -> float:
+        """The brightest of the background, spikes per tick."""
+        return float(np.percentile(self.background.image, WHITE_PERCENTILE))
 
     def at(self, plane: int) -> NDArray[np.float32]:
         """Return the image [H, W] at `plane` in spikes per tick."""
@@ -73,7 +80,8 @@ class CompositeSource:
     def movers(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
         """Return which pixels of an image [H, W] at `plane` see a mover: unlike the background, or with no sure one."""
         gap = cv2.blur(image - self.background.image * self.light.gains[plane], (3, 3))
-        unlike = cv2.dilate((np.abs(gap) > DIFFERENT).astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
+        least = DIFFERENT * dimming(self.white)
+        unlike = cv2.dilate((np.abs(gap) > least).astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
         return self.moving & ((unlike > 0) | ~self.background.trusted)
 
 

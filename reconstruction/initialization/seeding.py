@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.gaussians.canonical import CanonicalMotion
@@ -17,6 +18,7 @@ from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, Seeds, spacing
+from reconstruction.initialization.sweep import depth_range_m
 from reconstruction.scene_model import TimeSpan
 from rigs.transform import Transform
 
@@ -79,7 +81,8 @@ def seed_timesteps(seeds: Seeds) -> DynamicCloud:
 
 
 def _cloud(seeds: Seeds, motion: MotionModel) -> DynamicCloud:
-    still, moving = _gaussians(seeds.still, STILL_OPACITY), _gaussians(seeds.moving, MOVING_OPACITY)
+    still = _gaussians(seeds.still, STILL_OPACITY, _largest_m(seeds))
+    moving = _gaussians(seeds.moving, MOVING_OPACITY, np.float64(LARGEST_M))
     return DynamicCloud(still, moving, motion, seeds.clip)
 
 
@@ -115,7 +118,17 @@ def _means(points: Points) -> Tensor:
     return torch.from_numpy(points.positions.astype(np.float32))
 
 
-def _gaussians(points: Points, opacity: float) -> GaussianCloud:
-    scales = torch.from_numpy(np.log(np.clip(WIDTH * points.spacing, 1e-5, LARGEST_M)).astype(np.float32))
+def _largest_m(seeds: Seeds) -> NDArray[np.float64]:
+    """Return the largest size [N] of each still point: more beyond the usual depths, where a pixel is wider."""
+    if not seeds.cameras:
+        return np.full(len(seeds.still), LARGEST_M)
+    center = np.mean([camera.center for camera in seeds.cameras], axis=0)
+    away = np.linalg.norm(seeds.still.positions - center, axis=1)
+    return LARGEST_M * np.maximum(1.0, away / depth_range_m(seeds.cameras)[1])
+
+
+def _gaussians(points: Points, opacity: float, largest_m: NDArray[np.float64] | np.float64) -> GaussianCloud:
+    sizes = np.clip(WIDTH * points.spacing, 1e-5, largest_m)
+    scales = torch.from_numpy(np.log(sizes).astype(np.float32))
     light = torch.from_numpy(points.intensities.astype(np.float32))[:, None]
     return GaussianCloud.from_points(_means(points), light, scales, opacity)

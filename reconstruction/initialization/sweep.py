@@ -20,6 +20,7 @@ from rigs.rig import object_distance_m
 Image = NDArray[np.float32]
 SOURCES = 4  # nearest views matched against each reference
 AGREEING = 2  # other views that must confirm a depth
+NOISE = 0.01  # spikes per tick in a scene of ordinary light
 AGREEMENT_PX = 1.0  # inverse-depth steps by which a confirming depth may be off
 
 _IMAGES = (Address, Int, Int, Address, Int, Int, Int)
@@ -38,7 +39,7 @@ class SweepOptions:
     far_m: float
     planes: int = 128
     radius_px: int = 3
-    noise: float = 0.01
+    noise: float = NOISE
     penalty_step: float = 0.06
     penalty_jump: float = 0.6
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,7 +21,7 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import Background
 from reconstruction.images.catalogue import GIVEN, ImageMethod, method_for
-from reconstruction.images.composite import CompositeSource
+from reconstruction.images.composite import WHITE_PERCENTILE, CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.response import Response
 from reconstruction.run.decisions import Plan
@@ -39,7 +40,6 @@ STILL, MOVERS = "points/still_{field}", "points/moving_{field}"  # `Points`
 BODIES = "points/bodies_{field}"  # `Bodies`
 FOUND_RIG, REFINED_RIG, HELD_OUT_RIG = "poses/rig.toml", "poses/refined.toml", "poses/held_out.toml"
 SWEPT = "interpolated"  # image method by which points are found where the target images are given
-WHITE_PERCENTILE = 99.9
 Mask = NDArray[np.bool_]
 Arrays = TypeVar("Arrays")
 
@@ -87,7 +87,10 @@ def read_responses(run: RunFolder) -> dict[str, Response]:
 
 def short_images(plan: Plan, stream: SpikeStream, moving: Mask) -> ImageMethod:
     """Return the method that images what moves; where the target images are given, the one that finds points."""
-    return method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)
+    method = method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)
+    if plan.images != "interpolated":
+        return method
+    return replace(method, make=partial(method.make, half_window=plan.window // 2))
 
 
 def read_white(run: RunFolder) -> float:

@@ -7,11 +7,15 @@ import numpy as np
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
+from reconstruction.images.background import dimming
 from reconstruction.images.composite import CompositeSource, shrunk
 from reconstruction.images.noise import still_sigma
+from reconstruction.images.scarce import calm_side, calmed
+from reconstruction.initialization.beyond import is_open, searched, with_sky
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.surfaces import with_planes
 from reconstruction.initialization.sweep import (
+    NOISE,
     DepthMap,
     Image,
     SweepOptions,
@@ -86,13 +90,21 @@ def _still_points(
     report: Callable[[str], None],
 ) -> Points:
     """Sweep the backgrounds, and keep each view's depth where two others confirm it and nothing ever moves."""
-    stills = [source.background.image for source in sources.values()]
-    options = SweepOptions(*depth_range_m(cameras))
+    sides = [calm_side(s.background.image, len(s.stream)) for s in sources.values()]
+    stills = [calmed(s.background.image, side) for s, side in zip(sources.values(), sides, strict=True)]
+    noise = NOISE * dimming(float(np.mean([source.white for source in sources.values()])))
+    usual = SweepOptions(*depth_range_m(cameras), noise=noise)
+    options = searched(cameras, stills, usual)
     maps = swept_maps(cameras, stills, options)
-    noises = [still_sigma(s.background.image, len(s.stream)) for s in sources.values()]
+    noises = [
+        still_sigma(s.background.image, len(s.stream)) / np.float32(side)
+        for s, side in zip(sources.values(), sides, strict=True)
+    ]
     sure = [textured(image, noise, options) for image, noise in zip(stills, noises, strict=True)]
     report(f"still scene: {judge_poses(maps, sure)}")
     maps = with_planes(maps, stills, noises, sure, options, rng)
+    if is_open(options, usual):
+        maps = [with_sky(*one, usual) for one in zip(maps, stills, sure, strict=True)]
     for (view, source), found in zip(sources.items(), maps, strict=True):
         still = source.background.trusted & ~source.moving
         run.write_array(artefacts.DEPTH.format(view=view), np.where(still, found.depth, np.float32(np.nan)))
@@ -119,5 +131,6 @@ def _moving_points(
     seen = [s.movers(image, plane).astype(np.float32) for s, image in zip(sources.values(), whole, strict=True)]
     images, masks = ([shrunk(a, c) for a, c in zip(some, half, strict=True)] for some in (whole, seen))
     near, far = depth_range_m(cameras)
-    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES))
+    noise = NOISE * dimming(float(np.mean([source.white for source in sources.values()])))
+    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES, noise=noise))
     return sample_points(maps, images, [mask > 0.5 for mask in masks], count, instant_s, rng)

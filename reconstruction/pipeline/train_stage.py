@@ -10,7 +10,6 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.composite import CompositeSource, GivenSource
-from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.methods.catalogue import METHODS
@@ -131,7 +130,7 @@ def trainer_of(
         method.training,
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
-        image_planes=PLANES if plan.images == "interpolated" else 1,
+        image_planes=plan.window if plan.images == "interpolated" else 1,
         refines=plan.refine,
         ends_early=method.training.ends_early and run.config.steps is None,
         backend=backend,

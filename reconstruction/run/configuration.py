@@ -40,7 +40,8 @@ class ReconstructionConfig:
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
     lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `dust3r_checkpoint`: the file with
-    the user's weights, for the initialiser of that name. Raises BadRunError naming the field.
+    the user's weights, for the initialiser of that name. `window`: planes of the short images of movers (None: as the
+    plan says). Raises BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -57,6 +58,7 @@ class ReconstructionConfig:
     refine: str = "auto"
     pixels: str = "auto"
     dust3r_checkpoint: str | None = None
+    window: int | None = None
 
     def __post_init__(self) -> None:
         for name, names in CHOICES.items():
@@ -75,6 +77,8 @@ class ReconstructionConfig:
             raise BadRunError(f"found a cap of {self.gaussians} Gaussians", "at least 1")
         if self.tick_stride < 1:
             raise BadRunError(f"found a tick stride of {self.tick_stride}", "at least 1")
+        if self.window is not None and (self.window < 1 or self.window % 2 == 0):
+            raise BadRunError(f"found a window of {self.window} planes", "an odd number from 1")
         if self.holdout is not None and self.holdout in self.views:
             raise BadRunError(
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"

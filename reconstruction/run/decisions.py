@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.run.configuration import EVEN, RENAMED
 
 
@@ -41,7 +42,8 @@ class Plan:
 
     `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`: names, none of them `auto`.
     `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels. The most
-    Gaussians there may be are split into `still_gaussians` and `moving_gaussians`.
+    Gaussians there may be are split into `still_gaussians` and `moving_gaussians`. `window`: planes of a short image,
+    an odd number.
     """
 
     views: tuple[str, ...]
@@ -54,6 +56,7 @@ class Plan:
     init: str = "sweep"
     refine: bool = False
     pixels: str = EVEN
+    window: int = PLANES
 
     def amended(self, amendment: Amendment) -> Plan:
         """Return the plan with the amendment's decision in place of the one about the same thing, and its changes."""

@@ -10,6 +10,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.background import moving_pixels
 from reconstruction.images.flicker import Light, estimate_light
+from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
@@ -23,6 +24,8 @@ STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
 LEAST_VIEWS = 2  # training views
 TWIN_PLANES = 32  # first planes of two streams, which tell whether they are one
 LIGHT_VIEWS = 4  # views that are enough to see the light of the whole scene
+LEAST_WINDOW = 3  # planes of a short image
+WINDOW_S, WINDOW_SPIKES = 1e-3, 0.35  # most seconds of a short image, and spikes that it should hold
 A_PIXEL = 2  # most Gaussians for each pixel of a view
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
 UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
@@ -54,7 +57,9 @@ def make_plan(
     pixels = _choose_pixels(config, rig, views, decisions)
     init = _choose_init(config, rig, work, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
-    return Plan(views, model, images, supervision, moving, still, tuple(decisions), init, refine, pixels), masks, light
+    window = _choose_window(config, images, rig, streams, masks, decisions)
+    chosen = tuple(decisions)
+    return Plan(views, model, images, supervision, moving, still, chosen, init, refine, pixels, window), masks, light
 
 
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
@@ -85,7 +90,7 @@ def _choose_targets(
     if images == "auto":
         images, count = "interpolated", work.images(config.tick_stride)
         gap_s = work.image_s(BEST_METHOD) - work.image_s(images)
-        reason = f"long mean where nothing moves, 9-plane interpolated count where something does, not {BEST_METHOD}"
+        reason = f"long mean where nothing moves, short interpolated count where something does, not {BEST_METHOD}"
         decisions.append(Decision("images", images, reason, "--images", count * gap_s if share else None))
     if supervision == "auto" and method.supervision != "pixels":
         supervision = method.supervision
@@ -95,6 +100,36 @@ def _choose_targets(
         reason = "at equal time no spike term gained on the development scenes; one renders three instants a step"
         decisions.append(Decision("supervision", supervision, reason, "--supervision", work.instants_s()))
     return images, supervision
+
+
+def _choose_window(
+    config: ReconstructionConfig,
+    images: str,
+    rig: Rig,
+    streams: Mapping[str, SpikeStream],
+    masks: Mapping[str, NDArray[np.bool_]],
+    decisions: list[Decision],
+) -> int:
+    """Return the planes of a short image: nine, more where a pixel fires seldom, fewer where a plane is long."""
+    lit = [
+        streams[v].counts(0, len(streams[v]))[mask].mean() / len(streams[v]) for v, mask in masks.items() if mask.any()
+    ]
+    if images != "interpolated" or not lit:
+        return PLANES
+    rate = max(float(np.mean(lit)), 1e-9)
+    most = max(LEAST_WINDOW, _odd(WINDOW_S * rig.tick_rate_hz))
+    window = config.window or min(max(PLANES, _odd(WINDOW_SPIKES / rate)), most)
+    span = f"{1000 * window / rig.tick_rate_hz:.2g} ms, {window * rate:.2g} spikes a moving pixel"
+    facts = {"planes": window, "spikes_a_plane": rate}
+    decisions.append(
+        Decision("windows", f"{window} planes", f"an image of movers spans {span}", "--window", facts=facts)
+    )
+    return window
+
+
+def _odd(planes: float) -> int:
+    """Return the largest odd number up to `planes`, at least 1."""
+    return max(1, (int(min(planes, 10_000)) - 1) // 2 * 2 + 1)
 
 
 def _economies(config: ReconstructionConfig, work: Work, share: float, counts: tuple[int, int]) -> list[Decision]:

@@ -1,8 +1,10 @@
 """Judges seeded models by spikes that none was made from: counts between the swept instants."""
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+import cv2
 import numpy as np
 
 from reconstruction.scene_model import SceneModel
@@ -10,6 +12,8 @@ from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
 WINDOW = 9  # planes of a count
+LEAST_SPIKES = 4.0  # of a square, where single pixels have less than one
+WIDEST_PX = 15
 
 
 def count_error(cloud: SceneModel, views: Sequence[TrainingView], planes: Sequence[int], clock: RigClock) -> float:
@@ -24,9 +28,23 @@ def count_error(cloud: SceneModel, views: Sequence[TrainingView], planes: Sequen
             last = min(len(view.source.stream), first + WINDOW)
             moving = view.source.moving & ~view.source.useless(last)
             light = cloud.look(view.camera, clock.instant_s((first + last - 1) / 2)).intensity
-            gap = view.source.counts(first, last)[moving] - light[moving] * (last - first)
-            total, pixels = total + float(np.abs(gap).sum()), pixels + int(moving.sum())
+            counts = view.source.counts(first, last)
+            gap = np.where(moving, counts - light * (last - first), 0).astype(np.float32)
+            side = square_px(float(counts[moving].mean()))
+            gap = gap if side == 1 else cv2.blur(gap, (side, side), borderType=cv2.BORDER_CONSTANT)
+            total, pixels = total + float(np.abs(gap[moving]).sum()), pixels + int(moving.sum())
     return total / pixels if pixels else 0.0
+
+
+def square_px(spikes: float) -> int:
+    """Return the odd width of the squares over which gaps are averaged where a pixel's count is `spikes`: 1 is usual.
+
+    Single spikes differ from the light by more than any model does, so that squares of LEAST_SPIKES are compared.
+    """
+    if spikes >= 1:
+        return 1
+    side = math.sqrt(LEAST_SPIKES / max(spikes, 1e-6))
+    return min(WIDEST_PX, 2 * math.ceil((side - 1) / 2) + 1)
 
 
 def between(planes: Sequence[int]) -> list[int]:

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.images.background import dimming
+from reconstruction.initialization.sweep import depth_range_m
 from reconstruction.methods.definition import Training
 from reconstruction.rendering.render import Backend
 from reconstruction.scene_model import SceneModel
@@ -27,9 +29,10 @@ from reconstruction.training.ray_term import RAYS, RayTerm
 from reconstruction.training.refinement import Refinement
 from reconstruction.training.term import Term, supervisions
 from reconstruction.training.view import TrainingView
+from rigs.camera import Camera
 from rigs.clock import RigClock
 
-FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene steps of intensity are smaller
+USUAL = 1.5  # farthest usual depths, along z, within which a point is an ordinary one
 DEAD = 0.005  # opacity below which an element shows nothing
 LIVING_EVERY = 100  # steps between looks at whether any element is left
 
@@ -69,8 +72,8 @@ class Trainer:
         self.closeness = Closeness(settings.white)
         self.exposure = Exposure(settings.image_planes, clock) if settings.training.deblurs else None
         self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
-        self.extent_m = _extent_m(cloud, views)
-        self.units = {"none": 1.0, "scene": self.extent_m, "light": min(1.0, settings.white / FULL_WHITE)}
+        self.extent_m = extent_m(cloud, [view.camera for view in views])
+        self.units = {"none": 1.0, "scene": self.extent_m, "light": dimming(settings.white)}
         self.optimizer = optimizer_of(cloud, self.units)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
         self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
@@ -183,8 +186,13 @@ def train(trainer: Trainer, done: Callable[[], float], on_step: Callable[[float,
             return
 
 
-def _extent_m(cloud: SceneModel, views: Sequence[TrainingView]) -> float:
-    """Return the mean distance from the cameras to the points, in m: the unit of lengths that are learnt."""
-    centers = torch.tensor(np.stack([v.camera.center for v in views]), dtype=torch.float32)
+def extent_m(cloud: SceneModel, cameras: Sequence[Camera]) -> float:
+    """Return the mean distance from the cameras to the points, in m: the unit of lengths that are learnt.
+
+    Points beyond the usual depths do not count, unless there are no others.
+    """
+    centers = torch.tensor(np.stack([c.center for c in cameras]), dtype=torch.float32)
     points = cloud.positions(cloud.clip.middle_s).detach()
+    near = (points - centers.mean(dim=0)).norm(dim=1) < USUAL * depth_range_m(cameras)[1]
+    points = points[near] if near.any() else points
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())

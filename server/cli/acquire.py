@@ -16,7 +16,7 @@ from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_size, write_config
 from acquisition.recording.verify import verify
-from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, SCENES, STRESS
+from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, OPEN_AIR, SCENES, STRESS
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from acquisition.spikes.sensor import SENSOR_KINDS
@@ -49,6 +49,7 @@ _SCENES_HELP = "; ".join(
     for purpose, names in (
         ("What the cameras see. For development", DEVELOPMENT),
         ("for evaluation and nothing else", EVALUATION),
+        ("for developing backgrounds", OPEN_AIR),
         ("for stress", STRESS),
         ("for calibration", CALIBRATION),
     )

@@ -133,14 +133,13 @@ def test_memory_is_the_most_that_was_held():
 
 
 @pytest.mark.parametrize("seed", [1, MISSED.seed])
-def test_the_plan_misses_the_card_of_faint_and_the_watch_sees_it(seed):
+def test_the_plan_sees_the_card_of_faint_and_the_watch_would_too(seed):
     camera, layout = catalog_rig("lab3x3").scaled(*SIZE).camera("cam01"), PlaneLayout(*SIZE)
     sensor = Sensor(*SIZE, "real", seed, 1)
     source = SceneSource(build_scene(MISSED.scene, seed), camera, RigClock(20000.0), TICKS, sensor, layout)
     stream, light = SpikeStream(source.next_planes(TICKS), layout, 20000.0), Light.steady(TICKS)
-    moving = moving_pixels(stream, light)
-    assert moving.mean() < STILL_SHARE
-    assert changed_pixels(stream, ~moving, light).sum() > 300
+    assert moving_pixels(stream, light).mean() > 20 * STILL_SHARE
+    assert changed_pixels(stream, np.ones(SIZE[::-1], bool), light).sum() > 300
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
-from reconstruction.images.background import background
+from reconstruction.images.background import FULL_WHITE, background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfp import tfp
@@ -29,7 +29,7 @@ from reconstruction.rendering.render import render
 from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
-from reconstruction.training.trainer import FULL_WHITE, LIVING_EVERY, Trainer, TrainerSettings
+from reconstruction.training.trainer import LIVING_EVERY, Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 from rigs.clock import RigClock

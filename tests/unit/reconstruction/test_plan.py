@@ -33,6 +33,37 @@ def streams(moving=False, dark=()):
     return found
 
 
+def dim_streams(every):
+    """Return streams that fire once in `every` planes, a mover's pixels twice as often."""
+    layout, found = PlaneLayout(40, 26), {}
+    ticks = np.arange(400)[:, None, None]
+    for i, camera in enumerate(RIG.ids):
+        phase = np.random.default_rng(i).integers(0, every, (26, 40))
+        spikes = ((ticks + phase) % every == 0).astype(np.uint8)
+        spikes[200:, 5:20, 5:20] |= ((ticks[200:] + phase[5:20, 5:20] + every // 2) % every == 0).astype(np.uint8)
+        found[camera] = SpikeStream(pack(spikes, layout), layout, 20000.0)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("every", "rate_hz", "planes"),
+    [(3, 20000.0, 9), (3, 10000.0, 9), (3, 5000.0, 5), (3, 2000.0, 3), (3, 100.0, 3), (60, 20000.0, 17), (60, 1e4, 9)],
+)
+def test_windows_follow_spikes_and_the_plane_rate(every, rate_hz, planes):
+    rig = dataclasses.replace(RIG, tick_rate_hz=rate_hz)
+    plan, _, _ = make_plan(ReconstructionConfig(), rig, dim_streams(every))
+    assert plan.window == planes
+    (said,) = (d for d in plan.decisions if d.about == "windows")
+    assert (said.choice, said.override) == (f"{planes} planes", "--window")
+    assert make_plan(ReconstructionConfig(window=5), rig, dim_streams(every))[0].window == 5
+
+
+@pytest.mark.parametrize("window", [0, -3, 4])
+def test_a_window_that_has_no_middle_is_refused(window):
+    with pytest.raises(BadRunError, match="an odd number from 1"):
+        ReconstructionConfig(window=window)
+
+
 class Untouchable(dict):
     """Streams that tell when the held-out one is read."""
 
