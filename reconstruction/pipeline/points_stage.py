@@ -7,7 +7,7 @@ import numpy as np
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
-from reconstruction.images.background import dimming
+from reconstruction.images.background import WINDOWS, dimming
 from reconstruction.images.composite import CompositeSource, shrunk
 from reconstruction.images.noise import still_sigma
 from reconstruction.images.scarce import calm_side, calmed
@@ -96,10 +96,7 @@ def _still_points(
     usual = SweepOptions(*depth_range_m(cameras), noise=noise)
     options = searched(cameras, stills, usual)
     maps = swept_maps(cameras, stills, options)
-    noises = [
-        still_sigma(s.background.image, len(s.stream)) / np.float32(side)
-        for s, side in zip(sources.values(), sides, strict=True)
-    ]
+    noises = [_noise(source) / np.float32(side) for source, side in zip(sources.values(), sides, strict=True)]
     sure = [textured(image, noise, options) for image, noise in zip(stills, noises, strict=True)]
     report(f"still scene: {judge_poses(maps, sure)}")
     maps = with_planes(maps, stills, noises, sure, options, rng)
@@ -115,6 +112,13 @@ def _still_points(
             f"found {len(points)} points", f"{LEAST_POINTS}", "check that the scene is lit and stands still"
         )
     return points
+
+
+def _noise(source: CompositeSource) -> Image:
+    """Return the deviation between neighbours of a background [H, W], in spikes per tick."""
+    whole = len(source.stream)
+    planes = np.where(source.moving, max(whole // WINDOWS, 1), whole)
+    return still_sigma(source.background.image, planes, ~source.moving)
 
 
 def _moving_points(

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.scenes.catalog import build_scene
 from reconstruction.errors import StereoError
-from reconstruction.images.noise import still_sigma
+from reconstruction.images.noise import pixel_spread, still_sigma
 from reconstruction.initialization.surfaces import inferred, with_planes
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m
 from reconstruction.initialization.texture import judge_poses, spread_of, textured
@@ -86,6 +86,21 @@ def test_the_spread_is_that_of_numpy():
     assert spread_of(np.full((9, 9), 0.3, np.float32), 3).max() < 1e-7
 
 
+@pytest.mark.parametrize("spread", [0.01, 0.03, 0.1])
+def test_the_spread_of_pixels_is_found_beside_texture(spread):
+    rng = np.random.default_rng(0)
+    light = np.tile(np.linspace(0.2, 0.4, 240), (125, 1))
+    light[:, :80] += 0.1 * rng.random((125, 80))  # a third of the picture has texture
+    seen = (light * (1 + spread * rng.standard_normal(light.shape))).astype(np.float32)
+    assert pixel_spread(seen, 4000, np.ones(seen.shape, bool)) == pytest.approx(spread, rel=0.15)
+
+
+@pytest.mark.parametrize("image", [np.zeros((40, 50)), np.zeros((1, 1)), np.full((40, 50), 0.3), np.ones((16, 90))])
+def test_pixels_without_light_or_all_alike_have_no_spread(image):
+    assert pixel_spread(image.astype(np.float32), 400, np.ones(image.shape, bool)) == 0.0
+    assert pixel_spread(np.full((40, 50), 0.3, np.float32), 400, np.zeros((40, 50), bool)) == 0.0
+
+
 @pytest.fixture(scope="module")
 def room():
     """Return cameras, images, noises and true depths of a plain room without its movers."""
@@ -94,7 +109,7 @@ def room():
     cameras = [c.scaled(200, 125) for c in catalog_rig("lab3x3").cameras if c.id in OUTER]
     frames = [scene.render(camera, np.zeros(1), 2) for camera in cameras]
     rng, depths = np.random.default_rng(0), [frame.depth[0] for frame in frames]
-    noises = [still_sigma(frame.intensity[0], 400) for frame in frames]
+    noises = [still_sigma(frame.intensity[0], 400, np.ones((125, 200), bool)) for frame in frames]
     images = [
         (frame.intensity[0] + noise * rng.standard_normal(noise.shape)).astype(np.float32)
         for frame, noise in zip(frames, noises, strict=True)
