@@ -23,6 +23,8 @@ CUTS = (4, 16)  # equal windows the clip is cut into, once for slow and once for
 CHANGE = 3  # smallest spread of counts that constant light does not explain
 GROW_PX = 2  # a mover's edge is soft: its neighbours see it too
 FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene differences of intensity are smaller
+GLOW = 3.0  # light of a pixel that glows, over that of its brightest neighbour
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 STUCK_GAP = 0.05  # spikes per tick a stuck pixel must differ from its neighbours to matter
 
 
@@ -104,6 +106,10 @@ def _before_failures(
 
 
 def stuck_pixels(mean: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Find pixels [H, W] that never or always fired over a clip with this mean, unlike their neighbours."""
-    neighbours = cv2.medianBlur(mean, 3)
-    return ((mean <= 0) | (mean >= 1)) & (np.abs(mean - neighbours) > STUCK_GAP)
+    """Find pixels [H, W] that never or always fired over a clip with this mean, unlike their neighbours, or that glow.
+
+    A pixel glows that is alone with its light: no lens draws a point of which its neighbours see so little.
+    """
+    gap = mean - cv2.medianBlur(mean, 3)
+    glow = (gap > STUCK_GAP) & (mean > GLOW * cv2.dilate(mean, _AROUND))
+    return glow | (((mean <= 0) | (mean >= 1)) & (np.abs(gap) > STUCK_GAP))

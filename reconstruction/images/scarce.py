@@ -25,6 +25,7 @@ DEVIATIONS = 6.5  # standard deviations beyond which a square has changed; noise
 BESIDE = 4.5  # standard deviations of a square that is connected with one that has changed
 ROUNDING, FANO = 0.25, 0.05  # spikes^2 of variance a pixel, and a spike
 CALM, WIDEST_PX = 9.0, 7  # spikes of a square that shows a picture, and its width at most
+FEW = 0.5  # spikes^2 of variance of a square, where it hardly ever fires
 PARTS = 8  # parts of the clip that a background is made of
 STRAY = 3.5  # standard deviations by which a part shows something else
 MOSTLY = 0.4  # share of the parts that may show something else
@@ -88,7 +89,7 @@ def _strays(counts: Floats, mean: Floats, gains: Floats, side: int, *, middle: b
     pooled = np.stack([_sum(c, side) for c in counts])
     usual = np.median(pooled, axis=0) if middle else pooled.mean(axis=0)
     variance = np.stack([_sum(np.minimum(mean * g, ROUNDING) + FANO * mean * g, side) / g**2 for g in gains])
-    return (np.abs(pooled - usual) / np.sqrt(variance + 1e-6)).astype(np.float32)
+    return (np.abs(pooled - usual) / np.sqrt(variance + FEW)).astype(np.float32)
 
 
 def _sum(image: Floats, side: int) -> Floats:

@@ -1,8 +1,9 @@
 """The artefacts that several stages read, each by the one file name it has in a run folder.
 
 The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND, UNEVEN, and RESPONSE for the views that are;
-points STILL, MOVERS, DEPTH, and BODIES for the model `bases`; train checkpoint.pt, snapshots/ and REFINED_RIG; report
-HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
+points STILL, MOVERS, DEPTH, EMPTY for the views that are, and BODIES for the model `bases`; train checkpoint.pt,
+snapshots/ and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/,
+viewer.json, viewer.bin.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from rigs.toml import dump_rig, load_rig
 LIGHT = "plan/light"  # gain [T] of each plane
 MOVING = "plan/moving_{view}"  # pixels [H, W] of a view that ever see a mover
 DEPTH = "points/depth_{view}"  # confirmed depth [H, W] of a view in m, NaN where none is
+EMPTY = "points/empty_{view}"  # pixels [H, W] in which nothing is, and nothing ever moves
 BACKGROUND = "images/{field}_{view}"  # a `Background`
 RESPONSE = "images/response_{field}_{view}"  # a `Response` of a view whose pixels are not all alike and good
 UNEVEN = "images/uneven"  # which of the plan's views [V] have one

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
@@ -11,7 +12,7 @@ from reconstruction.images.background import WINDOWS, dimming
 from reconstruction.images.composite import CompositeSource, shrunk
 from reconstruction.images.noise import still_sigma
 from reconstruction.images.scarce import calm_side, calmed
-from reconstruction.initialization.beyond import is_open, searched, with_sky
+from reconstruction.initialization.beyond import empty, is_open, searched, with_sky
 from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.surfaces import with_planes
 from reconstruction.initialization.sweep import (
@@ -90,6 +91,30 @@ def _still_points(
     report: Callable[[str], None],
 ) -> Points:
     """Sweep the backgrounds, and keep each view's depth where two others confirm it and nothing ever moves."""
+    whites = [source.white for source in sources.values()]
+    maps, stills, sure = _still_maps(sources, cameras, rng, report)
+    voids = [empty(image, mask, float(np.mean(whites))) for image, mask in zip(stills, sure, strict=True)]
+    for (view, source), found, void in zip(sources.items(), maps, voids, strict=True):
+        still = source.background.trusted & ~source.moving & ~void
+        run.write_array(artefacts.DEPTH.format(view=view), np.where(still, found.depth, np.float32(np.nan)))
+        if void.any():
+            run.write_array(artefacts.EMPTY.format(view=view), void & ~source.moving)
+    masks = [source.background.trusted & ~void for source, void in zip(sources.values(), voids, strict=True)]
+    points = sample_points([filled(m) for m in maps], stills, masks, run.plan.still_gaussians, 0.0, rng)
+    if len(points) < LEAST_POINTS:
+        raise StereoError(
+            f"found {len(points)} points", f"{LEAST_POINTS}", "check that the scene is lit and stands still"
+        )
+    return points
+
+
+def _still_maps(
+    sources: Mapping[str, CompositeSource],
+    cameras: Sequence[Camera],
+    rng: np.random.Generator,
+    report: Callable[[str], None],
+) -> tuple[list[DepthMap], list[Image], list[NDArray[np.bool_]]]:
+    """Return each view's depth of the still scene, its background as it was swept, and where that has texture."""
     sides = [calm_side(s.background.image, len(s.stream)) for s in sources.values()]
     stills = [calmed(s.background.image, side) for s, side in zip(sources.values(), sides, strict=True)]
     noise = NOISE * dimming(float(np.mean([source.white for source in sources.values()])))
@@ -99,19 +124,9 @@ def _still_points(
     noises = [_noise(source) / np.float32(side) for source, side in zip(sources.values(), sides, strict=True)]
     sure = [textured(image, noise, options) for image, noise in zip(stills, noises, strict=True)]
     report(f"still scene: {judge_poses(maps, sure)}")
-    maps = with_planes(maps, stills, noises, sure, options, rng)
     if is_open(options, usual):
-        maps = [with_sky(*one, usual) for one in zip(maps, stills, sure, strict=True)]
-    for (view, source), found in zip(sources.items(), maps, strict=True):
-        still = source.background.trusted & ~source.moving
-        run.write_array(artefacts.DEPTH.format(view=view), np.where(still, found.depth, np.float32(np.nan)))
-    masks, whole = [source.background.trusted for source in sources.values()], [filled(m) for m in maps]
-    points = sample_points(whole, stills, masks, run.plan.still_gaussians, 0.0, rng)
-    if len(points) < LEAST_POINTS:
-        raise StereoError(
-            f"found {len(points)} points", f"{LEAST_POINTS}", "check that the scene is lit and stands still"
-        )
-    return points
+        maps, sure = with_sky(maps, stills, sure, usual)
+    return with_planes(maps, stills, noises, sure, options, rng), stills, sure
 
 
 def _noise(source: CompositeSource) -> Image:

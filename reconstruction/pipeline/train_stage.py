@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import fields
 
+import numpy as np
 import torch
 
 from acquisition.progress import Progress
@@ -42,7 +43,9 @@ def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView]
     for view, source in artefacts.read_sources(run, recording).items():
         depth = ConfirmedDepth.of(run.read_array(artefacts.DEPTH.format(view=view))).without(source.moving)
         shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
-        views.append(TrainingView(rig.camera(view), shown, depth=depth))
+        void = artefacts.EMPTY.format(view=view)
+        empty = torch.from_numpy(run.read_array(void).astype(np.float32)) if run.has_array(void) else None
+        views.append(TrainingView(rig.camera(view), shown, depth=depth, empty=empty))
     still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
     clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
     bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731

@@ -66,6 +66,8 @@ class ImageTerm:
     def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
         """Return the loss of one render against its target image [H, W] and the depths that the view knows."""
         loss = self.against(rendered, target)
+        if view.empty is not None:  # in place of the weight of light that passes through: that of light that is stopped
+            loss = loss + self.solid * (view.empty * (2 * rendered.alpha - 1)).mean()
         return loss + self.hold(rendered, view.depth) if self.hold and view.depth else loss
 
     def against(self, rendered: Rendering, target: Tensor) -> Tensor:

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
 from reconstruction.rendering.result import Instantaneous
@@ -15,13 +17,15 @@ class TrainingView:
     """A camera and the images it should see.
 
     `corrected`: the cloud at an instant (s) as its refined pose, gain and lag show it (None: they stand as they are).
-    `depth`: the depths of its pixels that are known before the training.
+    `depth`: the depths of its pixels that are known before the training. `empty` [H, W]: 1 where nothing is, else 0;
+    None where something is everywhere.
     """
 
     camera: Camera
     source: CompositeSource
     corrected: Callable[[DynamicCloud, float], Instantaneous] | None = None
     depth: ConfirmedDepth | None = None
+    empty: Tensor | None = None
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """Return the Gaussians to render for this camera at an instant (s, rig clock)."""

@@ -1,17 +1,24 @@
 """Depths beyond the usual range: found where something is there, not looked for elsewhere, an even sky put far."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from acquisition.scenes.catalog import build_scene
-from reconstruction.initialization.beyond import SHELL, endless, is_open, searched, with_sky
+from acquisition.spikes.sensor import DARK_LEVEL
+from reconstruction.initialization.beyond import SHELL, empty, endless, is_open, searched, sky, with_sky
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.initialization.seeding import LARGEST_M, seed_cloud
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m
 from reconstruction.pipeline.points_stage import swept_maps
+from reconstruction.rendering.result import Rendering
 from reconstruction.scene_model import TimeSpan
+from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import extent_m
+from reconstruction.training.view import TrainingView
+from rigs.clock import RigClock
 from rigs.toml import catalog_rig
 
 RIG = catalog_rig("lab3x3").scaled(160, 100)
@@ -47,23 +54,57 @@ def test_hills_are_found_where_they_are():
     assert errors[1] > 0.5
 
 
-def test_an_even_sky_is_put_far_and_textured_gaps_are_not():
-    depth = np.full((40, 60), np.nan, np.float32)
-    depth[25:, 30:] = 2.0
-    depth[:10, :10] = 3.0
-    texture = np.zeros((40, 60), bool)
-    texture[20:] = True
-    image = np.full((40, 60), 0.4, np.float32)
-    found = with_sky(DepthMap(RIG.cameras[0], depth, depth), image, texture, USUAL).depth
-    assert (found[:10, :10] == 3.0).all()
-    assert (found[25:, 30:] == 2.0).all()
-    np.testing.assert_allclose(found[:20, 15:], SHELL * USUAL.far_m, rtol=1e-6)
-    assert np.isnan(found[25:, :30]).all()
-    nothing = DepthMap(RIG.cameras[0], np.full_like(depth, np.nan), depth)
+def test_a_bright_even_border_is_sky_and_nothing_else_is():
+    image, texture = np.full((40, 60), 0.2, np.float32), np.zeros((40, 60), bool)
+    image[:20], texture[20:] = 0.4, True
+    image[25:35, 20:40], texture[25:35, 20:40] = 0.5, False  # bright and even, but inside
+    expected = np.zeros((40, 60), bool)
+    expected[:20] = True
+    np.testing.assert_array_equal(sky(image, texture), expected)
     slope = image * np.linspace(0.5, 1, 60, dtype=np.float32)
-    assert np.isnan(with_sky(nothing, slope, texture, USUAL).depth).all()
+    assert not sky(slope, texture).any()
+    assert not sky(1 - image, texture).any()  # darker than most
     texture[:, 4:] = True  # what is left is too small
-    assert np.isnan(with_sky(nothing, image, texture, USUAL).depth).all()
+    assert not sky(image, texture).any()
+
+
+def test_the_sky_is_put_far_and_the_rest_stays():
+    image, texture = np.full((40, 60), 0.2, np.float32), np.zeros((40, 60), bool)
+    image[:20], texture[20:] = 0.4, True
+    depth = np.full((40, 60), np.nan, np.float32)
+    depth[5:, :] = 2.0  # below row 20 confirmed, above it by chance
+    (found,), (known,) = with_sky([DepthMap(RIG.cameras[0], depth, depth)], [image], [texture], USUAL)
+    np.testing.assert_allclose(found.depth[:20], SHELL * USUAL.far_m)
+    assert (found.depth[20:] == 2.0).all()
+    assert known.all()
+    depth[30:, :] = 100.0
+    (found,), _ = with_sky([DepthMap(RIG.cameras[0], depth, depth)], [image], [texture], USUAL)
+    np.testing.assert_allclose(found.depth[:20], 100.0)
+
+
+def test_nothing_is_where_a_large_area_has_neither_light_nor_texture():
+    image, texture = np.full((40, 60), 0.3, np.float32), np.ones((40, 60), bool)
+    image[:20], texture[:20] = DARK_LEVEL, False
+    image[30:33, 5:9], texture[30:33, 5:9] = 0.0, False  # small
+    found = empty(image, texture, 0.5)
+    assert found[:20].all()
+    assert not found[20:].any()
+    assert not empty(image, np.ones_like(texture), 0.5).any()
+    assert not empty(np.minimum(image, 0.004), texture, 0.004).any()  # so dim that darkness tells nothing
+
+
+def test_light_may_pass_where_nothing_is_and_nothing_may_stop_it():
+    term = ImageTerm(RigClock(20000.0), 0.6, solid=0.5)
+    target, alpha = torch.zeros(16, 16), torch.full((16, 16), 0.25, requires_grad=True)
+    rendered = Rendering(torch.zeros(16, 16, 1), torch.ones(16, 16), alpha, torch.zeros(0))
+    half = torch.zeros(16, 16)
+    half[:8] = 1
+    view = TrainingView(RIG.cameras[0], None)  # pyright: ignore[reportArgumentType]
+    losses = [term.held(replace(view, empty=e), rendered, target) for e in (None, half)]
+    assert losses[0].item() == pytest.approx(0.5 * 0.75)
+    assert losses[1].item() == pytest.approx(0.5 * (0.25 * 0.5 + 0.75 * 0.5))
+    (slope,) = torch.autograd.grad(losses[1], alpha)
+    torch.testing.assert_close(slope, 0.5 / 256 * (2 * half - 1))
 
 
 def test_endless_depths_are_a_step_from_infinity():
