@@ -1,11 +1,13 @@
-"""Lists the named scenes by their use: development, evaluation, stress, calibration.
+"""Lists the named scenes by their use: development, evaluation, stress, calibration, and the realistic ones.
 
 Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They are scored on EVALUATION scenes with
 EVALUATION_SEEDS, which nothing is tuned on. OPEN_AIR scenes develop far, even and empty backgrounds. STRESS scenes have
 one difficulty each; CALIBRATION ones calibrate a rig.
+REALISTIC ones, for development too, are drawn by a path tracer, an extra that is needed only where one is drawn.
 Every other list of scene names, as of the command line and the benches, is made from these.
 """
 
+import functools
 from collections.abc import Callable
 
 from acquisition.errors import BadRecordingError
@@ -14,21 +16,35 @@ from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
 from acquisition.scenes.open_air import black, far, sky
+from acquisition.scenes.realistic.rooms.plain_room import plain_room
+from acquisition.scenes.realistic.rooms.robot_arm import robot_arm
+from acquisition.scenes.realistic.rooms.thrown_things import thrown_things
+from acquisition.scenes.realistic.scene import Build, DrawnScene
 from acquisition.scenes.runner import runner
-from acquisition.scenes.scene import Scene
 from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, plain, static, stiff
 from acquisition.scenes.traffic import traffic
 from acquisition.scenes.turntable import turntable
+from acquisition.scenes.view import Scenery
 
 DEVELOPMENT_SEEDS = (1, 2, 3)
 EVALUATION_SEEDS = (101, 102, 103)
-SCENES: dict[str, Callable[[int], Scene]] = {}
+SCENES: dict[str, Callable[[int], Scenery]] = {}
 
 
-def _listed(*builders: Callable[[int], Scene]) -> tuple[str, ...]:
+def _listed(*builders: Callable[[int], Scenery]) -> tuple[str, ...]:
     names = {build.__name__: build for build in builders}
     SCENES.update(names)
     return tuple(names)
+
+
+def _drawn(*builders: Build) -> tuple[str, ...]:
+    names = {build.__name__: functools.partial(_scene_of, build) for build in builders}
+    SCENES.update(names)
+    return tuple(names)
+
+
+def _scene_of(build: Build, seed: int) -> Scenery:
+    return DrawnScene(build.__name__, seed, build)
 
 
 DEVELOPMENT = _listed(fan_and_ball)
@@ -43,9 +59,16 @@ CALIBRATION = _listed(
     calibration.board_april,
     calibration.board_april_moving,
 )
+REALISTIC = _drawn(plain_room, thrown_things, robot_arm)
+GROUPS = {"realistic": REALISTIC}
 
 
-def build_scene(name: str, seed: int) -> Scene:
+def scenes_named(words: str) -> tuple[str, ...]:
+    """Return the names in a list with commas between them, a group's name standing for all of it."""
+    return tuple(name for word in words.split(",") for name in GROUPS.get(word, (word,)))
+
+
+def build_scene(name: str, seed: int) -> Scenery:
     """Build the scene `name`, its textures and small placements drawn from `seed`.
 
     Raises BadRecordingError for an unknown name or a negative seed.

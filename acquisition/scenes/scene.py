@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
+from acquisition.progress import Progress, silent
 from acquisition.scenes.bodies import Body
 from acquisition.scenes.light import EVEN, Flicker, Uneven
 from acquisition.scenes.raycast import Floats, Raycaster, SceneArrays
@@ -118,6 +120,9 @@ class Scene:
     def view(self, camera: Camera, samples: int, threads: int = 0) -> RaycastView:
         """Return what `camera` sees, by a ray caster that has already traced what stands still."""
         return RaycastView(self, self.raycaster(camera, samples, threads))
+
+    def prepare(self, cameras: Sequence[Camera], last_s: float, progress: Progress = silent) -> None:
+        """Do nothing: frames are made as fast as they are wanted."""
 
     def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:
         """Render what `camera` (pose in the rig frame) sees at `instants_s` [n], by samples x samples rays a pixel."""

@@ -5,13 +5,14 @@ Letters: n instants, H rows, W columns. A lens, a blur or a vignette is a View a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.progress import Progress
 from acquisition.scenes.motion import Floats, Vector
 from rigs.camera import Camera
 
@@ -87,6 +88,10 @@ class Scenery(Protocol):
 
     def render(self, camera: Camera, instants_s: Floats, samples: int = 4) -> Frames:
         """Return the frames that `camera` sees at `instants_s` [n]."""
+        ...
+
+    def prepare(self, cameras: Sequence[Camera], last_s: float, progress: Progress) -> None:
+        """Make ready what views of the cameras will show until `last_s` on the rig clock, where that takes long."""
         ...
 
     def lit(self, factor: float) -> Self:

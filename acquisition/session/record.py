@@ -72,6 +72,9 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     drawn = devices.drawn(rig) if isinstance(devices, Simulation) else rig
     with RecordingWriter(out, drawn, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
+            if isinstance(devices, Simulation) and opened.scene and take.planes:
+                cameras, last_s = devices.built(rig).cameras, rig.clock.instant_s(take.planes)
+                opened.scene.prepare(cameras, last_s, part(progress, 0.0, 0.0))
             for camera in opened.cameras if take.sensitivity else ():
                 camera.registers.set_sensitivity(take.sensitivity or Sensitivity())
             streams = record_session(

@@ -16,7 +16,7 @@ from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_size, write_config
 from acquisition.recording.verify import verify
-from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, OPEN_AIR, SCENES, STRESS
+from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, OPEN_AIR, REALISTIC, SCENES, STRESS
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from acquisition.spikes.sensor import SENSOR_KINDS
@@ -52,6 +52,7 @@ _SCENES_HELP = "; ".join(
         ("for developing backgrounds", OPEN_AIR),
         ("for stress", STRESS),
         ("for calibration", CALIBRATION),
+        ("drawn by a path tracer, which takes minutes the first time, for development", REALISTIC),
     )
 )
 
@@ -89,7 +90,7 @@ _SCENES_HELP = "; ".join(
     default=2,
     show_default=True,
     type=click.IntRange(min=1, max=8),
-    help="Rays along a side of a pixel in each plane; the truth has 4.",
+    help="Rays along a side of a pixel in each plane; the truth has 4. Scenes of a path tracer have their own number.",
 )
 @click.option(
     "--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="Planes between true frames."

@@ -18,7 +18,12 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
 
 @click.command("bench", help=f"Measure NAME.\n\n\b\n{_NAMES}")
 @click.argument("name", type=click.Choice(list(BENCHES)), metavar="NAME")
-@click.option("--scene", "scenes", help="NAME,... [default: the evaluation scenes; pixels: the development scene].")
+@click.option(
+    "--scene",
+    "--scenes",
+    "scenes",
+    help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene].",
+)
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
     "--metric-files",

@@ -14,7 +14,7 @@ from acquisition.devices.bench import parser_rows
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
-from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, EVALUATION_SEEDS
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS, scenes_named
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
@@ -39,7 +39,7 @@ class Asked:
 
     def named(self, default: tuple[str, ...]) -> tuple[str, ...]:
         """Return the scenes asked for, or `default`; only the first of them with --quick."""
-        found = tuple(self.scenes.split(",")) if self.scenes else default
+        found = scenes_named(self.scenes) if self.scenes else default
         return found[:1] if self.quick else found
 
     @property
@@ -80,11 +80,11 @@ def _pixels(asked: Asked) -> BenchDocument:
 
 
 def _poses(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.conventions import KnownRecording
+    from reconstruction.bench.conventions import KnownRecording, seed_of
     from reconstruction.bench.poses import BOARD_SCENE, BOARD_TICKS, bench_poses
 
     def known(scene: str, ticks: int = _TICKS) -> KnownRecording:
-        seed = DEVELOPMENT_SEEDS[1] if scene in DEVELOPMENT else EVALUATION_SEEDS[0]
+        seed = seed_of(scene)
         return KnownRecording(scene, seed, recording(scene, seed, asked.work, ticks))
 
     clips = [known(scene) for scene in asked.named(EVALUATION)]
@@ -159,7 +159,7 @@ def _protocol(asked: Asked) -> Protocol:
     found = QUICK if asked.quick else PROTOCOL
     if asked.tables:
         found = found.of(tuple(asked.tables.split(",")))
-    return found.on(tuple(asked.scenes.split(","))) if asked.scenes else found
+    return found.on(scenes_named(asked.scenes)) if asked.scenes else found
 
 
 def _viewpoints(asked: Asked) -> BenchDocument:

@@ -12,6 +12,7 @@ from acquisition.scenes.catalog import (
     EVALUATION,
     EVALUATION_SEEDS,
     OPEN_AIR,
+    REALISTIC,
     SCENES,
     STRESS,
     build_scene,
@@ -180,7 +181,7 @@ def test_the_marker_is_upright_and_not_mirrored(name):
 
 
 def test_the_lists_are_closed_and_keep_development_from_evaluation():
-    lists = (DEVELOPMENT, EVALUATION, OPEN_AIR, STRESS, CALIBRATION)
+    lists = (DEVELOPMENT, EVALUATION, OPEN_AIR, STRESS, CALIBRATION, REALISTIC)
     assert sorted(name for names in lists for name in names) == sorted(SCENES)
     assert len(EVALUATION) == 5
     assert not set(DEVELOPMENT_SEEDS) & set(EVALUATION_SEEDS)

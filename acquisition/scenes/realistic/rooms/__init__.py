@@ -1,0 +1,1 @@
+"""The realistic scenes, one file each."""

@@ -1,0 +1,220 @@
+"""A scene that a path tracer draws, seen by any pinhole camera; what was drawn once is read from the cache."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import AcquisitionError, BadRecordingError
+from acquisition.progress import Progress, silent
+from acquisition.scenes.motion import Floats, Vector
+from acquisition.scenes.realistic.cache import LightCache, camera_digest
+from acquisition.scenes.realistic.library import versions
+from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, LASTS_S, Setting
+from acquisition.scenes.realistic.studio import CHUNK, Studio, chunks_of
+from acquisition.scenes.view import Frames
+from rigs.camera import Camera
+
+Build = Callable[[int], Setting]
+WHITE, CENTER = 0.6, (0.0, 0.0, 1.9)  # of every such scene: spikes per tick, metres
+_DRAWING = ("meshes", "setting", "pictures", "physics", "painter", "rays", "surfaces", "passed_on", "studio")
+_one_at_a_time = threading.RLock()  # nine simulated cameras ask at once
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnScene:
+    """The setting that `build` makes of `seed`, in `level` times its light, going on for `begins_s` at instant 0.
+
+    Its clip ends LASTS_S after the trigger. Light is drawn at keyframes, each a middle of every fourth plane of 20 kHz,
+    and runs straight between them; things move by less than a third of a pixel a plane.
+    """
+
+    name: str
+    seed: int
+    build: Build
+    level: float = 1.0
+    begins_s: float = 0.0
+
+    @property
+    def white(self) -> float:
+        """The light that is shown as white."""
+        return WHITE * self.level
+
+    @property
+    def center(self) -> Vector:
+        """The point the scene happens around."""
+        return CENTER
+
+    @property
+    def setting(self) -> Setting:
+        """All that stands before the cameras."""
+        return _setting(self.build, self.seed)
+
+    @property
+    def object_ids(self) -> dict[str, int]:
+        """The object id of each body by name."""
+        return self.setting.object_ids
+
+    @property
+    def movers(self) -> dict[str, int]:
+        """The object ids of the bodies that move, by name."""
+        return self.setting.movers
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """The SHA-256 of all that decides what is drawn: the code, the versions of the packages, the seed."""
+        folder = Path(__file__).parent
+        sources = [folder / f"{name}.py" for name in _DRAWING] + [Path(inspect.getfile(self.build))]
+        found = hashlib.sha256(json.dumps([self.name, self.seed, versions()], sort_keys=True).encode())
+        for source in sources:
+            found.update(source.read_bytes())
+        return found.hexdigest()
+
+    def lit(self, factor: float) -> Self:
+        """Return the same scene in `factor` times its light."""
+        return replace(self, level=self.level * factor)
+
+    def since(self, begins_s: float) -> Self:
+        """Return the scene as it is where it has been going on for `begins_s` at the instant 0."""
+        return replace(self, begins_s=begins_s)
+
+    def view(self, camera: Camera, samples: int, threads: int = 0) -> DrawnView:
+        """Return what `camera` sees; how many rays a pixel has is the studio's choice, not that of `samples`.
+
+        Raises AcquisitionError for a camera with lens distortion.
+        """
+        if camera.bends:
+            found = f"found lens distortion {camera.distortion}"
+            raise AcquisitionError(found, "none", "scenes are seen by pinholes", where=camera.id)
+        return DrawnView(self, camera)
+
+    def render(self, camera: Camera, instants_s: Floats, samples: int = 4) -> Frames:
+        """Return the frames that `camera` sees at `instants_s` [n]."""
+        return self.view(camera, samples).frames(instants_s)
+
+    def prepare(self, cameras: Sequence[Camera], last_s: float, progress: Progress = silent) -> None:
+        """Draw what the cameras see until `last_s` on the rig clock, and the cache lacks; a stopped one goes on."""
+        views = [DrawnView(self, camera) for camera in cameras if not camera.bends]
+        last = min(last_s + self.begins_s, LASTS_S)
+        chunks = list(chunks_of(*_around(np.array([self.begins_s, last]))))
+        lacking = [(chunk, [view for view in views if not view.has(chunk)]) for chunk in chunks]
+        lacking = [(chunk, some) for chunk, some in lacking if some]
+        started_s = time.monotonic()
+        for done, (chunk, some) in enumerate(lacking):
+            left_s = (time.monotonic() - started_s) / max(done, 1) * (len(lacking) - done)
+            said = f", {left_s:.0f} s left" if done else ""
+            progress(done / len(lacking), f"light of {self.name}, part {done + 1} of {len(lacking)}{said}")
+            draw(self, some, chunk)
+
+    def description(self) -> dict[str, Any]:
+        """Return what `truth/scene.json` says of the scene: bodies, and how it was drawn."""
+        movers = [{"id": number, "name": name} for name, number in self.movers.items()]
+        drawn = {"digest": self.digest, "keyframe_s": KEYFRAME_S, **versions()}
+        return {"object_ids": self.object_ids, "movers": movers, "light": {"drawn": drawn}}
+
+
+class DrawnView:
+    """One camera before a drawn scene."""
+
+    def __init__(self, scene: DrawnScene, camera: Camera):
+        self.camera = camera
+        self._scene = scene
+        self._cache = LightCache(scene.digest, camera)
+        self._read: dict[int, NDArray] = {}
+
+    def has(self, chunk: int) -> bool:
+        """Return whether the keyframes of `chunk` are in the cache."""
+        return self._cache.has(_chunk_name(chunk))
+
+    def keep(self, chunk: int, light: NDArray[np.float32]) -> None:
+        """Store the light of a chunk's keyframes."""
+        self._cache.write(_chunk_name(chunk), light.astype(np.float16))
+
+    def light(self, instants_s: Floats) -> NDArray[np.float32]:
+        """Return the linear light at `instants_s` [n], in spikes per tick [n, H, W], straight between keyframes.
+
+        Raises BadRecordingError for an instant outside the clip.
+        """
+        instants_s = np.asarray(instants_s, dtype=np.float64) + self._scene.begins_s
+        low = np.minimum(_places(instants_s).astype(int), KEYFRAMES - 2)
+        share = (_places(instants_s) - low).astype(np.float32)
+        found = np.empty((len(instants_s), self.camera.height, self.camera.width), dtype=np.float32)
+        for number, (keyframe, part) in enumerate(zip(low, share, strict=True)):
+            found[number] = (1 - part) * self._frame(keyframe) + part * self._frame(keyframe + 1)
+        return found if self._scene.level == 1 else found * np.float32(self._scene.level)
+
+    def frames(self, instants_s: Floats) -> Frames:
+        """Return light, depth and objects at `instants_s` [n]."""
+        looks = [self._look(float(instant_s) + self._scene.begins_s) for instant_s in instants_s]
+        depth, ids = (np.stack(images) for images in zip(*looks, strict=True))
+        return Frames(self.light(instants_s), depth, ids)
+
+    def _frame(self, keyframe: int) -> NDArray[np.float32]:
+        chunk = keyframe // CHUNK
+        if chunk not in self._read:
+            if not self.has(chunk):
+                draw(self._scene, [self], chunk)
+            self._read = dict(list(self._read.items())[-1:])  # two chunks at a time, one before the other
+            self._read[chunk] = self._cache.read(_chunk_name(chunk))
+        return self._read[chunk][keyframe % CHUNK].astype(np.float32)
+
+    def _look(self, instant_s: float) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+        _places(np.array([instant_s]))
+        names = [f"{kind}_{round(instant_s * 1e9)}" for kind in ("depth", "id")]
+        if not all(map(self._cache.has, names)):
+            with _one_at_a_time:
+                looked = _studio(self._scene.build, self._scene.seed).look(self.camera, instant_s)
+            for name, array in zip(names, looked, strict=True):
+                self._cache.write(name, array)
+        depth, ids = (np.array(self._cache.read(name)) for name in names)
+        return depth, ids
+
+
+def draw(scene: DrawnScene, views: Sequence[DrawnView], chunk: int) -> None:
+    """Draw the keyframes of a chunk for the views that lack them, and store them."""
+    with _one_at_a_time:
+        lacking = {camera_digest(view.camera): view for view in views if not view.has(chunk)}
+        if lacking:
+            studio = _studio(scene.build, scene.seed)
+            for key, light in studio.draw({key: view.camera for key, view in lacking.items()}, chunk).items():
+                lacking[key].keep(chunk, light)
+
+
+@functools.lru_cache(maxsize=2)
+def _setting(build: Build, seed: int) -> Setting:
+    return build(seed)
+
+
+@functools.lru_cache(maxsize=1)
+def _studio(build: Build, seed: int) -> Studio:
+    return Studio(_setting(build, seed))
+
+
+def _places(instants_s: Floats) -> Floats:
+    """Return where instants lie among the keyframes; raises BadRecordingError for one outside the clip."""
+    places = (instants_s - FIRST_S) / KEYFRAME_S
+    if len(places) and not -1e-6 <= places.min() <= places.max() <= KEYFRAMES - 1 + 1e-6:
+        wrong = instants_s[np.argmax(np.abs(places - KEYFRAMES / 2))]
+        expected = f"{FIRST_S:.3f} to {LASTS_S:g} s, for which the scene is drawn"
+        raise BadRecordingError(f"found the instant {wrong:.4f} s", expected, "record fewer ticks")
+    return np.clip(places, 0, KEYFRAMES - 1)
+
+
+def _around(span_s: Floats) -> tuple[int, int]:
+    first, last = _places(span_s)
+    return int(first), int(np.ceil(last))
+
+
+def _chunk_name(chunk: int) -> str:
+    return f"light_{chunk:04d}"

@@ -1,0 +1,102 @@
+"""The path tracer against light that is known in closed form; skipped where the extra is not installed."""
+
+import json
+
+import numpy as np
+import pytest
+
+from acquisition.devices.open import Simulation
+from acquisition.scenes.bodies import about
+from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.realistic.meshes import ball, box, sheet
+from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, Finish, Lamp, Setting, Thing
+from acquisition.session.record import simulate
+from rigs.toml import catalog_rig
+
+for needed in ("mitsuba", "pybullet", "skimage"):
+    pytest.importorskip(needed, reason="needs the extra `realistic`: pip install 'spike4dgs[realistic]'")
+pytestmark = pytest.mark.slow
+
+CAMERA = catalog_rig("lab3x3").scaled(40, 25).camera("cam11")
+CORNERS = ((-3.0, -3.0, -1.0), (3.0, 3.0, 3.0))
+WALL = sheet((0, 0, 2.5), (6, 0, 0), (0, -6, 0))
+BEHIND = Lamp((0.0, 0.0, -0.5), (3.0, 0, 0), (0, 3.0, 0), 0.25)
+PIXELS = np.arange(CAMERA.width * CAMERA.height, dtype=np.uint32)
+
+
+def painted(things, rays=4, **light):
+    from acquisition.scenes.realistic.painter import Painter, paint
+
+    painter = Painter(Setting(tuple(things), CORNERS, **light))
+    painter.stand(0.0)
+    return painter, paint(painter, painter.whole, CAMERA, PIXELS, rays, 1).light.reshape(CAMERA.height, CAMERA.width)
+
+
+def test_a_matt_wall_before_a_boundless_lamp_has_its_albedo_times_the_lamp():
+    panel = Lamp((0.0, 0.0, -0.5), (150.0, 0, 0), (0, 150.0, 0), 0.5)
+    _, light = painted([Thing("wall", WALL, Finish((0.0, 0.4)))], 40, lamps=(panel,))
+    assert light.mean() == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_far_lamp_is_a_sun():
+    sun = Lamp((0.0, 0.0, -40.0), (0.4, 0, 0), (0, 0.4, 0), 0.6 * np.pi * 42.5**2 / 0.64)
+    _, light = painted([Thing("wall", WALL, Finish((0.0, 0.5)))], lamps=(sun,))
+    np.testing.assert_allclose(light, 0.3, rtol=0.01)
+
+
+def test_a_small_lamp_falls_off_with_the_square_of_its_distance():
+    lamp = Lamp((0.0, 0.0, 1.0), (0.01, 0, 0), (0, -0.01, 0), 100.0)  # it turns its back on the wall
+    turned = Lamp((0.0, 0.0, 1.0), (0.01, 0, 0), (0, 0.01, 0), 100.0)
+    wall = Thing("wall", WALL, Finish((0.0, 0.5)))
+    _, light = painted([wall], lamps=(turned,))
+    x, y = 2.5 * (26.5 - CAMERA.cx) / CAMERA.fx, 2.5 * (2.5 - CAMERA.cy) / CAMERA.fy
+    square = x**2 + y**2 + 1.5**2
+    assert light[2, 26] == pytest.approx(0.5 / np.pi * 100 * 4e-4 * 1.5**2 / square**2, rel=0.03)
+    assert painted([wall], lamps=(lamp,))[1][2, 26] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_mirror_shows_what_is_behind_the_camera():
+    mirror = Thing("mirror", WALL, Finish((0.0, 0.0), mirror=0.9))
+    _, light = painted([mirror], lamps=(BEHIND,), bounces=2)
+    np.testing.assert_allclose(light[5:20, 8:32], 0.9 * 0.25, rtol=1e-4)
+
+
+def test_depth_and_objects_are_those_of_the_centre_rays():
+    from acquisition.scenes.realistic.painter import look
+
+    poses = np.tile(np.c_[np.eye(3), (0.0, 0.0, 2.0)], (KEYFRAMES, 1, 1))
+    painter, _ = painted(
+        [Thing("wall", WALL, Finish((0.0, 0.4))), Thing("ball", ball(0.5), Finish((0.0, 0.4)), poses)], lamps=(BEHIND,)
+    )
+    depth, objects = look(painter, CAMERA)
+    assert depth[0, 0] == pytest.approx(2.5, rel=1e-5)
+    assert depth[12, 20] == pytest.approx(1.5, abs=0.003)
+    assert (objects[0, 0], objects[12, 20]) == (1, 2)
+
+
+def test_what_no_mover_reaches_is_the_same_in_every_frame():
+    from acquisition.scenes.realistic.studio import CHUNK, Studio
+
+    poses = np.stack([np.c_[about(1, 0.1 * k), (-0.5 + 0.002 * k, 0.0, 1.6)] for k in range(KEYFRAMES)])
+    lamp = Lamp((0.0, -1.4, 1.0), (0.1, 0, 0), (0, 0, -0.1), 30.0)
+    things = [Thing("wall", WALL, Finish((0.0, 0.5))), Thing("box", box((0.1, 0.1, 0.1)), Finish((0.0, 0.8)), poses)]
+    light = Studio(Setting(tuple(things), CORNERS, lamps=(lamp,))).draw({"a": CAMERA}, 5)["a"]
+    assert light.shape == (CHUNK, CAMERA.height, CAMERA.width)
+    spread = np.ptp(light, axis=0)
+    assert (spread[:, 26:] == 0).all()
+    assert spread[:, :20].max() > 0.02
+
+
+def test_a_realistic_scene_is_recorded_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPIKE4DGS_CACHE", str(tmp_path / "cache"))
+    rig = catalog_rig("lab3x3").scaled(40, 25)
+    simulate(Simulation("plain_room", seed=1, truth_every=4), rig, 8, tmp_path / "rec")
+    said = json.loads((tmp_path / "rec/truth/scene.json").read_text())
+    assert {mover["name"] for mover in said["movers"]} == {"ball", "duck"}
+    light, depth = (np.load(tmp_path / f"rec/truth/cam11/{name}000004.npy") for name in ("", "depth_"))
+    assert 0.1 < light.mean() < 0.4
+    assert 1.2 < depth.min() < depth.max() < 3.4
+    room = build_scene("plain_room", 1)
+    shown = room.view(rig.camera("cam11"), 2).light(np.array([FIRST_S + 41 * KEYFRAME_S]))
+    np.testing.assert_array_equal(shown[0], light)
+    assert len(list((tmp_path / "cache").rglob("light_*.npy"))) == 9 * 2 + 2
