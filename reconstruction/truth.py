@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.scenes.own import OWN_FILE
 from reconstruction.errors import BadRunError
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
@@ -28,13 +30,16 @@ class TruthFrame:
 class Truth:
     """A truth folder; `white` is the data range of every metric, `movers` the object ids that move.
 
-    `metre` is the length of a metre of the truth in the frame it is compared in.
+    `metre` is the length of a metre of the truth in the frame it is compared in, `gain` a light of 1 in units
+    of that frame, and `lag_ticks` how much later it is there.
     """
 
     path: Path
     white: float
     movers: tuple[int, ...]
     metre: float = 1.0
+    gain: float = 1.0
+    lag_ticks: float = 0.0
 
     @classmethod
     def open(cls, path: Path) -> Truth:
@@ -59,6 +64,7 @@ class Truth:
             intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError(f"found no readable truth at plane {plane}", "it whole", where=folder) from error
+        intensity = intensity if self.gain == 1 else intensity * np.float32(self.gain)
         return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
@@ -68,6 +74,21 @@ class Truth:
             return np.load(file)
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError("found no readable blurred image", "one at each plane of truth", where=file) from error
+
+    def seen_by(self, views: Sequence[str]) -> Truth:
+        """Return the truth as the cameras `views` have it on average: their geometric mean gain, and their mean lag.
+
+        A scene that they alone have shown is in no other unit of light and on no other clock.
+        """
+        file = self.path / OWN_FILE
+        own = json.loads(file.read_text()) if file.exists() else {}
+        if not set(views) <= set(own):
+            return self
+        gain = float(np.exp(np.mean([np.log(own[view]["gain"]) for view in views])))
+        white = self.white * gain
+        return replace(
+            self, white=white, gain=gain, lag_ticks=float(np.mean([own[view]["lag_ticks"] for view in views]))
+        )
 
     def cameras(self, tick_rate_hz: float) -> Rig | None:
         """Return the true cameras; None in a truth that does not have them."""

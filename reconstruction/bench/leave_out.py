@@ -35,7 +35,7 @@ SCORES = ("psnr_db", "dynamic_psnr_db")
 OMISSIONS = (
     f"one seed a case; clips of {SIZE[0]}x{SIZE[1]}",
     "colour: three channels; the third-degree harmonics that the plan's bytes are against are not in the engine",
-    "pixels, light: nothing to switch",
+    "pixels, light: nothing to switch; no case has maps of its pixels",
 )
 
 
@@ -63,7 +63,8 @@ class Arm:
 class PlanCase:
     """A recording of `ticks` planes; `switches` are the arms that decide otherwise, named by the decision.
 
-    `dead`: a camera whose planes are empty. `everything`: choices of the arm `all` beyond EVERYTHING.
+    `dead`: a camera whose planes are empty. `devices`: how the simulated cameras differ from the plain ones.
+    `everything`: choices of the arm `all` beyond EVERYTHING.
     """
 
     name: str
@@ -72,6 +73,7 @@ class PlanCase:
     switches: tuple[Arm, ...] = ()
     ticks: int = TICKS
     dead: str | None = None
+    devices: dict[str, Any] = field(default_factory=dict)
     everything: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -86,6 +88,7 @@ EVERYTHING: dict[str, Any] = {
     "images": "adaptive",
     "supervision": "image-variation",
     "refine": "on",
+    "gains": "on",
     "tick_stride": 1,
 }
 AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses dark recordings
@@ -96,10 +99,12 @@ ALL_VIEWS = Arm("views", {"views": VIEWS})
 GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
 BLIND = Arm("blind", blind=True)
 UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a model that was asked for
+UNLIKE: dict[str, Any] = {"camera_gains": 0.05, "camera_lags": 4.0}
 CASES = (
     PlanCase("static", "static", 101, (MOTION, Arm("supervision", {"supervision": "image-variation"}))),
     PlanCase("mono", "fan_and_ball", 1, (COLOUR,)),
-    PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}),)),
+    PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}), Arm("gains", {"gains": "on"}))),
+    PlanCase("unlike-cameras", "fan_and_ball", 1, (Arm("gains", {"gains": "off"}),), devices=UNLIKE),
     PlanCase("few-movers", "stiff", 101, (IMAGES, Arm("instants", {"tick_stride": 1}))),
     PlanCase("dim", "dim", 101, (MOTION,), ticks=800, everything=AS_GIVEN),
     PlanCase("one-dead-view", "fan_and_ball", 3, (ALL_VIEWS,), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}),
@@ -234,12 +239,13 @@ def _measured(job: Job) -> dict:
 
 def recorded(case: PlanCase, work: Path) -> Path:
     """Return the recording of a case in `work`, simulated where there is none; a dead camera's planes are zeros."""
-    path = work / f"{case.scene}-{case.seed}-{case.ticks}{f'-no-{case.dead}' if case.dead else ''}"
+    unlike = "".join(f"-{name}-{value:g}" for name, value in case.devices.items())
+    path = work / f"{case.scene}-{case.seed}-{case.ticks}{f'-no-{case.dead}' if case.dead else ''}{unlike}"
     if path.exists():
         return path
     rig = catalog_rig("lab3x3").scaled(*SIZE)
     with made_aside(path) as aside:
-        apart(partial(simulate, Simulation(case.scene, case.seed), rig, case.ticks, aside))
+        apart(partial(simulate, Simulation(case.scene, case.seed, **case.devices), rig, case.ticks, aside))
         if case.dead:
             file = aside / Recording.open(aside).manifest.camera(case.dead).file
             file.write_bytes(bytes(file.stat().st_size))

@@ -56,7 +56,7 @@ def score_against_truth(
 ) -> dict[str, float]:
     """Return means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
     clock, frames = held_out.recording.rig.clock, _frames(held_out, truth, instants)
-    views = (cloud.look(held_out.camera, clock.instant_s(frame.plane)) for frame in frames)
+    views = (cloud.look(held_out.camera, clock.instant_s(frame.plane - truth.lag_ticks)) for frame in frames)
     return _mean([score_view(view, frame, truth.white) for view, frame in zip(views, frames, strict=True)])
 
 
@@ -97,16 +97,17 @@ def held_out_camera(
 
     With truth it is the true camera, carried by the similarity that lays the true `views` on those of the recording's
     rig, with the factor of the focal length that those were found with; where they are the true ones, nothing changes.
+    The truth is in the light and on the clock that `views` have on average. No spike of the camera itself is read.
     """
     rig = recording.rig
     true = truth.cameras(rig.tick_rate_hz) if truth else None
     if truth is None or true is None or not {camera_id, *views} <= set(true.ids):
-        return HeldOut(rig.camera(camera_id), recording), truth
+        return HeldOut(rig.camera(camera_id), recording), truth and truth.seen_by(views)
     similarity = align(true.only(views), rig.only(views))
     camera = similarity.carry_rig(true.only([camera_id])).cameras[0]
     factor = float(np.mean([rig.camera(view).fx / true.camera(view).fx for view in views]))
     lens = {"fx": camera.fx * factor, "fy": camera.fy * factor}
-    return HeldOut(replace(camera, **lens), recording), replace(truth, metre=similarity.scale)
+    return HeldOut(replace(camera, **lens), recording), replace(truth.seen_by(views), metre=similarity.scale)
 
 
 def placed_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:

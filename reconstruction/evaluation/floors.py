@@ -20,13 +20,13 @@ from reconstruction.initialization.sweep import (
     neighbours,
     sweep_view,
 )
+from reconstruction.initialization.warping import sampled
 from reconstruction.scene_model import View
 from rigs.camera import Camera
 
 Image = NDArray[np.float32]
 Posed = tuple[Camera, Image]
 SPECK_PX = 5  # width of the median filter that removes stray points
-VISIBLE = 0.02  # relative difference in depth up to which a neighbour sees the same surface
 
 
 def nearest_view(wanted: Camera, views: Sequence[Posed]) -> Image:
@@ -42,10 +42,10 @@ def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:
     swept = [sweep_view(view, [other for other in chosen if other is not view], options) for view in chosen]
     maps = consistent(swept, options)
     depth = np.asarray(cv2.medianBlur(_close_holes(_carry(wanted, maps)), SPECK_PX), dtype=np.float32)
-    pairs = [_sample(wanted, depth, view, m) for view, m in zip(chosen, maps, strict=True)]
-    samples, weights = zip(*pairs, strict=True)
-    total = np.sum(weights, axis=0)
-    blend = np.sum([s * w for s, w in zip(samples, weights, strict=True)], axis=0) / np.maximum(total, 1e-9)
+    pairs = [sampled(wanted, depth, image, m) for (_, image), m in zip(chosen, maps, strict=True)]
+    samples, visible = zip(*pairs, strict=True)
+    total = np.sum(visible, axis=0)
+    blend = np.sum([s * v for s, v in zip(samples, visible, strict=True)], axis=0) / np.maximum(total, 1e-9)
     plain = np.mean(samples, axis=0)
     return View(np.where(total > 0, blend, plain).astype(np.float32), depth)
 
@@ -78,17 +78,3 @@ def _close_holes(depth: Image) -> Image:
         grown = cv2.dilate(np.where(missing, -1, filled).astype(np.float32), kernel)
         filled[missing & (grown > 0)] = grown[missing & (grown > 0)]
     return filled
-
-
-def _sample(wanted: Camera, depth: Image, view: Posed, depth_map: DepthMap) -> tuple[Image, Image]:
-    """Return the neighbour's pixels along `depth` [H, W] and their weights: 1 where it sees that surface, else 0."""
-    camera, image = view
-    seen = camera.cam_from_rig.apply(back_project(wanted, np.nan_to_num(depth, nan=1.0)))
-    z = np.maximum(seen[..., 2], 1e-6)
-    x = (seen[..., 0] / z * camera.fx + camera.cx - 0.5).astype(np.float32)
-    y = (seen[..., 1] / z * camera.fy + camera.cy - 0.5).astype(np.float32)
-    sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    there = cv2.remap(depth_map.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
-    with np.errstate(invalid="ignore"):
-        visible = np.abs(there / z - 1) < VISIBLE
-    return np.asarray(sampled, np.float32), (visible & np.isfinite(depth)).astype(np.float32)

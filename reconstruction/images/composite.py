@@ -1,7 +1,9 @@
 """The best statistic for each pixel: everything recorded where nothing moves, a short image where something does."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -71,6 +73,14 @@ class CompositeSource:
         """Return the light [H, W] that pixels gathered over planes [first, last), in spikes."""
         length, counts = np.float32(last - first), self.stream.counts(first, last).astype(np.float32)
         return self.response.light(counts / length) * length if self.response else counts
+
+    def dimmed(self, gain: float) -> CompositeSource:
+        """Return the images of a camera that sees `gain` times the light, with that taken out of images and counts."""
+        if gain == 1:
+            return self
+        still = replace(self.background, image=self.background.image / np.float32(gain))
+        response = self.response or Response.even(self.moving.shape)
+        return replace(self, background=still, response=response.times(gain), kept={})
 
     def useless(self, last: int) -> NDArray[np.bool_]:
         """Return which pixels [H, W] are of no use in planes before `last`."""

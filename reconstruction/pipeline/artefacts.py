@@ -1,7 +1,7 @@
 """The artefacts that several stages read, each by the one file name it has in a run folder.
 
 The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND, UNEVEN, and RESPONSE for the views that are;
-points STILL, MOVERS, DEPTH, EMPTY for the views that are, and BODIES for the model `bases`; train checkpoint.pt,
+points STILL, MOVERS, DEPTH, GAINS, EMPTY for the views that are, and BODIES for the model `bases`; train checkpoint.pt,
 snapshots/ and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/,
 viewer.json, viewer.bin.
 """
@@ -38,6 +38,7 @@ EMPTY = "points/empty_{view}"  # pixels [H, W] in which nothing is, and nothing 
 BACKGROUND = "images/{field}_{view}"  # a `Background`
 RESPONSE = "images/response_{field}_{view}"  # a `Response` of a view whose pixels are not all alike and good
 UNEVEN = "images/uneven"  # which of the plan's views [V] have one
+GAINS = "points/gains"  # the gains [V] of the plan's views where they were found to differ, else ones
 STILL, MOVERS = "points/still_{field}", "points/moving_{field}"  # `Points`
 BODIES = "points/bodies_{field}"  # `Bodies`
 FOUND_RIG, REFINED_RIG, HELD_OUT_RIG = "poses/rig.toml", "poses/refined.toml", "poses/held_out.toml"
@@ -62,13 +63,19 @@ def read(run: RunFolder, name: str, kind: type[Arrays], view: str = "") -> Array
     return kind(*(run.read_array(name.format(field=f.name, view=view)) for f in fields(kind)))  # pyright: ignore[reportArgumentType]
 
 
-def read_sources(run: RunFolder, recording: Recording) -> dict[str, CompositeSource]:
-    """Return the images of every training view, by its id, from the artefacts of the plan and images stages."""
+def read_sources(run: RunFolder, recording: Recording, *, gained: bool = True) -> dict[str, CompositeSource]:
+    """Return the images of every training view, by its id, from the artefacts of the plan and images stages.
+
+    `gained`: with the gains that the points stage has found taken out.
+    """
     plan, light, responses, sources = run.plan, read_light(run), read_responses(run), {}
     for view in plan.views:
         stream, moving = recording.stream(view), run.read_array(MOVING.format(view=view))
         method, still = short_images(plan, stream, moving), read(run, BACKGROUND, Background, view)
         sources[view] = CompositeSource(stream, still, moving, method, light, response=responses.get(view))
+    if gained and run.has_array(GAINS):
+        gains = dict(zip(plan.views, run.read_array(GAINS).tolist(), strict=True))
+        return {view: source.dimmed(gains[view]) for view, source in sources.items()}
     return sources
 
 

@@ -29,6 +29,7 @@ from reconstruction.initialization.sweep import (
 from reconstruction.initialization.texture import judge_poses, textured
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
+from reconstruction.pipeline.gains import even_cameras
 from reconstruction.run.document import BodyCounts
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
@@ -41,7 +42,7 @@ MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Sweep the still scene once and the movers at several instants; raises StereoError when too little agrees."""
-    plan, sources = run.plan, artefacts.read_sources(run, recording)
+    plan, sources = run.plan, artefacts.read_sources(run, recording, gained=False)
     rng = np.random.default_rng(run.config.seed)
     cameras = [recording.rig.camera(view) for view in plan.views]
     planes = moving_planes(recording.planes, plan.model)
@@ -49,6 +50,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     rounds = 1 + len(swept)
     still = _still_points(run, sources, cameras, rng, lambda message: progress(1 / rounds, message))
     artefacts.write(run, artefacts.STILL, still)
+    sources = artefacts.read_sources(run, recording)
     parts = []
     count = plan.moving_gaussians // (CANONICAL if len(swept) == 1 else INSTANTS)
     for i, plane in enumerate(swept):
@@ -92,7 +94,7 @@ def _still_points(
 ) -> Points:
     """Sweep the backgrounds, and keep each view's depth where two others confirm it and nothing ever moves."""
     whites = [source.white for source in sources.values()]
-    maps, stills, sure = _still_maps(sources, cameras, rng, report)
+    maps, stills, sure = _still_maps(run, sources, cameras, rng, report)
     voids = [empty(image, mask, float(np.mean(whites))) for image, mask in zip(stills, sure, strict=True)]
     for (view, source), found, void in zip(sources.items(), maps, voids, strict=True):
         still = source.background.trusted & ~source.moving & ~void
@@ -109,18 +111,24 @@ def _still_points(
 
 
 def _still_maps(
+    run: RunFolder,
     sources: Mapping[str, CompositeSource],
     cameras: Sequence[Camera],
     rng: np.random.Generator,
     report: Callable[[str], None],
 ) -> tuple[list[DepthMap], list[Image], list[NDArray[np.bool_]]]:
-    """Return each view's depth of the still scene, its background as it was swept, and where that has texture."""
+    """Return each view's depth of the still scene, its background as it was swept, and where that has texture.
+
+    The gains of the cameras are found on the way, and taken out of the backgrounds.
+    """
     sides = [calm_side(s.background.image, len(s.stream)) for s in sources.values()]
     stills = [calmed(s.background.image, side) for s, side in zip(sources.values(), sides, strict=True)]
     noise = NOISE * dimming(float(np.mean([source.white for source in sources.values()])))
     usual = SweepOptions(*depth_range_m(cameras), noise=noise)
     options = searched(cameras, stills, usual)
     maps = swept_maps(cameras, stills, options)
+    sources = even_cameras(run, sources, maps)
+    stills = [calmed(s.background.image, side) for s, side in zip(sources.values(), sides, strict=True)]
     noises = [_noise(source) / np.float32(side) for source, side in zip(sources.values(), sides, strict=True)]
     sure = [textured(image, noise, options) for image, noise in zip(stills, noises, strict=True)]
     report(f"still scene: {judge_poses(maps, sure)}")

@@ -121,9 +121,11 @@ def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
         placed = ", which its other windows have placed after training" if held_out.resected else ""
         note = f"no truth: errors of spike counts over 32-plane windows of the held-out camera{placed}"
         return {"held_out": held_out.camera.id, "note": note, **scores}
+    own = {"matched_gain": truth.gain, "matched_lag_ticks": truth.lag_ticks}  # of the truth, to the training cameras'
     return {
         "held_out": held_out.camera.id,
         "white": truth.white,
+        **(own if own != {"matched_gain": 1.0, "matched_lag_ticks": 0.0} else {}),
         **scores,
         **score_floors(held_out, truth, read_sources(trained.run, trained.recording), progress),
         **_pose_scores(trained.run, known),

@@ -19,7 +19,7 @@ from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.points_stage import moving_planes
 from reconstruction.pipeline.watch import Watch
 from reconstruction.rendering.render import Backend
-from reconstruction.run.decisions import Decision
+from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.document import EarlyEnd, Elements
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS, Work
@@ -29,6 +29,7 @@ from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.exposure import FROM
+from reconstruction.training.lags import Lags
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
 from reconstruction.training.view import TrainingView
 from reconstruction.truth import Truth
@@ -135,6 +136,7 @@ def trainer_of(
         tick_stride=run.config.tick_stride,
         image_planes=plan.window if plan.images == "interpolated" else 1,
         refines=plan.refine,
+        times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays,
         ends_early=method.training.ends_early and run.config.steps is None,
         backend=backend,
     )
@@ -191,11 +193,24 @@ def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
             choice, saves_s = "one instant an image", Work(*size, None, trainer.steps).second_instants_s(1 - FROM)
         facts = {"passed_px": passed_px, "planes": planes}
         run.amend("train", Decision("exposure", choice, reason, "none", saves_s, facts=facts))
+    if trainer.lags and trainer.lags.looks:
+        run.amend("train", _lags(trainer.lags, plan=run.plan))
     if trainer.refinement:
         artefacts.write_rig(run.path / artefacts.REFINED_RIG, trainer.refinement.refined(recording.rig))
         run.document.refinement = trainer.refinement.report()
     run.document.steps = trainer.steps
     run.document.elements = Elements(cloud.unit.lower(), len(cloud.still), len(cloud.moving))
+
+
+def _lags(lags: Lags, plan: Plan) -> Decision:
+    """Return the decision on the lags of the views of `plan`, as the last look found them."""
+    sd = float(np.sqrt(np.mean(lags.sds**2)))
+    reason = f"movers are seen {lags.spread:.2f} ticks apart from camera to camera, known to {sd:.2f}"
+    if not lags.ticks.any():
+        return Decision("lags", "taken as alike", reason, "--gains")
+    choice = f"each camera's own, {lags.ticks.min():+.2f} to {lags.ticks.max():+.2f} ticks"
+    facts = {"sd": sd, **dict(zip(plan.views, lags.ticks.tolist(), strict=True))}
+    return Decision("lags", choice, reason, "--gains", facts=facts)
 
 
 def _given(view: str, source: CompositeSource, recording: Recording, images: str) -> GivenSource:

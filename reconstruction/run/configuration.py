@@ -28,6 +28,7 @@ CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "supervision": ("auto", *SUPERVISIONS),
         "refine": ("auto", "on", "off"),
         "pixels": ("auto", *PIXELS),
+        "gains": ("auto", "on", "off"),
     }
 )
 RENAMED = {"variation": "image-variation"}  # supervisions of run folders written before the first had another meaning
@@ -39,9 +40,9 @@ class ReconstructionConfig:
 
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
-    lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `dust3r_checkpoint`: the file with
-    the user's weights, for the initialiser of that name. `window`: planes of the short images of movers (None: as the
-    plan says). Raises BadRunError naming the field.
+    lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `gains`: whether each camera has a
+    gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
+    `window`: planes of the short images of movers (None: as the plan says). Raises BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -57,6 +58,7 @@ class ReconstructionConfig:
     tick_stride: int = 4
     refine: str = "auto"
     pixels: str = "auto"
+    gains: str = "auto"
     dust3r_checkpoint: str | None = None
     window: int | None = None
 

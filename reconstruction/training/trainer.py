@@ -24,6 +24,7 @@ from reconstruction.training.ending import Ending
 from reconstruction.training.exposure import Exposure
 from reconstruction.training.freeing import freed, freed_states
 from reconstruction.training.image_term import ImageTerm
+from reconstruction.training.lags import Lags
 from reconstruction.training.optimizer import anneal, optimizer_of
 from reconstruction.training.ray_term import RAYS, RayTerm
 from reconstruction.training.refinement import Refinement
@@ -43,7 +44,8 @@ class TrainerSettings:
 
     `supervision`: a name of `supervisions()`, or RAYS. `training`: the way of the method. `white`: data range in spikes
     per tick. `tick_stride`: planes between the instants at which images are compared. `image_planes`: planes that a
-    target image is the mean of. `refines`: whether poses, gains and lags of the views are learnt too. `ends_early`:
+    target image is the mean of. `refines`: whether poses, gains and lags of the views are learnt too. `times`: whether
+    lags alone are looked for, where they are not learnt. `ends_early`:
     whether a training that no longer gains ends before its budget. `backend`: native for float32; the reference trains
     in any float type.
     """
@@ -54,6 +56,7 @@ class TrainerSettings:
     tick_stride: int = 1
     image_planes: int = 1
     refines: bool = False
+    times: bool = False
     ends_early: bool = False
     backend: Backend = "native"
 
@@ -77,9 +80,12 @@ class Trainer:
         self.optimizer = optimizer_of(cloud, self.units)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
         self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
+        self.lags = Lags(len(views), clock, settings.backend) if settings.times and not settings.refines else None
         self.views = self._corrected(views)
 
     def _corrected(self, views: Sequence[TrainingView]) -> Sequence[TrainingView]:
+        if self.lags:
+            return [replace(v, corrected=partial(self.lags.seen, view=i)) for i, v in enumerate(views)]
         if not self.refinement:
             return views
         return [replace(v, corrected=partial(self.refinement.seen, view=i)) for i, v in enumerate(views)]
@@ -90,6 +96,8 @@ class Trainer:
         anneal(self.optimizer, done, self.cloud.advance(done), way.canonical_until)
         if self.exposure:
             self.exposure.look(self.cloud, [view.camera for view in self.views], done)
+        if self.lags:
+            self.lags.look(self.cloud, self.views, done)
         due = self.spikes if self.steps % way.spikes.every == way.spikes.every - 1 else None
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
@@ -132,6 +140,7 @@ class Trainer:
             "ending": self.ending.state() if self.ending else None,
             "passed_px": self.exposure.passed_px if self.exposure else None,
             "refinement": self.refinement.state() if self.refinement else None,
+            "lags": self.lags.state() if self.lags else None,
         }
 
     def restore(self, state: dict) -> None:
@@ -147,6 +156,8 @@ class Trainer:
             self.exposure.passed_px = state.get("passed_px")
         if self.refinement and state.get("refinement"):
             self.refinement.restore(state["refinement"])
+        if self.lags and state.get("lags"):
+            self.lags.restore(state["lags"])
 
     def unsettle(self, views: Sequence[TrainingView], which: Tensor) -> None:
         """Go on with other targets, and with the still Gaussians of the mask `which` [N] as moving ones."""

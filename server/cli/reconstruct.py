@@ -23,6 +23,7 @@ _MORE = {  # of the help of a choice
     "init": "; auto is natural for a nominal rig",
     "supervision": "; both compares images and counts",
     "pixels": "; maps are those of calibrate --pixels",
+    "gains": "; a gain and a lag of each camera, where the recording tells them",
     "refine": "; learn poses, gains and lags beside the Gaussians",
 }
 _choices = (

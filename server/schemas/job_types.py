@@ -86,6 +86,7 @@ class ReconstructRequest(OfCapture):
     supervision: Annotated[str, _choice("supervision")] = "auto"
     refine: Annotated[str, _choice("refine")] = "auto"
     pixels: Annotated[str, _choice("pixels")] = "auto"
+    gains: Annotated[str, _choice("gains")] = "auto"
     holdout: CameraId | None = None
     views: Annotated[list[CameraId] | None, Field(min_length=2, max_length=100)] = None
     tick_stride: Annotated[int | None, Field(ge=1, le=10_000)] = None
