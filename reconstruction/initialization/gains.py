@@ -81,7 +81,7 @@ def _solved(count: int, rows: NDArray[np.float64], values: NDArray[np.float64], 
 def _ratio(one: DepthMap, image: Image, still: Mask, other: DepthMap, others: Image) -> tuple[float, float]:
     """Return the median log ratio of one view's light to the other's, and its deviation; infinite for too few."""
     there, visible = sampled(one.camera, one.depth, others, other)
-    pixels = visible & still & (image > DARKEST) & (there > DARKEST)
+    pixels = visible & still & (np.minimum(image, there) > DARKEST) & (np.maximum(image, there) < np.inf)
     found = int(pixels.sum())
     if found < LEAST_PX:
         return 0.0, np.inf
