@@ -36,8 +36,13 @@ Mask = NDArray[np.bool_]
 
 def is_scarce(stream: SpikeStream) -> bool:
     """Return whether the pixels that see light fire too seldom to be judged one by one."""
+    return lit_spikes(stream) < SCARCE
+
+
+def lit_spikes(stream: SpikeStream) -> float:
+    """Return the mean number of spikes of the pixels that see light."""
     counts = stream.counts(0, len(stream))
-    return float(counts[counts >= LIT * np.percentile(counts, 99)].mean()) < SCARCE
+    return float(counts[counts >= LIT * np.percentile(counts, 99)].mean())
 
 
 def changing(stream: SpikeStream, light: Light) -> Mask:

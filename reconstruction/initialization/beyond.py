@@ -19,7 +19,7 @@ from reconstruction.images.composite import shrunk
 from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions, neighbours, sweep_view
 from rigs.camera import Camera
 
-PROBE_SCALE = 4  # shrinking of the view that is looked at first
+PROBE_SCALE, PROBE_PX = 4, 100  # most by which the view that is looked at first is shrunk, and its least width
 FARTHEST = 60.0  # usual far depths up to which is searched; a hypothesis step from infinity
 SHELL = 4.0  # usual far depths at which an even sky is put, at least
 OPEN_SHARE = 0.004  # share of a view beyond the usual depths, from which a scene is open
@@ -28,6 +28,7 @@ BETTER = 0.05  # by which the cost of a depth beyond must be below the best of t
 EVEN = 0.1  # standard deviation of a sky's light, as a share of it
 LEAST_PX = 200  # connected pixels of a sky, or of nothing
 DARK = 0.01  # light of an empty area, as a share of white, beside the dark current
+WINDOW_PX = 4  # how far from an edge a window of the sweep still sees it, and a pixel more
 LEAST_WHITE = 20 * DARK_LEVEL  # spikes per tick
 Mask = NDArray[np.bool_]
 
@@ -51,7 +52,8 @@ def is_open(options: SweepOptions, usual: SweepOptions) -> bool:
 
 def share_beyond(cameras: Sequence[Camera], images: Sequence[Image], usual: SweepOptions) -> float:
     """Return the share of the first view's pixels that match well beyond the usual depths, and better than within."""
-    small = [c.scaled(max(1, c.width // PROBE_SCALE), max(1, c.height // PROBE_SCALE)) for c in cameras]
+    shrink = max(1, min(PROBE_SCALE, cameras[0].width // PROBE_PX))
+    small = [c.scaled(max(1, c.width // shrink), max(1, c.height // shrink)) for c in cameras]
     near = [j + 1 for j in neighbours(small[0], small[1:])]
     views = [(small[i], shrunk(images[i], small[i])) for i in (0, *near)]
     coarse = replace(usual, planes=max(2, usual.planes // 2))
@@ -88,9 +90,13 @@ def sky(image: Image, textured: Mask) -> Mask:
 
 
 def empty(image: Image, textured: Mask, white: float) -> Mask:
-    """Return the large areas [H, W] without texture or light: nothing is there. None are told in a very dim scene."""
-    dark = ~textured & (image < DARK * white + DARK_LEVEL) & (white >= LEAST_WHITE)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=4)
+    """Return the large areas [H, W] without texture or light, up to what they surround: nothing is there.
+
+    None are told in a very dim scene.
+    """
+    dark = (image < DARK * white + DARK_LEVEL) & (white >= LEAST_WHITE)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((dark & ~textured).astype(np.uint8), connectivity=4)
     large = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= LEAST_PX
     large[0] = False
-    return large[np.asarray(labels, dtype=np.intp)]
+    inside = large[np.asarray(labels, dtype=np.intp)].astype(np.uint8)
+    return dark & (cv2.dilate(inside, np.ones((2 * WINDOW_PX + 1,) * 2, np.uint8)) > 0)

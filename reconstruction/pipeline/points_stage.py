@@ -30,6 +30,7 @@ from reconstruction.initialization.texture import judge_poses, textured
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.gains import even_cameras
+from reconstruction.run.decisions import Decision
 from reconstruction.run.document import BodyCounts
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
@@ -101,6 +102,10 @@ def _still_points(
         run.write_array(artefacts.DEPTH.format(view=view), np.where(still, found.depth, np.float32(np.nan)))
         if void.any():
             run.write_array(artefacts.EMPTY.format(view=view), void & ~source.moving)
+    if any(void.any() for void in voids):
+        share = float(np.mean([void.mean() for void in voids]))
+        reason = f"{share:.1%} of the pixels see neither light nor texture"
+        run.amend("points", Decision("darkness", "kept empty", reason, "none", facts={"share": share}))
     masks = [source.background.trusted & ~void for source, void in zip(sources.values(), voids, strict=True)]
     points = sample_points([filled(m) for m in maps], stills, masks, run.plan.still_gaussians, 0.0, rng)
     if len(points) < LEAST_POINTS:
@@ -134,6 +139,8 @@ def _still_maps(
     report(f"still scene: {judge_poses(maps, sure)}")
     if is_open(options, usual):
         maps, sure = with_sky(maps, stills, sure, usual)
+        reason = f"a view matches better beyond {usual.far_m:.1f} m than within"
+        run.amend("points", Decision("depths", "searched to infinity", reason, "none", facts={"usual_m": usual.far_m}))
     return with_planes(maps, stills, noises, sure, options, rng), stills, sure
 
 

@@ -11,6 +11,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.images.background import moving_pixels
 from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.methods.interpolated import PLANES
+from reconstruction.images.scarce import SCARCE, lit_spikes
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
@@ -43,6 +44,7 @@ def make_plan(
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
     masks = {view: moving_pixels(streams[view], light) for view in views}
+    _say_scarce([streams[view] for view in views], decisions)
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
     method = METHODS[model]
@@ -100,6 +102,15 @@ def _choose_targets(
         reason = "at equal time no spike term gained on the development scenes; one renders three instants a step"
         decisions.append(Decision("supervision", supervision, reason, "--supervision", work.instants_s()))
     return images, supervision
+
+
+def _say_scarce(streams: Sequence[SpikeStream], decisions: list[Decision]) -> None:
+    """Say where pixels are judged in squares, because they fire too seldom (`images.scarce`)."""
+    spikes = [lit_spikes(stream) for stream in streams]
+    if seldom := sum(n < SCARCE for n in spikes):
+        reason = f"{np.mean(spikes):.1f} spikes a lit pixel in the clip, fewer than {SCARCE:g} in {seldom} views"
+        facts = {"spikes": float(np.mean(spikes)), "views": seldom}
+        decisions.append(Decision("few spikes", "counts of squares of pixels tell movers", reason, "none", facts=facts))
 
 
 def _choose_window(

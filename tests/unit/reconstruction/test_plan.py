@@ -56,6 +56,7 @@ def test_windows_follow_spikes_and_the_plane_rate(every, rate_hz, planes):
     (said,) = (d for d in plan.decisions if d.about == "windows")
     assert (said.choice, said.override) == (f"{planes} planes", "--window")
     assert make_plan(ReconstructionConfig(window=5), rig, dim_streams(every))[0].window == 5
+    assert [d.about == "few spikes" for d in plan.decisions].count(True) == (every == 60)
 
 
 @pytest.mark.parametrize("window", [0, -3, 4])
