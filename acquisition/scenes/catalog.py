@@ -2,8 +2,8 @@
 
 Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They are scored on EVALUATION scenes with
 EVALUATION_SEEDS, which nothing is tuned on. OPEN_AIR scenes develop far, even and empty backgrounds. STRESS scenes have
-one difficulty each; CALIBRATION ones calibrate a rig.
-REALISTIC ones, for development too, are drawn by a path tracer, an extra that is needed only where one is drawn.
+one difficulty each; CALIBRATION ones calibrate a rig. REALISTIC ones, for development, and REALISTIC_EVALUATION ones
+are drawn by a path tracer, an extra that is needed only where one is drawn.
 Every other list of scene names, as of the command line and the benches, is made from these.
 """
 
@@ -16,6 +16,11 @@ from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
 from acquisition.scenes.open_air import black, far, sky
+from acquisition.scenes.realistic.rooms.banner import banner
+from acquisition.scenes.realistic.rooms.chrome_table import chrome_table
+from acquisition.scenes.realistic.rooms.courtyard import courtyard
+from acquisition.scenes.realistic.rooms.dominoes import dominoes
+from acquisition.scenes.realistic.rooms.marbles import marbles
 from acquisition.scenes.realistic.rooms.plain_room import plain_room
 from acquisition.scenes.realistic.rooms.robot_arm import robot_arm
 from acquisition.scenes.realistic.rooms.thrown_things import thrown_things
@@ -60,7 +65,17 @@ CALIBRATION = _listed(
     calibration.board_april_moving,
 )
 REALISTIC = _drawn(plain_room, thrown_things, robot_arm)
-GROUPS = {"realistic": REALISTIC}
+REALISTIC_EVALUATION = _drawn(chrome_table, dominoes, courtyard, banner, marbles)
+PURPOSES = (
+    ("What the cameras see. For development", DEVELOPMENT),
+    ("for evaluation and nothing else", EVALUATION),
+    ("for developing backgrounds", OPEN_AIR),
+    ("for stress", STRESS),
+    ("for calibration", CALIBRATION),
+    ("drawn by a path tracer, which takes minutes the first time, for development", REALISTIC),
+    ("for evaluation and nothing else", REALISTIC_EVALUATION),
+)
+GROUPS = {"realistic": REALISTIC, "realistic-evaluation": REALISTIC_EVALUATION}
 
 
 def scenes_named(words: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 COMMITTED = Path(__file__).with_name("evaluation.json")
+COMMITTED_REALISTIC = Path(__file__).with_name("realistic") / "evaluation.json"
 
 
 def scenes_digest(digests: dict[str, str]) -> str:
@@ -12,6 +13,6 @@ def scenes_digest(digests: dict[str, str]) -> str:
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
 
-def committed_digests() -> dict[str, str]:
+def committed_digests(path: Path = COMMITTED) -> dict[str, str]:
     """Read the digests of the scenes as they were settled, by `name-seed`."""
-    return json.loads(COMMITTED.read_text())
+    return json.loads(path.read_text())

@@ -16,7 +16,7 @@ from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_size, write_config
 from acquisition.recording.verify import verify
-from acquisition.scenes.catalog import CALIBRATION, DEVELOPMENT, EVALUATION, OPEN_AIR, REALISTIC, SCENES, STRESS
+from acquisition.scenes.catalog import PURPOSES, SCENES
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from acquisition.spikes.sensor import SENSOR_KINDS
@@ -44,17 +44,7 @@ class ManyDats(click.Command):
         return super().parse_args(ctx, spread)
 
 
-_SCENES_HELP = "; ".join(
-    f"{purpose}: {' '.join(names)}"
-    for purpose, names in (
-        ("What the cameras see. For development", DEVELOPMENT),
-        ("for evaluation and nothing else", EVALUATION),
-        ("for developing backgrounds", OPEN_AIR),
-        ("for stress", STRESS),
-        ("for calibration", CALIBRATION),
-        ("drawn by a path tracer, which takes minutes the first time, for development", REALISTIC),
-    )
-)
+_SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in PURPOSES)
 
 
 @click.command("simulate")

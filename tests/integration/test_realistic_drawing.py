@@ -4,10 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from maintenance.realistic_digests import setting_digest
 
 from acquisition.devices.open import Simulation
 from acquisition.scenes.bodies import about
 from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.digest import COMMITTED_REALISTIC, committed_digests
 from acquisition.scenes.realistic.meshes import ball, box, sheet
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, Finish, Lamp, Setting, Thing
 from acquisition.session.record import simulate
@@ -100,3 +102,10 @@ def test_a_realistic_scene_is_recorded_by_its_name(tmp_path, monkeypatch):
     shown = room.view(rig.camera("cam11"), 2).light(np.array([FIRST_S + 41 * KEYFRAME_S]))
     np.testing.assert_array_equal(shown[0], light)
     assert len(list((tmp_path / "cache").rglob("light_*.npy"))) == 9 * 2 + 2
+
+
+def test_the_realistic_evaluation_scenes_are_the_committed_ones():
+    found = committed_digests(COMMITTED_REALISTIC)
+    for name in ("marbles-101", "banner-103", "courtyard-102"):
+        scene, seed = name.split("-")
+        assert setting_digest(build_scene(scene, int(seed)).setting) == found[name]

@@ -10,7 +10,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, REALISTIC, SCENES, build_scene
+from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, REALISTIC, REALISTIC_EVALUATION, SCENES, build_scene
 from acquisition.scenes.scene import Scene
 from reconstruction.report.display import grey
 from reconstruction.report.pictures import depth_colours, write_png
@@ -42,7 +42,7 @@ def _three(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def main(out: Path, seed: int, names: tuple[str, ...]) -> None:
     """Write one picture a scene."""
     out.mkdir(parents=True, exist_ok=True)
-    for name in names or [name for name in SCENES if name not in REALISTIC]:
+    for name in names or [name for name in SCENES if name not in (*REALISTIC, *REALISTIC_EVALUATION)]:
         write_png(out / f"{name}.png", contact_sheet(build_scene(name, seed)))
 
 

@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 
 from acquisition.errors import BadRecordingError
-from acquisition.scenes.catalog import REALISTIC, SCENES, build_scene, scenes_named
+from acquisition.scenes.catalog import (
+    EVALUATION_SEEDS,
+    REALISTIC,
+    REALISTIC_EVALUATION,
+    SCENES,
+    build_scene,
+    scenes_named,
+)
+from acquisition.scenes.digest import COMMITTED_REALISTIC, committed_digests
 from acquisition.scenes.realistic import library, scene
 from acquisition.scenes.realistic.cache import LightCache, cache_folder, camera_digest
 from acquisition.scenes.realistic.meshes import ball, box, capsule, drum, read_obj, sheet
 from acquisition.scenes.realistic.scene import DrawnScene
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, LASTS_S, Finish, Setting, Thing
 from acquisition.scenes.realistic.studio import CHUNK, REACH_PX, _grown, chunks_of
+from reconstruction.bench.conventions import seed_of
 from rigs.toml import catalog_rig
 
 RIG = catalog_rig("lab3x3").scaled(16, 10)
@@ -127,7 +136,20 @@ def test_scenes_differ_in_their_digests(cache):
 
 def test_groups_stand_for_their_scenes():
     assert scenes_named("fan,realistic") == ("fan", *REALISTIC)
-    assert len(REALISTIC) == 3
+    assert scenes_named("realistic-evaluation") == REALISTIC_EVALUATION
+    assert (len(REALISTIC), len(REALISTIC_EVALUATION)) == (3, 5)
+
+
+def test_every_evaluation_scene_and_seed_is_written_down():
+    names = {f"{name}-{seed}" for name in REALISTIC_EVALUATION for seed in EVALUATION_SEEDS}
+    found = committed_digests(COMMITTED_REALISTIC)
+    assert set(found) == names
+    assert len(set(found.values())) == len(names)
+
+
+def test_realistic_benches_use_the_seeds_of_their_purpose():
+    assert {seed_of(name) for name in REALISTIC} == {2}
+    assert {seed_of(name) for name in REALISTIC_EVALUATION} == {EVALUATION_SEEDS[0]}
 
 
 def test_things_move_straight_between_keyframes():

@@ -13,6 +13,7 @@ from acquisition.scenes.catalog import (
     EVALUATION_SEEDS,
     OPEN_AIR,
     REALISTIC,
+    REALISTIC_EVALUATION,
     SCENES,
     STRESS,
     build_scene,
@@ -181,7 +182,7 @@ def test_the_marker_is_upright_and_not_mirrored(name):
 
 
 def test_the_lists_are_closed_and_keep_development_from_evaluation():
-    lists = (DEVELOPMENT, EVALUATION, OPEN_AIR, STRESS, CALIBRATION, REALISTIC)
+    lists = (DEVELOPMENT, EVALUATION, OPEN_AIR, STRESS, CALIBRATION, REALISTIC, REALISTIC_EVALUATION)
     assert sorted(name for names in lists for name in names) == sorted(SCENES)
     assert len(EVALUATION) == 5
     assert not set(DEVELOPMENT_SEEDS) & set(EVALUATION_SEEDS)
