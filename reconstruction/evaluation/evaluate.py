@@ -14,6 +14,7 @@ from reconstruction.evaluation.resection import Counted, resected
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.pixels import read_pixels
 from reconstruction.images.response import Response
+from reconstruction.initialization.gains import DARKEST
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 from reconstruction.scene_model import SceneModel, View
@@ -30,12 +31,14 @@ PLACING_WINDOWS = 4  # windows of spikes that a camera is placed by
 class HeldOut:
     """The camera that is scored, and the recording it belongs to.
 
-    `resected`: whether odd windows of its spikes have placed it, so that even ones are left to score it.
+    `resected`: whether odd windows of its spikes have placed it or told its `gain`, so that even ones are left to score
+    it. Counts are over that gain.
     """
 
     camera: Camera
     recording: Recording
     resected: bool = False
+    gain: float = 1.0
 
     def windows(self) -> tuple[int, list[int]]:
         """Return how many planes a window has, and the first planes of those to score on."""
@@ -43,10 +46,18 @@ class HeldOut:
         window = max(1, min(COUNT_WINDOW, planes // 2 if self.resected else planes))
         return window, list(range(0, planes - window + 1, window * (2 if self.resected else 1)))
 
+    def told(self, most: int) -> list[tuple[float, NDArray[np.float32]]]:
+        """Return the instants (s) and the light of at most so many odd windows, on which it is not scored."""
+        odd = replace(self, resected=True)
+        (window, even), planes = odd.windows(), len(self.recording.stream(self.camera.id))
+        firsts = spread([first + window for first in even if first + 2 * window <= planes], most)
+        clock = self.recording.rig.clock
+        return [(clock.instant_s(f + (window - 1) / 2), self.rate(f, f + window)) for f in firsts]
+
     def rate(self, first: int, last: int) -> NDArray[np.float32]:
         """Return the light [H, W] that planes [first, last) count, spikes per tick, evened out where maps are known."""
         counts = self.recording.stream(self.camera.id).counts(first, last)
-        rate = (counts / (last - first)).astype(np.float32)
+        rate = (counts / ((last - first) * self.gain)).astype(np.float32)
         maps = self.recording.rig.camera(self.camera.id).pixels
         return Response.calibrated(read_pixels(maps)).mended(rate, 1) if maps else rate
 
@@ -112,15 +123,20 @@ def held_out_camera(
 
 def placed_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:
     """Return the held-out camera where odd windows of its spikes place it in the finished scene `cloud`."""
-    found = replace(held_out, resected=True)
-    stream, clock = held_out.recording.stream(held_out.camera.id), held_out.recording.rig.clock
-    window, even = found.windows()
-    odd = [first + window for first in even if first + 2 * window <= len(stream)]
-    counted = []
-    for first in spread(odd, PLACING_WINDOWS):
-        light = held_out.rate(first, first + window)
-        counted.append(Counted(clock.instant_s(first + (window - 1) / 2), light))
-    return replace(found, camera=resected(cloud, held_out.camera, counted)) if counted else held_out
+    counted = [Counted(*one) for one in held_out.told(PLACING_WINDOWS)]
+    if not counted:
+        return held_out
+    return replace(held_out, camera=resected(cloud, held_out.camera, counted), resected=True)
+
+
+def gained_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:
+    """Return the held-out camera with the gain that odd windows of its spikes have over the finished scene `cloud`."""
+    ratios = []
+    for instant_s, light in held_out.told(PLACING_WINDOWS):
+        shown = cloud.look(held_out.camera, instant_s).intensity
+        pixels = np.minimum(light, shown) > DARKEST
+        ratios += [float(np.median(np.log(light[pixels] / shown[pixels])))] if pixels.any() else []
+    return replace(held_out, gain=float(np.exp(np.mean(ratios))), resected=True) if ratios else held_out
 
 
 def score_view(view: View, frame: TruthFrame, white: float) -> dict[str, float]:

@@ -94,6 +94,11 @@ def read_responses(run: RunFolder) -> dict[str, Response]:
     return {view: read(run, RESPONSE, Response, view) for view, has in uneven if has}
 
 
+def gains_differ(run: RunFolder) -> bool:
+    """Return whether the points stage has found that the cameras differ in gain."""
+    return run.has_array(GAINS) and bool((run.read_array(GAINS) != 1).any())
+
+
 def short_images(plan: Plan, stream: SpikeStream, moving: Mask) -> ImageMethod:
     """Return the method that images what moves; where the target images are given, the one that finds points."""
     method = method_for(SWEPT if plan.images in GIVEN else plan.images, stream.layout, moving)

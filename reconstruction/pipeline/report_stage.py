@@ -8,6 +8,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.evaluation.evaluate import (
     INSTANTS,
     HeldOut,
+    gained_by_spikes,
     held_out_camera,
     placed_by_spikes,
     score_against_counts,
@@ -17,7 +18,14 @@ from reconstruction.evaluation.evaluate import (
 from reconstruction.export.viewer import write_viewer
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
-from reconstruction.pipeline.artefacts import posed, read_held_out, read_sources, read_white, write_held_out
+from reconstruction.pipeline.artefacts import (
+    gains_differ,
+    posed,
+    read_held_out,
+    read_sources,
+    read_white,
+    write_held_out,
+)
 from reconstruction.pipeline.trained_scene import scene_of
 from reconstruction.report.curve import curve_png
 from reconstruction.report.display import depth_span_m, grey
@@ -95,8 +103,9 @@ def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, prog
 def judged(run: RunFolder, recording: Recording, known: Truth | None, *, again: bool = False) -> Trained:
     """Return the trained run with its held-out camera in its place.
 
-    With truth that is the true place. Without it, a camera that no pose estimation has seen is placed by its spikes:
-    as the report kept it, or anew and then kept where `again`.
+    With truth that is the true place, in the light of the training cameras. Without it, a camera that no pose
+    estimation has seen is placed by its spikes, as the report kept it, or anew and then kept where `again`; and where
+    the cameras differ in gain, its spikes tell its own.
     """
     cloud, camera_id = load_cloud(run.checkpoint), run.config.holdout
     if camera_id is None:
@@ -109,6 +118,8 @@ def judged(run: RunFolder, recording: Recording, known: Truth | None, *, again: 
         if again and placed.resected:
             write_held_out(run, recording.rig, placed.camera)
         held_out = placed
+    if truth is None and gains_differ(run):
+        held_out = gained_by_spikes(cloud, held_out)
     return Trained(run, recording, cloud, truth, held_out)
 
 
@@ -118,9 +129,10 @@ def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
     if held_out is None:
         return {"note": "no camera was held out: nothing to score"}
     if truth is None:
-        placed = ", which its other windows have placed after training" if held_out.resected else ""
+        placed = ", which its other windows have placed or measured after training" if held_out.resected else ""
+        own = {} if held_out.gain == 1 else {"matched_gain": held_out.gain}  # its light over that of the scene
         note = f"no truth: errors of spike counts over 32-plane windows of the held-out camera{placed}"
-        return {"held_out": held_out.camera.id, "note": note, **scores}
+        return {"held_out": held_out.camera.id, "note": note, **own, **scores}
     own = {"matched_gain": truth.gain, "matched_lag_ticks": truth.lag_ticks}  # of the truth, to the training cameras'
     return {
         "held_out": held_out.camera.id,

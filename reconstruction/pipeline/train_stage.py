@@ -136,7 +136,7 @@ def trainer_of(
         tick_stride=run.config.tick_stride,
         image_planes=plan.window if plan.images == "interpolated" else 1,
         refines=plan.refine,
-        times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays,
+        times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays and plan.images not in GIVEN,
         ends_early=method.training.ends_early and run.config.steps is None,
         backend=backend,
     )

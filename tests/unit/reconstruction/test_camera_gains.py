@@ -10,6 +10,11 @@ import numpy as np
 import pytest
 import torch
 
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.evaluation.evaluate import HeldOut, gained_by_spikes, score_against_counts
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
@@ -22,6 +27,7 @@ from reconstruction.training.view import TrainingView
 from reconstruction.truth import Truth
 from rigs.camera import Camera
 from rigs.clock import RigClock
+from rigs.rig import Rig
 from rigs.transform import Transform
 
 WIDTH, HEIGHT, FOCAL, DEPTH_M, VIEWS = 80, 60, 80.0, 2.0, 4
@@ -176,3 +182,22 @@ def test_the_truth_takes_the_light_and_clock_of_those_that_trained(tmp_path):
     dim = truth.seen_by(["cam00"])
     np.testing.assert_allclose(dim.frame("cam11", 0).intensity, 0.15)
     assert dim.white == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.0, 1.3])
+def test_without_truth_odd_windows_tell_the_gain_of_the_held_out_camera(gain):
+    cloud, camera = scene(), cameras(1)[0]
+    cloud.motion.velocities[:] = 0
+    with torch.no_grad():
+        light = render(cloud.at(CLOCK.instant_s(100)), camera).intensity[..., 0].numpy()
+    planes = Sensor(WIDTH, HEIGHT, "ideal", 1, 0).expose(np.repeat(light[None] * np.float32(gain), PLANES, axis=0))
+    layout = PlaneLayout(WIDTH, HEIGHT)
+    rig = Rig("one", CLOCK.tick_rate_hz, (camera,))
+    recording: Any = SimpleNamespace(rig=rig, stream=lambda _: SpikeStream(pack(planes, layout), layout, 2e4))
+    before = HeldOut(camera, recording)
+    found = gained_by_spikes(cloud, before)
+    assert found.gain == pytest.approx(gain, rel=0.015)  # counts of 32 planes round
+    errors = [score_against_counts(cloud, held_out)["counts.mae"] for held_out in (before, found)]
+    assert errors[1] < 0.5
+    assert gain == 1 or errors[1] < 0.3 * errors[0]
+    assert found.windows()[1] == [0, 64, 128]  # and is scored on the others
