@@ -20,12 +20,12 @@ def thrown_things(seed: int) -> Setting:
     """Build balls, boxes, a duck, a mug and a torus in the air at 2 to 5 m/s, which meet in the middle of the clip."""
     rng = np.random.default_rng([seed, SEED])
     walls = HALL.things(
-        Finish((0.08, 0.75), "skimage/brick.png", 0.008, 2),
+        Finish((0.12, 0.95), "skimage/brick.png", 0.008, 2),
         Finish((0.1, 0.7), "skimage/brick.png", 0.007, 2),
         Finish((0.05, 0.6), "skimage/gravel.png", 0.006),
     )
-    lamp = Lamp((-0.9, -1.35, 0.9), (0.11, 0.0, 0.04), (0.02, -0.03, -0.11), 300.0)
-    soft = HALL.lamp(0.7, 1.2, (0.5, 0.5), 15.0)
+    lamp = Lamp((-0.9, -1.35, 0.9), (0.11, 0.0, 0.04), (0.02, -0.03, -0.11), 90.0)
+    soft = HALL.lamp(0.7, 1.2, (0.5, 0.5), 8.0)
     return Setting((*walls, *_furniture(rng), *_fliers(rng)), HALL.corners, (lamp, soft))
 
 
