@@ -111,7 +111,7 @@ class SceneModel(Protocol):
         ...
 
     def look(self, camera: Camera, instant_s: float) -> View:
-        """Return what `camera` sees at an instant of the rig clock; raises ReconstructionError if its lens distorts."""
+        """Return what `camera` sees through its lens at an instant; raises RigError where no pinhole covers it."""
         ...
 
     def to(self, dtype: torch.dtype) -> Self:

@@ -91,9 +91,17 @@ class Camera:
         places = (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
         return self.lens.straightened(places) if self.bends else places
 
-    def straightened(self, pixels: Floats) -> Floats:
+    def straightened(self, pixels: NDArray[np.floating]) -> Floats:
         """Return where the pinhole without the lens sees what is seen at places [N, 2] in px; NaN where none is."""
-        return self.slopes(pixels) * (self.fx, self.fy) + (self.cx, self.cy) if self.bends else pixels
+        places = np.asarray(pixels, dtype=np.float64)
+        return self.slopes(places) * (self.fx, self.fy) + (self.cx, self.cy) if self.bends else places
+
+    def bent(self, pixels: Floats) -> Floats:
+        """Return where the lens shows what the pinhole without it sees at places [N, 2] in px; NaN beyond its fold."""
+        if not self.bends:
+            return pixels
+        slopes = (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
+        return self.lens.bent(slopes) * (self.fx, self.fy) + (self.cx, self.cy)
 
     def pinhole(self) -> Camera:
         """Return the same camera without the bend of its lens."""

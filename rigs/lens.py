@@ -89,7 +89,7 @@ class Lens:
         """Return the bent places [N, 2] of slopes [N, 2]; NaN for those at the fold or beyond."""
         seen = np.hypot(*slopes.T) < self.steepest
         places, slope = self._bent(np.where(seen[:, None], slopes, 0.0))
-        seen &= np.linalg.det(slope) > 0
+        seen &= _determinant(slope) > 0
         return np.where(seen[:, None], places, np.nan)
 
     def straightened(self, places: Floats) -> Floats:
@@ -110,8 +110,13 @@ class Lens:
             slopes = np.where(np.isfinite(slopes), slopes, edge)  # tangential parts may still bring it inside
             for _ in range(NEWTONS):
                 found, slope = self._bent(slopes)
-                slope[np.abs(np.linalg.det(slope)) < 1e-12] = np.eye(2)
-                slopes = slopes - np.linalg.solve(slope, (found - places)[:, :, None])[:, :, 0]
+                determinant, (u, v) = _determinant(slope), (found - places).T
+                across = slope[:, 1, 1] * u - slope[:, 0, 1] * v
+                down = slope[:, 0, 0] * v - slope[:, 1, 0] * u
+                step = np.stack([across, down], axis=1) / np.where(determinant == 0, 1, determinant)[:, None]
+                slopes = slopes - step
+                if not (np.abs(step).max(axis=1) > 1e-15 * np.abs(places).max(axis=1)).any():
+                    break
             off = np.abs(self.bent(slopes) - places).max(axis=1)
             good = off <= EXACT * (1 + np.abs(places).max(axis=1))
         return np.where(good[:, None], slopes, np.nan)
@@ -131,9 +136,9 @@ class Lens:
                 step = found - (value - radius) / slope
             inside = (step >= low) & (step <= high)
             following = np.where(np.isnan(found), np.nan, np.where(inside, step, (low + high) / 2))
-            if np.array_equal(following, found, equal_nan=True):
+            moved, found = np.abs(following - found), following
+            if not (moved > 4 * np.finfo(float).eps * found).any():
                 break
-            found = following
         return found
 
     def _grown(self, radius: Floats) -> tuple[Floats, Floats]:
@@ -148,6 +153,11 @@ class Lens:
         if self.model == "fisheye":
             return bent_by_fisheye(slopes, self.coefficients)
         return bent_by_opencv(slopes, (*self.coefficients, 0.0)[:5])
+
+
+def _determinant(matrices: Floats) -> Floats:
+    """Return the determinants [N] of matrices [N, 2, 2]."""
+    return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
 
 
 def bent_by_opencv(slopes: Floats, coefficients: Sequence[Floats | float]) -> tuple[Floats, Floats]:

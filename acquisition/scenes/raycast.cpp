@@ -1,6 +1,7 @@
 // Analytic ray casting of convex shapes with one texture each, one sun with hard shadows, and ambient light.
 //
-// Rays are o + t d with d = ((u - cx) / fx, (v - cy) / fy, 1) in the camera, so t is the depth z. The part of a view
+// Rays are o + t d with d = ((u - cx) / fx, (v - cy) / fy, 1) in the camera, or (slopes, 1) where a lens bends them, so t
+// is the depth z. The part of a view
 // that never moves is traced once; a frame traces again only the pixels that a moving shape, or the shadow it throws on
 // the still part, can touch: conservative tests of bounding spheres, so the values are those of tracing everything.
 #include <algorithm>
@@ -24,6 +25,8 @@ struct RaycastScene {
 struct RaycastView {
   double fx, fy, cx, cy, rotation[9], center[3];  // cam_from_world
   int32_t width, height, samples, threads;
+  const double *slopes, *middles;  // of rays [H][W][samples^2][2] and of pixels' middles [H][W][2]; null for a pinhole
+  double reach;                    // largest slope between a pixel's middle and its corners
 };
 struct RaycastStill {  // per sample [H][W][samples^2], except `foot` [H][W][3], `middle` and `mean` [H][W]
   double *depth, *lit, *unlit, *foot, *middle;
@@ -61,6 +64,19 @@ class Tracer {
 
   Vec direction(double u, double v) const {
     return turn_back(view_.rotation, {(u - view_.cx) / view_.fx, (v - view_.cy) / view_.fy, 1});
+  }
+
+  Vec ray(int x, int y, int s) const {
+    const int n = view_.samples;
+    if (!view_.slopes) return direction(x + (s % n + 0.5) / n, y + (s / n + 0.5) / n);
+    const double* slope = view_.slopes + 2 * ((int64_t(y) * view_.width + x) * n * n + s);
+    return turn_back(view_.rotation, {slope[0], slope[1], 1});
+  }
+
+  Vec middle(int x, int y) const {
+    if (!view_.middles) return direction(x + 0.5, y + 0.5);
+    const double* slope = view_.middles + 2 * (int64_t(y) * view_.width + x);
+    return turn_back(view_.rotation, {slope[0], slope[1], 1});
   }
 
   // The nearest of `candidates` before `*depth`, or -1.
@@ -128,7 +144,7 @@ class Tracer {
     p.radius = std::sqrt(squares[p.kind]) + kSlack;
     const Vec m = position - eye_;
     const double distance = std::sqrt(dot(m, m));
-    const double half_pixel = 0.5 * std::hypot(1 / view_.fx, 1 / view_.fy) + kSlack;
+    const double half_pixel = (view_.slopes ? view_.reach : 0.5 * std::hypot(1 / view_.fx, 1 / view_.fy)) + kSlack;
     const double angle = p.radius < distance ? std::asin(p.radius / distance) + half_pixel : kInfinity;
     p.cone = angle < 3.14 ? distance * std::cos(angle) : -kInfinity;
   }
@@ -164,7 +180,7 @@ void trace_still(const Tracer& tracer, const RaycastView& view, const SunPlane& 
   const int64_t pixel = int64_t(y) * view.width + x, base = pixel * n * n;
   double least[2] = {kInfinity, kInfinity}, most[2] = {-kInfinity, -kInfinity};
   for (int s = 0; s < n * n; ++s) {
-    const Vec d = tracer.direction(x + (s % n + 0.5) / n, y + (s / n + 0.5) / n);
+    const Vec d = tracer.ray(x, y, s);
     double depth = kInfinity;
     const int k = tracer.nearest(tracer.still, d, &depth);
     const Light light = tracer.seen(k, tracer.still, d, depth);
@@ -189,7 +205,13 @@ void mark_row(const Tracer& tracer, const RaycastView& view, const SunPlane& pla
               uint64_t* near, uint64_t* dark) {
   std::fill(near, near + view.width, 0);
   std::fill(dark, dark + view.width, 0);
-  const double q = (y + 0.5 - view.cy) / view.fy;
+  std::vector<double> across(view.width), down(view.width, (y + 0.5 - view.cy) / view.fy);
+  for (int x = 0; x < view.width; ++x) across[x] = (x + 0.5 - view.cx) / view.fx;
+  if (view.middles)
+    for (int x = 0; x < view.width; ++x) {
+      across[x] = view.middles[2 * (int64_t(y) * view.width + x)];
+      down[x] = view.middles[2 * (int64_t(y) * view.width + x) + 1];
+    }
   for (uint64_t left = tracer.moving; left; left &= left - 1) {
     const int k = __builtin_ctzll(left);
     const uint64_t bit = uint64_t(1) << k;
@@ -197,7 +219,7 @@ void mark_row(const Tracer& tracer, const RaycastView& view, const SunPlane& pla
     const Vec m = turn(view.rotation, shape.position - Vec{view.center[0], view.center[1], view.center[2]});
     const double au = dot(shape.position, plane.u), av = dot(shape.position, plane.v), cone = shape.cone;
     for (int x = 0; x < view.width; ++x) {
-      const double p = (x + 0.5 - view.cx) / view.fx;
+      const double p = across[x], q = down[x];
       const bool covered = p * m.x + q * m.y + m.z >= cone * std::sqrt(p * p + q * q + 1);
       near[x] |= covered ? bit : 0;
     }
@@ -214,7 +236,7 @@ float trace_pixel(const Tracer& tracer, const RaycastView& view, int x, int y, c
   const int64_t base = (int64_t(y) * view.width + x) * n * n;
   double sum = 0;
   for (int s = 0; s < n * n; ++s) {
-    const Vec d = tracer.direction(x + (s % n + 0.5) / n, y + (s / n + 0.5) / n);
+    const Vec d = tracer.ray(x, y, s);
     double value = still.lit[base + s], depth = still.depth[base + s];
     const int k = tracer.nearest(near, d, &depth);
     if (k >= 0)
@@ -239,7 +261,7 @@ S4_API void raycast_still(const RaycastScene* scene, const RaycastView* view, co
       trace_still(tracer, *view, plane, x, y, *out);
       out->mean[pixel] = trace_pixel(tracer, *view, x, y, *out, 0, 0);
       double depth = kInfinity;
-      const int k = tracer.nearest(tracer.still, tracer.direction(x + 0.5, y + 0.5), &depth);
+      const int k = tracer.nearest(tracer.still, tracer.middle(x, y), &depth);
       out->middle[pixel] = depth;
       out->middle_id[pixel] = k < 0 ? 0 : scene->ids[k];
     }
@@ -269,7 +291,7 @@ S4_API void raycast_frames(const RaycastScene* scene, const RaycastView* view, c
           gain * (touched ? trace_pixel(tracer, *view, x, y, *still, near[x], dark[x]) : still->mean[pixel]);
       if (!depth) continue;
       double z = still->middle[pixel];
-      const int k = near[x] ? tracer.nearest(near[x], tracer.direction(x + 0.5, y + 0.5), &z) : -1;
+      const int k = near[x] ? tracer.nearest(near[x], tracer.middle(x, y), &z) : -1;
       depth[to] = z < kInfinity ? float(z) : std::numeric_limits<float>::quiet_NaN();
       ids[to] = k >= 0 ? scene->ids[k] : still->middle_id[pixel];
     }

@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from acquisition.errors import AcquisitionError
 from acquisition.native import Address, Kernel
@@ -77,6 +77,8 @@ class _View(ctypes.Structure):
         ("rotation", ctypes.c_double * 9),
         ("center", ctypes.c_double * 3),
         *((name, ctypes.c_int32) for name in ("width", "height", "samples", "threads")),
+        *((name, ctypes.c_void_p) for name in ("slopes", "middles")),
+        ("reach", ctypes.c_double),
     ]
 
 
@@ -96,21 +98,17 @@ class Raycaster:
 
     `placement` are world_from_shape of the shapes, rotations [P, 3, 3] and positions [P, 3] in metres; those of still
     shapes hold for good. A pixel is the mean of `samples` x `samples` rays; `threads` 0 takes every core.
-    Raises AcquisitionError for a camera with lens distortion.
+    A lens bends each ray exactly. Raises AcquisitionError for one that folds inside the picture.
     """
 
     def __init__(
         self, scene: SceneArrays, camera: Camera, placement: tuple[Floats, Floats], *, samples: int, threads: int = 0
     ):
-        if camera.bends:
-            raise AcquisitionError(
-                f"found lens distortion {camera.distortion}", "none", "scenes are seen by pinholes", where=camera.id
-            )
         if samples < 1:
             raise AcquisitionError(f"found {samples} samples a side of a pixel", "at least 1")
         self._size = (camera.height, camera.width)
         self._scene, self._kept = _native_scene(scene)
-        self._view = _native_view(camera, samples, threads)
+        self._view, self._rays = _native_view(camera, samples, threads)
         sampled, kinds = (*self._size, samples * samples), (np.float64,) * 5 + (np.float32, np.int8)
         shapes = (sampled, sampled, sampled, (*self._size, 3), *(self._size,) * 3)
         self._still_arrays = [np.empty(shape, kind) for shape, kind in zip(shapes, kinds, strict=True)]
@@ -163,7 +161,25 @@ def _native_scene(scene: SceneArrays) -> tuple[_Scene, list[NDArray]]:
     ), kept
 
 
-def _native_view(camera: Camera, samples: int, threads: int) -> _View:
+def _native_view(camera: Camera, samples: int, threads: int) -> tuple[_View, tuple[Floats, ...]]:
+    """Return the camera as the kernels take it, and the rays of a lens that bends, which must be kept."""
     lens, pose = (camera.fx, camera.fy, camera.cx, camera.cy), camera.cam_from_rig
     size = (camera.width, camera.height, samples, threads or len(os.sched_getaffinity(0)))
-    return _View(*lens, tuple(pose.rotation.ravel()), tuple(pose.center), *size)
+    view = _View(*lens, tuple(pose.rotation.ravel()), tuple(pose.center), *size)
+    if not camera.bends:
+        return view, ()
+    middles, *corners = (_slopes(camera, ((x, y),)) for x, y in ((0.5, 0.5), (0, 0), (0, 1), (1, 0), (1, 1)))
+    rows, columns = np.divmod(np.arange(samples * samples), samples)
+    slopes = _slopes(camera, np.stack([columns + 0.5, rows + 0.5], axis=1) / samples)
+    if not all(np.isfinite(rays).all() for rays in (slopes, middles, *corners)):
+        raise AcquisitionError("found a lens that folds inside the picture", "one ray a pixel", where=camera.id)
+    view.slopes, view.middles = slopes.ctypes.data, middles.ctypes.data
+    view.reach = float(max(np.linalg.norm(corner - middles, axis=-1).max() for corner in corners))
+    return view, (slopes, middles)
+
+
+def _slopes(camera: Camera, parts: ArrayLike) -> Floats:
+    """Return where `parts` [S, 2] of every pixel, in pixels from its first corner, look [H, W, S, 2]."""
+    rows, columns = np.indices((camera.height, camera.width), dtype=np.float64)
+    places = np.stack([columns, rows], axis=-1)[:, :, None] + np.asarray(parts)
+    return np.ascontiguousarray(camera.slopes(places.reshape(-1, 2))).reshape(places.shape)

@@ -24,7 +24,7 @@ from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.pipeline.artefacts import MOVING, posed, read_sources, read_white
+from reconstruction.pipeline.artefacts import MOVING, posed, read_views, read_white
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.folder import RunFolder
@@ -101,7 +101,7 @@ def _trained(job: Job, channels: int) -> dict:
     cloud = DynamicCloud.from_state(load_checkpoint(run.snapshots()[0])["cloud"])
     for part in (cloud.still, cloud.moving):
         part.intensities = part.intensities.detach().repeat(1, channels)
-    views = [TrainingView(recording.rig.camera(v), s) for v, s in read_sources(run, recording).items()]
+    views = [TrainingView(camera, source) for camera, source in read_views(run, recording).values()]
     settings = TrainerSettings("pixels", white=read_white(run), tick_stride=run.config.tick_stride)
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
     assert isinstance(trainer.image, ImageTerm)

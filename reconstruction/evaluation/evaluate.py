@@ -17,12 +17,15 @@ from reconstruction.images.response import Response
 from reconstruction.initialization.gains import DARKEST
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
+from reconstruction.rendering.bent import seen_through
 from reconstruction.scene_model import SceneModel, View
 from reconstruction.truth import Truth, TruthFrame, spread
 from rigs.camera import Camera
 from rigs.similarity import align
+from rigs.straight import straightening, view_of
 
 INSTANTS = 8  # truth instants that a run is scored on
+Posed = tuple[Camera, CompositeSource]
 COUNT_WINDOW = 32  # planes that a count error is taken over
 PLACING_WINDOWS = 4  # windows of spikes that a camera is placed by
 
@@ -72,16 +75,15 @@ def score_against_truth(
 
 
 def score_floors(
-    held_out: HeldOut, truth: Truth, sources: Mapping[str, CompositeSource], progress: Progress = silent
+    held_out: HeldOut, truth: Truth, sources: Mapping[str, Posed], progress: Progress = silent
 ) -> dict[str, float]:
     """Return the same metrics of both floors, named nearest_view.* and depth_blend.*, on the same instants."""
     frames = _frames(held_out, truth, INSTANTS)
-    rig = held_out.recording.rig
     scores: dict[str, list[dict[str, float]]] = {"nearest_view": [], "depth_blend": []}
     for i, frame in enumerate(frames):
-        views = [(rig.camera(c), source.at(frame.plane)) for c, source in sources.items()]
-        blend = depth_blend(held_out.camera, views)
-        nearest = View(nearest_view(held_out.camera, views), np.full_like(blend.depth, np.nan))
+        views = [(camera, source.at(frame.plane)) for camera, source in sources.values()]
+        blend = seen_through(held_out.camera, lambda pinhole: depth_blend(pinhole, views))  # noqa: B023
+        nearest = seen_through(held_out.camera, lambda pinhole: nearest_view(pinhole, views))  # noqa: B023
         scored = score_view(nearest, frame, truth.white)
         scores["nearest_view"].append({k: v for k, v in scored.items() if "delta" not in k})  # it knows no depth
         scores["depth_blend"].append(score_view(blend, frame, truth.white))
@@ -123,10 +125,14 @@ def held_out_camera(
 
 def placed_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:
     """Return the held-out camera where odd windows of its spikes place it in the finished scene `cloud`."""
-    counted = [Counted(*one) for one in held_out.told(PLACING_WINDOWS)]
+    pinhole = view_of(held_out.camera)
+    way = straightening(held_out.camera, pinhole) if held_out.camera.bends else None
+    told = held_out.told(PLACING_WINDOWS)
+    counted = [Counted(at_s, light if way is None else way.light(light)) for at_s, light in told]
     if not counted:
         return held_out
-    return replace(held_out, camera=resected(cloud, held_out.camera, counted), resected=True)
+    place = resected(cloud, pinhole, counted, None if way is None else way.covered).cam_from_rig
+    return replace(held_out, camera=replace(held_out.camera, cam_from_rig=place), resected=True)
 
 
 def gained_by_spikes(cloud: SceneModel, held_out: HeldOut) -> HeldOut:

@@ -29,10 +29,11 @@ Posed = tuple[Camera, Image]
 SPECK_PX = 5  # width of the median filter that removes stray points
 
 
-def nearest_view(wanted: Camera, views: Sequence[Posed]) -> Image:
-    """Return the image of the training camera nearest to `wanted`, resized to its size where they differ."""
+def nearest_view(wanted: Camera, views: Sequence[Posed]) -> View:
+    """Return the image of the training camera nearest to `wanted`, resized to its size where they differ, depthless."""
     (nearest,) = neighbours(wanted, [camera for camera, _ in views], 1)
-    return shrunk(views[nearest][1], wanted)
+    image = shrunk(views[nearest][1], wanted)
+    return View(image, np.full_like(image, np.nan))
 
 
 def depth_blend(wanted: Camera, views: Sequence[Posed]) -> View:

@@ -25,6 +25,7 @@ ROBUST = 3.0  # median deviations beyond which a pixel pulls no harder
 SETTLED_PX = 0.01  # mean movement of pixels in a step below which a level is done
 
 Image = NDArray[np.float32]
+Covered = NDArray[np.bool_] | None
 
 
 class Counted(NamedTuple):
@@ -34,21 +35,27 @@ class Counted(NamedTuple):
     light: Image
 
 
-def resected(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> Camera:
-    """Return `camera` turned and shifted to where the renders of `model` explain best what it counted."""
+def resected(
+    model: SceneModel, camera: Camera, counted: Sequence[Counted], covered: NDArray[np.bool_] | None = None
+) -> Camera:
+    """Return `camera`, a pinhole, turned and shifted to where the renders of `model` explain best what it counted.
+
+    `covered` [H, W]: the pixels that counted; all where it is None.
+    """
     for level in LEVELS:
         small = camera.scaled(max(1, camera.width // level), max(1, camera.height // level))
         if level == 1 or min(small.width, small.height) >= LEAST_PX:
             seen = [Counted(at_s, shrunk(light, small)) for at_s, light in counted]
-            camera = replace(camera, cam_from_rig=_settled(model, small, seen).cam_from_rig)
+            good = None if covered is None else shrunk(covered.astype(np.float32), small) == 1
+            camera = replace(camera, cam_from_rig=_settled(model, small, seen, good).cam_from_rig)
     return camera
 
 
-def _settled(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> Camera:
+def _settled(model: SceneModel, camera: Camera, counted: Sequence[Counted], covered: Covered) -> Camera:
     """Return the camera where steps no longer lower the error, or no longer move it."""
     best, least = camera, np.inf
     for _ in range(STEPS):
-        twist, moved_px, error = _pull(model, camera, counted)
+        twist, moved_px, error = _pull(model, camera, counted, covered)
         if not error < least:
             return best
         best, least = camera, error
@@ -58,12 +65,16 @@ def _settled(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> C
     return best
 
 
-def _pull(model: SceneModel, camera: Camera, counted: Sequence[Counted]) -> tuple[NDArray[np.float64], float, float]:
+def _pull(
+    model: SceneModel, camera: Camera, counted: Sequence[Counted], covered: Covered
+) -> tuple[NDArray[np.float64], float, float]:
     """Return the twist [6] (turn in rad, shift in m) to what was counted, what it moves pixels by, and the error."""
     flows, slopes, gaps, errors = [], [], [], []
     for instant_s, light in counted:
         view = model.look(camera, instant_s)
         gap, known = light - view.intensity, np.isfinite(view.depth) & (view.depth > 0)
+        if covered is not None:
+            gap, known = gap * covered, known & covered
         down, right = (np.asarray(slope) for slope in np.gradient(view.intensity))
         flows.append(_flow(camera, view.depth, known))
         slopes.append(np.stack([right[known], down[known]], axis=1))

@@ -21,6 +21,7 @@ from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
+from reconstruction.rendering.bent import seen_through
 from reconstruction.rendering.render import render
 from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
@@ -63,7 +64,10 @@ class DynamicCloud:
         return len(self.moving) > 0 or len(self.light) > 1
 
     def look(self, camera: Camera, instant_s: float) -> View:
-        """Return what `camera` sees at `instant_s` on the rig clock."""
+        """Return what `camera` sees at `instant_s` on the rig clock, through its lens."""
+        return seen_through(camera, lambda pinhole: self._looked(pinhole, instant_s))
+
+    def _looked(self, camera: Camera, instant_s: float) -> View:
         with torch.no_grad():
             rendering = render(self.at(instant_s), camera, median=True)
         assert rendering.median is not None

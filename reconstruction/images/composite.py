@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,7 +17,11 @@ from reconstruction.images.flicker import Light
 from reconstruction.images.mending import mended
 from reconstruction.images.response import Response
 from rigs.camera import Camera
+from rigs.resampling import WHOLE, Part
+from rigs.straight import Straightening
 
+Mask = NDArray[np.bool_]
+MethodFor = Callable[[SpikeStream, Mask], ImageMethod]
 DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane TFP's quantisation
 GROW_PX = 2
 REACH = 5  # planes behind an image's own that it is made from, as far as they tell much
@@ -30,7 +34,8 @@ class CompositeSource:
     """One camera's target images under `light`: its background, but a short image by `method` where `moving` [H, W].
 
     Short images are kept, their moving pixels alone, until they fill KEPT_BYTES; then the first goes first. Images and
-    counts are of the light behind what pixels fire, as `response` has it (None: they are all alike).
+    counts are of the light behind what pixels fire, as `response` has it (None: they are all alike). `straightening`:
+    how its pixels came from recorded ones; None where they are these.
     """
 
     stream: SpikeStream
@@ -40,6 +45,7 @@ class CompositeSource:
     light: Light
     kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
     response: Response | None = None
+    straightening: Straightening | None = None
 
     @cached_property
     def white(self) -> float:
@@ -62,17 +68,20 @@ class CompositeSource:
     def _short(self, plane: int) -> NDArray[np.float32]:
         """Return the moving pixels' values at `plane`."""
         if plane not in self.kept:
-            image, useless = self.method(self.stream, plane).intensity, self.useless(plane + REACH)
-            values = mended(self.response.light(image) if self.response else image, useless)[self.moving]
+            values = self._made(plane)
             while self.kept and (len(self.kept) + 1) * values.nbytes > KEPT_BYTES:
                 self.kept.pop(next(iter(self.kept)))
             self.kept[plane] = values
         return self.kept[plane]
 
-    def counts(self, first: int, last: int) -> NDArray[np.float32]:
-        """Return the light [H, W] that pixels gathered over planes [first, last), in spikes."""
+    def _made(self, plane: int) -> NDArray[np.float32]:
+        image, useless = self.method(self.stream, plane).intensity, self.useless(plane + REACH)
+        return mended(self.response.light(image) if self.response else image, useless)[self.moving]
+
+    def counts(self, first: int, last: int, part: Part = WHOLE) -> NDArray[np.float32]:
+        """Return the light [H, W] that a part of the pixels gathered over planes [first, last), in spikes."""
         length, counts = np.float32(last - first), self.stream.counts(first, last).astype(np.float32)
-        return self.response.light(counts / length) * length if self.response else counts
+        return (self.response.light(counts / length) * length if self.response else counts)[part]
 
     def dimmed(self, gain: float) -> CompositeSource:
         """Return the images of a camera that sees `gain` times the light, with that taken out of images and counts."""
@@ -86,6 +95,18 @@ class CompositeSource:
         """Return which pixels [H, W] are of no use in planes before `last`."""
         stuck = self.background.stuck
         return stuck | self.response.useless(last) if self.response else stuck
+
+    def carried(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return a recorded image [h, w] as this source has it [H, W]."""
+        return image
+
+    def recorded_mask(self, moving: Mask) -> Mask:
+        """Return the recorded pixels [h, w] under a mask [H, W] of this source."""
+        return moving
+
+    def retargeted(self, moving: Mask, method_for: MethodFor) -> CompositeSource:
+        """Return the same source with other pixels `moving`, imaged by what `method_for` makes of stream and pixels."""
+        return replace(self, moving=moving, method=method_for(self.stream, moving), kept={})
 
     def movers(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
         """Return which pixels of an image [H, W] at `plane` see a mover: unlike the background, or with no sure one."""

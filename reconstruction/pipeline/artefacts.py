@@ -25,10 +25,12 @@ from reconstruction.images.catalogue import GIVEN, ImageMethod, method_for
 from reconstruction.images.composite import WHITE_PERCENTILE, CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.response import Response
+from reconstruction.images.straightened import straightened
 from reconstruction.run.decisions import Plan
 from reconstruction.run.folder import RunFolder
 from rigs.camera import Camera
 from rigs.rig import Rig
+from rigs.straight import straightening, views_of
 from rigs.toml import dump_rig, load_rig
 
 LIGHT = "plan/light"  # gain [T] of each plane
@@ -63,8 +65,23 @@ def read(run: RunFolder, name: str, kind: type[Arrays], view: str = "") -> Array
     return kind(*(run.read_array(name.format(field=f.name, view=view)) for f in fields(kind)))  # pyright: ignore[reportArgumentType]
 
 
+def read_views(
+    run: RunFolder, recording: Recording, *, gained: bool = True
+) -> dict[str, tuple[Camera, CompositeSource]]:
+    """Return the pinholes that reconstruction works in and what they see, by the id of the training camera.
+
+    They are the cameras and the sources of `read_sources`, but straightened where a lens bends.
+    """
+    cameras, sources = views_of(recording.rig, run.plan.views), read_sources(run, recording, gained=gained)
+    views = {}
+    for view, source in sources.items():
+        own, pinhole = recording.rig.camera(view), cameras[view]
+        views[view] = pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))
+    return views
+
+
 def read_sources(run: RunFolder, recording: Recording, *, gained: bool = True) -> dict[str, CompositeSource]:
-    """Return the images of every training view, by its id, from the artefacts of the plan and images stages.
+    """Return the images of every training camera, by its id, from the artefacts of the plan and images stages.
 
     `gained`: with the gains that the points stage has found taken out.
     """

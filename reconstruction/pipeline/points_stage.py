@@ -43,15 +43,15 @@ MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Sweep the still scene once and the movers at several instants; raises StereoError when too little agrees."""
-    plan, sources = run.plan, artefacts.read_sources(run, recording, gained=False)
+    plan, views = run.plan, artefacts.read_views(run, recording, gained=False)
+    sources, cameras = {view: source for view, (_, source) in views.items()}, [camera for camera, _ in views.values()]
     rng = np.random.default_rng(run.config.seed)
-    cameras = [recording.rig.camera(view) for view in plan.views]
     planes = moving_planes(recording.planes, plan.model)
     swept = planes if plan.moving_gaussians else []
     rounds = 1 + len(swept)
     still = _still_points(run, sources, cameras, rng, lambda message: progress(1 / rounds, message))
     artefacts.write(run, artefacts.STILL, still)
-    sources = artefacts.read_sources(run, recording)
+    sources = {view: source for view, (_, source) in artefacts.read_views(run, recording).items()}
     parts = []
     count = plan.moving_gaussians // (CANONICAL if len(swept) == 1 else INSTANTS)
     for i, plane in enumerate(swept):
@@ -135,7 +135,8 @@ def _still_maps(
     sources = even_cameras(run, sources, maps)
     stills = [calmed(s.background.image, side) for s, side in zip(sources.values(), sides, strict=True)]
     noises = [_noise(source) / np.float32(side) for source, side in zip(sources.values(), sides, strict=True)]
-    sure = [textured(image, noise, options) for image, noise in zip(stills, noises, strict=True)]
+    seen = [s.straightening.covered if s.straightening else np.True_ for s in sources.values()]
+    sure = [textured(a, b, options) & covered for a, b, covered in zip(stills, noises, seen, strict=True)]
     report(f"still scene: {judge_poses(maps, sure)}")
     if is_open(options, usual):
         maps, sure = with_sky(maps, stills, sure, usual)

@@ -22,7 +22,7 @@ from reconstruction.pipeline.artefacts import (
     gains_differ,
     posed,
     read_held_out,
-    read_sources,
+    read_views,
     read_white,
     write_held_out,
 )
@@ -139,7 +139,7 @@ def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
         "white": truth.white,
         **(own if own != {"matched_gain": 1.0, "matched_lag_ticks": 0.0} else {}),
         **scores,
-        **score_floors(held_out, truth, read_sources(trained.run, trained.recording), progress),
+        **score_floors(held_out, truth, read_views(trained.run, trained.recording), progress),
         **_pose_scores(trained.run, known),
     }
 

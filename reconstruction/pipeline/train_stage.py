@@ -41,12 +41,12 @@ SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # share
 def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView], Seeds]:
     """Return the views of a training and the points to seed it; BadRunError where artefacts or truth are missing."""
     rig, views = recording.rig, []
-    for view, source in artefacts.read_sources(run, recording).items():
+    for view, (camera, source) in artefacts.read_views(run, recording).items():
         depth = ConfirmedDepth.of(run.read_array(artefacts.DEPTH.format(view=view))).without(source.moving)
         shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
         void = artefacts.EMPTY.format(view=view)
         empty = torch.from_numpy(run.read_array(void).astype(np.float32)) if run.has_array(void) else None
-        views.append(TrainingView(rig.camera(view), shown, depth=depth, empty=empty))
+        views.append(TrainingView(camera, shown, depth=depth, empty=empty))
     still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
     clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
     bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731
@@ -219,7 +219,7 @@ def _given(view: str, source: CompositeSource, recording: Recording, images: str
         raise BadRunError("found no truth", f"a simulated recording for the images `{images}`", where=recording.path)
     truth = Truth.open(recording.truth)
     frames = {
-        plane: truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity
+        plane: source.carried(truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity)
         for plane in truth.planes(view)
     }
     return GivenSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)

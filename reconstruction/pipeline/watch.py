@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -81,16 +82,17 @@ class Watch:
         """Return the training views with the pixels of `masks`, by the number of the view, as moving ones."""
         views = list(self.trainer.views)
         for i, moving in masks.items():
-            source = views[i].source
-            method, depth = short_images(self.run.plan, source.stream, moving), views[i].depth
-            retargeted = replace(source, moving=moving, method=method, kept={})
+            retargeted = views[i].source.retargeted(moving, partial(short_images, self.run.plan))
+            depth = views[i].depth
             views[i] = replace(views[i], source=retargeted, depth=depth and depth.without(moving))
         return views
 
     def _write(self, state: dict) -> None:
         """Bring masks and plan of the run folder up to what the checkpoint says; the same again where they are."""
+        sources = {view.camera.id: view.source for view in self.trainer.views}
         for name, packed in state["masks"].items():
-            self.run.write_array(MOVING.format(view=name), self._unpacked(name, packed.numpy()))
+            moving = sources[name].recorded_mask(self._unpacked(name, packed.numpy()))
+            self.run.write_array(MOVING.format(view=name), moving)
         override = "none"
         if state["masks"]:
             override = "--model static"

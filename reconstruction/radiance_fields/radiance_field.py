@@ -20,7 +20,7 @@ from torch.nn.functional import softplus
 from reconstruction.errors import ReconstructionError
 from reconstruction.radiance_fields.frustum import Frustum
 from reconstruction.radiance_fields.march import BLOCK, STEP, Grid, march
-from reconstruction.rendering.render import refuse_distortion
+from reconstruction.rendering.bent import seen_through
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 
@@ -84,8 +84,10 @@ class RadianceField:
         return torch.zeros(0, 3), torch.zeros(0)
 
     def look(self, camera: Camera, instant_s: float) -> View:
-        """Return what `camera` sees at `instant_s` on the rig clock."""
-        refuse_distortion(camera)
+        """Return what `camera` sees at `instant_s` on the rig clock, through its lens."""
+        return seen_through(camera, lambda pinhole: self._looked(pinhole, instant_s))
+
+    def _looked(self, camera: Camera, instant_s: float) -> View:
         rows, columns = np.indices((camera.height, camera.width)).reshape(2, -1)
         rays = self.frustum.rays(camera, columns, rows)
         with torch.no_grad():

@@ -19,12 +19,6 @@ NEAR_M = 0.01  # depth of the near plane in m
 NAMES = Instantaneous._fields
 
 
-def refuse_distortion(camera: Camera) -> None:
-    """Raise ReconstructionError where a lens distorts: scenes are shown as a pinhole sees them."""
-    if camera.bends:
-        raise ReconstructionError("found lens distortion", "a pinhole", "undistort its images first", where=camera.id)
-
-
 def _check(gaussians: Instantaneous) -> None:
     means, opacities, n = gaussians.means, gaussians.opacities.detach(), len(gaussians.means)
     if means.dtype not in (torch.float32, torch.float64):
@@ -62,7 +56,8 @@ def render(
     """
     now = Instantaneous(*gaussians)
     _check(now)
-    refuse_distortion(camera)
+    if camera.bends:
+        raise ReconstructionError("found lens distortion", "a pinhole", "render its view and bend it", where=camera.id)
     if not near_m > 0:
         raise ReconstructionError(f"found the near plane at {near_m} m", "a positive depth")
     seen = RENDERERS[backend](now, camera, near_m, median=median)

@@ -19,6 +19,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.flicker import Light
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
+from rigs.straight import Straightening
 
 WINDOW = 32  # planes of a count
 BOX_PX = 5  # width of the square that counts are pooled over
@@ -32,9 +33,12 @@ GROW_PX = 2  # pixels by which a region is grown
 Mask = NDArray[np.bool_]
 
 
-def changed_pixels(stream: SpikeStream, still: Mask, light: Light) -> Mask:
-    """Return the mask [H, W] of regions of `still` pixels [H, W] that change more than `light` and noise explain."""
-    strays = (deviations(stream, still, light) > DEVIATIONS).astype(np.uint8)
+def changed_pixels(stream: SpikeStream, still: Mask, light: Light, way: Straightening | None = None) -> Mask:
+    """Return the mask [H, W] of regions of `still` pixels [H, W] that change more than `light` and noise explain.
+
+    `way`: how the stream's counts came from recorded pixels; None where they are counts of these.
+    """
+    strays = (deviations(stream, still, light, way) > DEVIATIONS).astype(np.uint8)
     _, labels, sizes, _ = cv2.connectedComponentsWithStats(strays)
     large = np.asarray(sizes)[:, cv2.CC_STAT_AREA] >= LEAST_PX
     large[0] = False
@@ -43,7 +47,7 @@ def changed_pixels(stream: SpikeStream, still: Mask, light: Light) -> Mask:
     return grown.astype(bool) & still
 
 
-def deviations(stream: SpikeStream, still: Mask, light: Light) -> NDArray[np.float32]:
+def deviations(stream: SpikeStream, still: Mask, light: Light, way: Straightening | None = None) -> NDArray[np.float32]:
     """Return the largest departure [H, W] of a window's pooled count from the mean one, in standard deviations."""
     starts = range(0, len(stream) - WINDOW + 1, WINDOW)
     if len(starts) < 2:
@@ -53,10 +57,15 @@ def deviations(stream: SpikeStream, still: Mask, light: Light) -> NDArray[np.flo
     counts = (stream.counts(start, start + WINDOW).astype(np.float32) for start in starts)
     pooled = np.stack([_pooled(c * weights / gain) for c, gain in zip(counts, gains, strict=True)])
     number, mean = np.maximum(_pooled(weights), 1), pooled.mean(axis=0)
+    spread = np.float32(1)
+    if way is not None:  # a sum over many pixels has the noise of as many recorded ones as lie there
+        spread = np.maximum(
+            _pooled((weights / np.maximum(way.exposure, 0.1)).astype(np.float32)) / number, np.float32(0.1)
+        )
     error = LIGHT_ERROR * mean if light.flickers else np.float32(0)
     most = np.zeros(still.shape, np.float32)
     for values, gain in zip(pooled, gains, strict=True):
-        sigma = np.sqrt((ROUNDING * number + FANO * mean * gain) / gain**2 + error**2)
+        sigma = np.sqrt(spread * (ROUNDING * number + FANO * mean * gain) / gain**2 + error**2)
         np.maximum(most, np.abs(values - mean) / sigma, out=most)
     return np.where(still & (number >= LEAST_POOLED), most, 0).astype(np.float32)
 
@@ -71,7 +80,8 @@ def look_again(views: Sequence[TrainingView]) -> dict[int, Mask]:
     found = {}
     for i, view in enumerate(views):
         source = view.source
-        changed = changed_pixels(source.stream, ~source.moving & ~source.useless(len(source.stream)), source.light)
+        still = ~source.moving & ~source.useless(len(source.stream))
+        changed = changed_pixels(source.stream, still, source.light, source.straightening)
         if changed.any():
             found[i] = changed
     return found

@@ -52,7 +52,9 @@ class ImageTerm:
         """Return the render at `plane` and its target image [H, W]."""
         span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
         rendered = self.over(cloud, view, view.camera, span)
-        return rendered, torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
+        target = torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
+        way = view.source.straightening
+        return (rendered, target) if way is None else alike_beyond(torch.from_numpy(way.covered), rendered, target)
 
     def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
         """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
@@ -65,7 +67,8 @@ class ImageTerm:
 
     def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
         """Return the loss of one render against its target image [H, W] and the depths that the view knows."""
-        loss = self.against(rendered, target)
+        way, loss = view.source.straightening, self.against(rendered, target)
+        loss = loss if way is None else loss / way.covered.mean().item()  # a mean over what was seen
         if view.empty is not None:  # in place of the weight of light that passes through: that of light that is stopped
             loss = loss + self.solid * (view.empty * (2 * rendered.alpha - 1)).mean()
         return loss + self.hold(rendered, view.depth) if self.hold and view.depth else loss
@@ -103,6 +106,12 @@ class ImageVariationTerm:
         rendered = torch.stack([r.intensity[..., 0] for r, _ in pairs])
         target = torch.stack([t for _, t in pairs])
         return pixels + self.weight * variation_loss(rendered, target) / self.image.white
+
+
+def alike_beyond(covered: Tensor, rendered: Rendering, target: Tensor) -> tuple[Rendering, Tensor]:
+    """Return a render and its target that are both black, and solid, where the camera has not `covered` [H, W] them."""
+    light, alpha = rendered.intensity * covered[..., None], torch.where(covered, rendered.alpha, 1.0)
+    return rendered._replace(intensity=light, alpha=alpha), target * covered
 
 
 def learnt_planes(cloud: DynamicCloud, view: TrainingView) -> tuple[int, int]:

@@ -84,13 +84,14 @@ class RayTerm:
         gain = np.float32(source.light.over(first, first + window))
         rates = torch.from_numpy(source.background.image.ravel()[pixels] * gain)
         moving = torch.from_numpy(source.moving.ravel()[pixels])
-        loss = torch.zeros(())
+        way, loss = source.straightening, torch.zeros(())
+        noise = torch.from_numpy(way.noise.ravel()[pixels]) if way else torch.ones(len(pixels))
         if moving.any():
             counts = source.counts(first, first + window).ravel()[pixels]
             rates = torch.where(moving, torch.from_numpy(counts / window), rates)
-            loss = robust_loss(light[moving], rates[moving], window).mean() * moving.float().mean()
+            loss = robust_loss(light[moving], rates[moving], window, noise[moving]).mean() * moving.float().mean()
         if not moving.all():
-            still = robust_loss(light[~moving], rates[~moving], len(source.stream)).mean()
+            still = robust_loss(light[~moving], rates[~moving], len(source.stream), noise[~moving]).mean()
             loss = loss + still * (~moving).float().mean()
         return loss, rates
 

@@ -18,9 +18,8 @@ from reconstruction.training.image_term import ImageTerm, learnt_planes
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 
-RateLoss = Callable[
-    [Tensor, Tensor, int], Tensor
-]  # of light and counted rate, spikes per tick, and the window's planes
+# Of light and counted rate, spikes per tick, the window's planes, and the noise beside a single pixel's.
+RateLoss = Callable[[Tensor, Tensor, int, Tensor | float], Tensor]
 PLANES_A_NODE = 8  # planes of a window for each instant rendered
 MOST_NODES = 4  # instants rendered for a window
 
@@ -53,11 +52,14 @@ class SpikeTerm:
         renders = [self.image.over(cloud, view, part.camera, (start, length, nodes // parts)) for start in starts]
         light = torch.stack([r.intensity[..., 0] for r in renders])[:, good]
         counts = torch.from_numpy(np.stack([part.counts(view, start, start + length) for start in starts]))[:, good]
+        known = part.noise(view)
+        noise = 1.0 if known is None else known[good]
         if self.loss:
-            spikes = self.loss(light[0], counts[0] / length, length).mean()
+            spikes = self.loss(light[0], counts[0] / length, length, noise).mean()
         else:
-            spikes = cumulative_loss(light, counts, length)
+            spikes = cumulative_loss(light, counts, length, noise)
         alpha = torch.stack([r.alpha for r in renders])
+        alpha = alpha if known is None else alpha[:, good]
         return spikes / self.image.white + self.image.solid * (1 - alpha).mean()
 
 
@@ -71,13 +73,18 @@ class Part:
 
     def counts(self, view: TrainingView, first: int, last: int) -> NDArray[np.float32]:
         """Return the spikes [H, W] over planes [first, last)."""
-        return view.source.counts(first, last)[self.within]
+        return view.source.counts(first, last, self.within)
 
     @property
     def within(self) -> tuple[slice, slice]:
         """The rows and columns of the view that it covers."""
         height, width = self.camera.height, self.camera.width
         return slice(self.top, self.top + height), slice(self.left, self.left + width)
+
+    def noise(self, view: TrainingView) -> Tensor | None:
+        """Return the deviation [H, W] of counts as a share of that of recorded pixels; None where they are these."""
+        way = view.source.straightening
+        return torch.from_numpy(way.noise[self.within]) if way else None
 
 
 def part_with_mover(view: TrainingView, size_px: tuple[int, int] | None, rng: np.random.Generator) -> Part:

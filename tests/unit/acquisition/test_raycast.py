@@ -264,10 +264,34 @@ def test_unusable_geometry_is_refused(change, words):
         replace(geometry, **change)
 
 
-def test_a_lens_is_refused_and_so_are_poses_of_another_scene():
+@pytest.mark.parametrize(
+    ("model", "distortion"), [("opencv", (-0.25, 0.05, 0.002, -0.001, 0.01)), ("fisheye", (0.01, 0.0, 0.0, 0.0))]
+)
+def test_lenses_bend_every_ray(model, distortion):
+    """Each pixel of a bent camera is what a pinhole of one pixel sees along its rays, moving shapes and shadows too."""
+    geometry, rotations, positions = random_geometry(np.random.default_rng(5), 8)
+    bent = replace(camera(), lens_model=model, distortion=distortion)
+    caster = Raycaster(geometry, bent, (rotations, positions), samples=2)
+    found = caster.frames(rotations[None], positions[None], np.ones(1))
+    rng = np.random.default_rng(0)
+    for row, column in zip(rng.integers(bent.height, size=60), rng.integers(bent.width, size=60), strict=True):
+        sums = []
+        for y, x in ((0.5, 0.5), (0.25, 0.25), (0.25, 0.75), (0.75, 0.25), (0.75, 0.75)):
+            slope = bent.slopes(np.array([[column + x, row + y]]))[0]
+            pinhole = replace(bent.pinhole(), width=1, height=1, fx=2 * bent.fx, fy=2 * bent.fy)  # spaced as two rays
+            middle = {"cx": 0.5 - slope[0] * pinhole.fx, "cy": 0.5 - slope[1] * pinhole.fy}
+            one = Raycaster(geometry, replace(pinhole, **middle), (rotations, positions), samples=1)
+            sums.append(one.frames(rotations[None], positions[None], np.ones(1)))
+        light = np.mean([frame.intensity[0, 0, 0] for frame in sums[1:]])
+        assert found.intensity[0, row, column] == pytest.approx(light, abs=1e-6)
+        np.testing.assert_allclose(found.depth[0, row, column], sums[0].depth[0, 0, 0], rtol=1e-6)
+        assert found.ids[0, row, column] == sums[0].ids[0, 0, 0]
+
+
+def test_a_folded_lens_is_refused_and_so_are_poses_of_another_scene():
     thing = one(Shape("sphere", (0.5,), PLAIN))
-    with pytest.raises(AcquisitionError, match="cam11: found lens distortion"):
-        thing.render(replace(camera(), distortion=(0.1, 0, 0, 0)), np.zeros(1))
+    with pytest.raises(AcquisitionError, match="cam11: found a lens that folds inside the picture"):
+        thing.render(replace(camera(), distortion=(-9.0, 0, 0, 0)), np.zeros(1))
     with pytest.raises(AcquisitionError, match="poses"):
         thing.raycaster(camera(), 2).intensity(np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)), np.ones(1))
     with pytest.raises(AcquisitionError, match="gains"):

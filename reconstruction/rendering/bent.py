@@ -1,0 +1,19 @@
+"""Shows through a lens that bends what a pinhole sees: rendered in the view that covers the picture, then bent."""
+
+from collections.abc import Callable
+
+from reconstruction.scene_model import View
+from rigs.camera import Camera
+from rigs.straight import straightening, view_of
+
+
+def seen_through(camera: Camera, look: Callable[[Camera], View]) -> View:
+    """Return what `camera` sees, from a `look` that shows a pinhole; raises RigError where no pinhole covers its lens.
+
+    Light is the mean over each pixel, depth that of the pixel of the pinhole that takes most of it.
+    """
+    if not camera.bends:
+        return look(camera)
+    pinhole = view_of(camera)
+    seen, way = look(pinhole), straightening(camera, pinhole)
+    return View(way.bent(seen.intensity), way.nearest(seen.depth))
