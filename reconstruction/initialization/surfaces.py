@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions, consistent
 from reconstruction.initialization.texture import spread_of
 
-PLAIN = 0.95  # share of textured pixels from which a view has no plain region worth a plane
+PLAIN = 0.8  # share of textured pixels from which a view has no plain region worth a plane
 SMOOTH_PX = 1.0  # blur before edges are looked for
 EDGE = 1.0  # deviations of an image's noise that 3x3 blurred pixels spread by at the border of a region
 LEAST_PIXELS = 40  # of a region
