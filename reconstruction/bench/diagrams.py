@@ -117,6 +117,26 @@ def plot_leave_out(path: Path, document: dict) -> None:
     write_figure(path, figure, caption(document, rows))
 
 
+def plot_defects(path: Path, document: dict) -> None:
+    """Draw what each defect takes from the clean recording of its scene, with its cure and without."""
+    summary = document["summary"]
+    names = [key.removesuffix(".cost_db") for key in summary if key.endswith(".cost_db")]
+    figure = new_figure("What defects cost, with their cures and without", (9, 1.5 + 0.3 * len(names)))
+    axes = figure.subplots()
+    for number, (score, label) in enumerate((("uncured_cost_db", "without the cure"), ("cost_db", "with it"))):
+        places = [
+            (summary[f"{name}.{score}"], place) for place, name in enumerate(names) if f"{name}.{score}" in summary
+        ]
+        if places:
+            axes.plot(*zip(*places, strict=True), "o", color=COLOURS[number], label=label)
+    axes.set_yticks(range(len(names)), names, fontsize=8)
+    axes.invert_yaxis()
+    axes.axvline(0.0, color="#999", linewidth=1)
+    axes.set_xlabel("dB below the clean recording of the same scene")
+    axes.legend(fontsize=8, frameon=False)
+    write_figure(path, figure, caption(document, document["rows"]))
+
+
 def _pairs(axes: Axes, rows: list[dict], cases: list[str], key: str) -> None:
     """Draw the dots of `plan` and `all`, joined, a line a case."""
     for y, case in enumerate(cases):
@@ -192,7 +212,7 @@ def plot_stability(path: Path, document: dict) -> None:
     write_figure(path, figure, caption(document, []))
 
 
-_DRAWN = (plot_images, plot_leave_out, plot_poses, plot_stability, plot_training, plot_viewpoints)
+_DRAWN = (plot_images, plot_defects, plot_leave_out, plot_poses, plot_stability, plot_training, plot_viewpoints)
 PLOTS: Mapping[str, Callable[[Path, dict], None]] = {  # by the bench that each is named for
     plot.__name__.removeprefix("plot_").replace("_", "-"): plot for plot in _DRAWN
 }

@@ -14,7 +14,14 @@ from acquisition.devices.bench import parser_rows
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
-from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, EVALUATION_SEEDS, scenes_named
+from acquisition.scenes.catalog import (
+    DEVELOPMENT,
+    DEVELOPMENT_SEEDS,
+    EVALUATION,
+    EVALUATION_SEEDS,
+    REALISTIC,
+    scenes_named,
+)
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
@@ -138,6 +145,16 @@ def _leave_out(asked: Asked) -> BenchDocument:
     return bench_leave_out(work, progress, quick=asked.quick, time_left=timer(asked.limit_s))
 
 
+def _defects(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.defects import bench_defects
+    from reconstruction.bench.paper.bench import timer
+
+    seed, work, progress = DEVELOPMENT_SEEDS[0], asked.work / "defects", asked.progress_of("defects")
+    named = asked.named((*DEVELOPMENT, *REALISTIC))
+    usual, drawn = ([(s, seed) for s in named if (s in REALISTIC) == kind] for kind in (False, True))
+    return bench_defects(usual, drawn, work, progress, quick=asked.quick, time_left=timer(asked.limit_s))
+
+
 def _paper(asked: Asked) -> BenchDocument:
     from reconstruction.bench.paper.bench import bench_paper, timer
 
@@ -211,5 +228,6 @@ BENCHES: dict[str, Bench] = {
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
+    "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
 }

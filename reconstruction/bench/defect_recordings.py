@@ -1,0 +1,94 @@
+"""Simulates the recordings of the defects bench: a scene, seen by cameras with one defect or several."""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from acquisition.devices.open import Simulation
+from acquisition.durable import made_aside, write_durably
+from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
+from reconstruction.bench.leave_out import apart
+from reconstruction.images.pixels import estimate_pixels, write_pixels
+from rigs.rig import Rig
+from rigs.toml import dump_rig
+
+TICKS, CALIBRATION_TICKS = 400, 1000  # planes at the rig's own rate
+BARREL = (-0.22, 0.0, 0.0, 0.0)  # ten percent at the corners of the lab rig's pictures
+
+
+@dataclass(frozen=True)
+class Defect:
+    """One thing that is wrong with a recording: `simulated` are fields of Simulation that differ from the clean one.
+
+    `bent`: lenses bend as BARREL says. `rate_hz`: planes a second. `maps`: flat and dark recordings of the same sensors
+    calibrate the pixels. Without the cure a run has the choices `uncured`, and takes bent lenses for pinholes.
+    """
+
+    name: str
+    simulated: dict[str, Any] = field(default_factory=dict)
+    bent: bool = False
+    rate_hz: float | None = None
+    maps: bool = False
+    uncured: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def curable(self) -> bool:
+        """A flag: the engine has a cure that can be switched off."""
+        return self.bent or bool(self.uncured)
+
+
+def recorded(work: Path, rig: Rig, subject: tuple[str, int], defect: Defect) -> Path:
+    """Return the recording of a scene and seed with a defect in `work`, simulated by `rig` where there is none."""
+    scene, seed = subject
+    path = work / f"{scene}-{seed}-{defect.name}"
+    if not path.exists():
+        seen = _seen_by(work, rig, seed, defect)
+        ticks = round(TICKS * seen.tick_rate_hz / rig.tick_rate_hz)
+        with made_aside(path) as aside:
+            apart(partial(simulate, Simulation(scene, seed, **defect.simulated), seen, ticks, aside))
+    return path
+
+
+def _seen_by(work: Path, rig: Rig, seed: int, defect: Defect) -> Rig:
+    """Return the rig file of the recording: its lenses, its rate, and its calibrated pixels."""
+    rig = replace(rig, tick_rate_hz=defect.rate_hz or rig.tick_rate_hz)
+    if defect.bent:
+        rig = replace(rig, cameras=tuple(replace(c, distortion=BARREL) for c in rig.cameras))
+    if not defect.maps:
+        return rig
+    simulated = {name: value for name, value in defect.simulated.items() if name in ("traits", "sensor")}
+    flat, dark = (
+        _even(work / f"{light}-{seed}-{defect.name}", Simulation(light, seed, **simulated), rig)
+        for light in ("flat", "dark")
+    )
+    cameras = []
+    for camera in rig.cameras:
+        file = work / f"{defect.name}-{seed}-{camera.id}.npz"
+        write_pixels(file, estimate_pixels(flat.stream(camera.id), dark.stream(camera.id)))
+        cameras.append(replace(camera, pixels=file))
+    return replace(rig, cameras=tuple(cameras))
+
+
+def _even(path: Path, simulation: Simulation, rig: Rig) -> Recording:
+    """Return a recording of even light or of none."""
+    if not path.exists():
+        with made_aside(path) as aside:
+            apart(partial(simulate, simulation, rig, CALIBRATION_TICKS, aside))
+    return Recording.open(path)
+
+
+def straightened(path: Path) -> Path:
+    """Return the same recording with a rig file that knows of no bent lens."""
+    out = path.with_name(f"{path.name}-straight")
+    if not out.exists():
+        with made_aside(out) as aside:
+            aside.mkdir(parents=True, exist_ok=True)
+            for file in path.iterdir():
+                if file.name != "rig.toml":
+                    (aside / file.name).symlink_to(file.resolve())
+            rig = Recording.open(path).rig
+            pinholes = tuple(replace(c, distortion=(0.0,) * 4, pixels=None) for c in rig.cameras)
+            write_durably(aside / "rig.toml", dump_rig(replace(rig, cameras=pinholes)))
+    return out
