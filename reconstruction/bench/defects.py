@@ -12,7 +12,7 @@ from pathlib import Path
 from acquisition.bench_document import BenchDocument
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
-from acquisition.scenes.catalog import DEVELOPMENT_SEEDS
+from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, OPEN_AIR
 from acquisition.spikes.traits import Traits
 from reconstruction.bench.conventions import HOLDOUT, kept
 from reconstruction.bench.defect_recordings import Defect, recorded, straightened
@@ -53,7 +53,7 @@ DEFECTS = (
     Defect("tenth-light", {"light": 0.1}, uncured=NINE),
     Defect("hundredth-light", {"light": 0.01}, uncured=NINE),
 )
-PLACES = ("plain", "sky", "black", "far")  # scenes that are defects themselves: walls, and what lies beyond
+PLACES = ("plain", *OPEN_AIR)  # scenes that are defects themselves: walls, and what lies beyond
 FEW = (Defect("rig-off", {"rig_error": OFF}), TOGETHER)  # on the realistic scenes
 
 

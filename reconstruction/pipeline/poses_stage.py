@@ -14,7 +14,7 @@ from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
 from rigs.rig import Rig
 
-REFINE_SD_DEG = 0.03  # degrees of doubt in a rotation above which training refines the poses: a fifth of a pixel
+REFINE_SD_DEG = 0.02  # degrees of doubt in a rotation above which training refines the poses: an eighth of a pixel
 
 
 def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
