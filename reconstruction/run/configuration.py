@@ -16,10 +16,8 @@ from reconstruction.training.term import supervisions
 DEFAULT_BUDGET_S = 120.0
 STAGES = ("plan", "poses", "images", "points", "train", "report")
 SUPERVISIONS = supervisions()
-PIXELS = MAPS, EVEN = (
-    "maps",
-    "even",
-)  # what is taken of single pixels: what a calibration found, or that all are alike
+MAPS, EVEN = "maps", "even"  # what is taken of single pixels: what a calibration found, or that all are alike
+PIXELS = (MAPS, EVEN)
 CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "model": ("auto", *METHODS),
