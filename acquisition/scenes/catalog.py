@@ -1,7 +1,7 @@
 """Lists the named scenes by their use: development, evaluation, stress, calibration, and the realistic ones.
 
 Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They are scored on EVALUATION scenes with
-EVALUATION_SEEDS, which nothing is tuned on. OPEN_AIR scenes develop far, even and empty backgrounds. STRESS scenes have
+EVALUATION_SEEDS, which nothing is tuned on. BACKGROUNDS develop far, even, empty and plain ones. STRESS scenes have
 one difficulty each; CALIBRATION ones calibrate a rig. REALISTIC ones, for development, and REALISTIC_EVALUATION ones
 are drawn by a path tracer, an extra that is needed only where one is drawn.
 Every other list of scene names, as of the command line and the benches, is made from these.
@@ -16,6 +16,7 @@ from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
 from acquisition.scenes.open_air import black, far, sky
+from acquisition.scenes.plain import plain
 from acquisition.scenes.realistic.rooms.banner import banner
 from acquisition.scenes.realistic.rooms.chrome_table import chrome_table
 from acquisition.scenes.realistic.rooms.courtyard import courtyard
@@ -26,7 +27,7 @@ from acquisition.scenes.realistic.rooms.robot_arm import robot_arm
 from acquisition.scenes.realistic.rooms.thrown_things import thrown_things
 from acquisition.scenes.realistic.scene import Build, DrawnScene
 from acquisition.scenes.runner import runner
-from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, plain, static, stiff
+from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, static, stiff
 from acquisition.scenes.traffic import traffic
 from acquisition.scenes.turntable import turntable
 from acquisition.scenes.view import Scenery
@@ -54,8 +55,8 @@ def _scene_of(build: Build, seed: int) -> Scenery:
 
 DEVELOPMENT = _listed(fan_and_ball)
 EVALUATION = _listed(traffic, runner, turntable, collision, fan)
-OPEN_AIR = _listed(sky, far, black)
-STRESS = _listed(static, stiff, flicker, outdoor, dim, bright, burst, deforming, faint, plain)
+BACKGROUNDS = _listed(sky, far, black, plain)
+STRESS = _listed(static, stiff, flicker, outdoor, dim, bright, burst, deforming, faint)
 CALIBRATION = _listed(
     calibration.flat,
     calibration.dark,
@@ -69,7 +70,7 @@ REALISTIC_EVALUATION = _drawn(chrome_table, dominoes, courtyard, banner, marbles
 PURPOSES = (
     ("What the cameras see. For development", DEVELOPMENT),
     ("for evaluation and nothing else", EVALUATION),
-    ("for developing backgrounds", OPEN_AIR),
+    ("for developing backgrounds", BACKGROUNDS),
     ("for stress", STRESS),
     ("for calibration", CALIBRATION),
     ("drawn by a path tracer, which takes minutes the first time, for development", REALISTIC),

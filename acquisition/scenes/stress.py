@@ -21,13 +21,6 @@ BURST_S = 0.008  # when the bodies of `burst` appear
 FLICKER = Flicker(rate_hz=100.0, depth=0.8)
 ACROSS = Uneven(slope=(0.5, -0.2, 0.0), offset=0.6, least=0.08)  # full light on the right, little on the left
 DIM_WHITE, FAINT_WHITE, BRIGHT_WHITE = 0.01, 0.07, 0.95  # spikes per tick
-WALLS = (  # name, middle in m, turn, albedo
-    ("back", (0.0, 0.0, 3.4), np.eye(3), 0.62),
-    ("floor", (0.0, FLOOR_Y_M, 2.0), about(0, math.pi / 2), 0.4),
-    ("ceiling", (0.0, -1.1, 2.0), about(0, math.pi / 2), 0.85),
-    ("left", (-1.5, 0.0, 2.0), about(1, math.pi / 2), 0.55),
-    ("right", (1.5, 0.0, 2.0), about(1, math.pi / 2), 0.7),
-)
 STRIPS, STRIP_M = 33, 0.028
 
 
@@ -39,8 +32,8 @@ def static(seed: int) -> Scene:
 def stiff(seed: int) -> Scene:
     """Build a ball at 55 m/s, 12 pixels a millisecond in the lab rig, beside one that rolls at 0.3 m/s."""
     stage = Stage.numbered(seed, NUMBER)
-    fast = _ball(stage, "fast_ball", 0.1, (-0.55, -0.12, 1.55), 55.0, lane_m=4.0)
-    slow = _ball(stage, "slow_ball", 0.16, (0.1, 0.3, 1.8), 0.3, lane_m=6.0)
+    fast = crossing_ball(stage, "fast_ball", 0.1, (-0.55, -0.12, 1.55), 55.0, lane_m=4.0)
+    slow = crossing_ball(stage, "slow_ball", 0.16, (0.1, 0.3, 1.8), 0.3, lane_m=6.0)
     return _scene("stiff", seed, _furnished(stage), fast, slow)
 
 
@@ -102,21 +95,6 @@ def faint(seed: int) -> Scene:
     return _scene("faint", seed, stage, card, white=FAINT_WHITE, background=FAINT_WHITE / 30)
 
 
-def plain(seed: int) -> Scene:
-    """Build a room of painted walls without any texture, with a poster, plain furniture and two textured movers."""
-    stage = Stage.numbered(seed, NUMBER)
-    for name, center, turned, albedo in WALLS:
-        paint = Finish(CLOTH, 0.01, (albedo, albedo))
-        stage.bodies.append(still(name, center, Shape("rectangle", (3.0, 3.0), paint, Transform(turned, np.zeros(3)))))
-    stage.block("bed", stage.near(0.62, 0.46, 1.9), (0.25, 0.16, 0.3), Finish(CLOTH, 0.01, (0.8, 0.8)), 0.5)
-    stage.block("chest", stage.near(-0.95, 0.2, 2.7), (0.25, 0.42, 0.2), Finish(CLOTH, 0.01, (0.45, 0.45)), -0.4)
-    stage.marker((0.75, -0.42, 3.05), -0.15)
-    turning = fan_of(stage, "propeller", (-0.1, -0.08, 1.75), (0.2, -0.1, 1.0), (4, 0.15, 0.1), 50.0)
-    ball = _ball(stage, "ball", 0.14, (-0.5, 0.25, 1.9), 6.0, lane_m=4.0)
-    light = {"to_sun": (-0.2, -0.12, -0.97), "uneven": Uneven((0.05, 0.03, -0.1), offset=1.2, least=0.3)}
-    return _scene("plain", seed, stage, turning, ball, **light)
-
-
 def _turning(name: str, seed: int, *, spin_rad_s: float = 50.0, **light: Any) -> Scene:
     stage = _furnished(Stage.numbered(seed, NUMBER))
     turning = fan_of(stage, "propeller", (-0.1, -0.08, 1.75), (0.2, -0.1, 1.0), (4, 0.15, 0.1), spin_rad_s)
@@ -128,7 +106,7 @@ def _scene(name: str, seed: int, stage: Stage, *movers: Body, **light: Any) -> S
     return stage.scene(name, NUMBER, seed, **light)
 
 
-def _ball(stage: Stage, name: str, radius: float, place: Vector, speed_m_s: float, *, lane_m: float) -> Body:
+def crossing_ball(stage: Stage, name: str, radius: float, place: Vector, speed_m_s: float, *, lane_m: float) -> Body:
     """Return a ball at `place` at instant 0, which crosses `lane_m` along x again and again."""
     x, y, z = place
     start, launch_s = at(-lane_m / 2, y, z), -(x + lane_m / 2) / speed_m_s

@@ -12,7 +12,7 @@ from pathlib import Path
 from acquisition.bench_document import BenchDocument
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
-from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, OPEN_AIR
+from acquisition.scenes.catalog import BACKGROUNDS, DEVELOPMENT_SEEDS
 from acquisition.spikes.traits import Traits
 from reconstruction.bench.conventions import HOLDOUT, kept
 from reconstruction.bench.defect_recordings import Defect, recorded, straightened
@@ -53,7 +53,6 @@ DEFECTS = (
     Defect("tenth-light", {"light": 0.1}, uncured=NINE),
     Defect("hundredth-light", {"light": 0.01}, uncured=NINE),
 )
-PLACES = ("plain", *OPEN_AIR)  # scenes that are defects themselves: walls, and what lies beyond
 FEW = (Defect("rig-off", {"rig_error": OFF}), TOGETHER)  # on the realistic scenes
 
 
@@ -99,7 +98,7 @@ def bench_defects(
     work.mkdir(parents=True, exist_ok=True)
     shop = Workshop(work, catalog_rig("ci3x3" if quick else "lab3x3"), QUICK_STEPS if quick else STEPS)
     todo = [(*one, defect) for one in scenes for defect in (CLEAN, *(DEFECTS[:1] if quick else DEFECTS))]
-    todo += [] if quick else [(scene, DEVELOPMENT_SEEDS[0], CLEAN) for scene in PLACES]
+    todo += [] if quick else [(scene, DEVELOPMENT_SEEDS[0], CLEAN) for scene in BACKGROUNDS]
     todo += [] if quick else [(*one, defect) for one in realistic for defect in (CLEAN, *FEW)]
     for number, (scene, seed, defect) in enumerate(todo):
         if not time_left():

@@ -6,12 +6,12 @@ from maintenance.scene_digests import evaluation_digests, scene_digest
 
 from acquisition.scenes import natural
 from acquisition.scenes.catalog import (
+    BACKGROUNDS,
     CALIBRATION,
     DEVELOPMENT,
     DEVELOPMENT_SEEDS,
     EVALUATION,
     EVALUATION_SEEDS,
-    OPEN_AIR,
     REALISTIC,
     REALISTIC_EVALUATION,
     SCENES,
@@ -182,7 +182,7 @@ def test_the_marker_is_upright_and_not_mirrored(name):
 
 
 def test_the_lists_are_closed_and_keep_development_from_evaluation():
-    lists = (DEVELOPMENT, EVALUATION, OPEN_AIR, STRESS, CALIBRATION, REALISTIC, REALISTIC_EVALUATION)
+    lists = (DEVELOPMENT, EVALUATION, BACKGROUNDS, STRESS, CALIBRATION, REALISTIC, REALISTIC_EVALUATION)
     assert sorted(name for names in lists for name in names) == sorted(SCENES)
     assert len(EVALUATION) == 5
     assert not set(DEVELOPMENT_SEEDS) & set(EVALUATION_SEEDS)

@@ -8,10 +8,10 @@ import pytest
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
-from acquisition.scenes.catalog import SCENES
+from acquisition.scenes.catalog import BACKGROUNDS
 from reconstruction.bench import defect_recordings, defects
 from reconstruction.bench.defect_recordings import BARREL, Defect, recorded, straightened
-from reconstruction.bench.defects import CLEAN, DEFECTS, FEW, PLACES, STEPS, TOGETHER, bench_defects, costs
+from reconstruction.bench.defects import CLEAN, DEFECTS, FEW, STEPS, TOGETHER, bench_defects, costs
 from reconstruction.bench.diagrams import plot_defects
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.toml import catalog_rig
@@ -21,7 +21,6 @@ RUN = {"psnr_db": 36.0, "dynamic_psnr_db": 30.0, "abs_rel": 0.01}
 
 def test_every_defect_is_a_simulation_and_its_cure_a_choice():
     assert len({defect.name for defect in DEFECTS}) == len(DEFECTS)
-    assert set(PLACES) <= set(SCENES)
     for defect in (*DEFECTS, *FEW):
         Simulation("fan_and_ball", 1, **defect.simulated)
         ReconstructionConfig(steps=3, budget_s=None, **defect.uncured)
@@ -79,7 +78,7 @@ def test_the_bench_resumes_and_says_what_it_left_out(tmp_path, monkeypatch):
     scenes, drawn = [("fan_and_ball", 1)], [("plain_room", 1)]
     document = bench_defects(scenes, drawn, tmp_path, silent)
     curable = sum(defect.curable for defect in DEFECTS)
-    assert len(document.rows) == 1 + len(DEFECTS) + curable + len(PLACES) + 1 + len(FEW)
+    assert len(document.rows) == 1 + len(DEFECTS) + curable + len(BACKGROUNDS) + 1 + len(FEW)
     assert f"fan_and_ball-1-lens-uncured-{STEPS}.run" in made
     assert document.summary["fan_and_ball.lens.cost_db"] == 0.0
     made.clear()
