@@ -47,6 +47,10 @@ class Solution:
     problem: Problem
     state: State
 
+    def moved(self, group: str) -> float:
+        """Return the sum of all steps of the one value of a group."""
+        return float(self.state.steps[self.problem.freedom.of(group)].item())
+
 
 def cost(problem: Problem, state: State) -> float:
     """Return the robust cost of a state, with priors."""

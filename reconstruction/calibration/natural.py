@@ -19,6 +19,14 @@ from reconstruction.calibration.calibrated import Calibrated, Fit, calibrated, c
 from reconstruction.calibration.features import Features, Image, find_features
 from reconstruction.calibration.matches import Gate, Matches, Pair, Tracks, gated, joined, matched, verified
 from reconstruction.calibration.moments import Movers
+from reconstruction.calibration.natural_lens import (
+    DISTORTION_SD,
+    lens_groups,
+    lens_report,
+    rebends,
+    with_lens,
+    with_lens_of,
+)
 from reconstruction.calibration.patches import refined
 from reconstruction.calibration.problem import Freedom, Loss, Observations, Problem, ScenePoints, State
 from reconstruction.calibration.projection import Cameras
@@ -33,6 +41,7 @@ AFTER_MSDI = Gate(15.0, along=1.0)  # its cameras are off by a few tenths of a d
 COARSE_GATE = Gate(8.0, along=1.0)  # once turns are found
 LEAST_VIEWS = 3  # fewest views of a track
 MOST_TRACKS = 1000
+MOST_LENSES = 2  # times that matches are judged anew by a lens that was found
 COARSE_TRACKS = 400
 CELLS = (8, 5)  # across and down a view, that tracks are spread over
 BEND_PX = 0.3  # Cauchy's, at the end
@@ -94,20 +103,33 @@ def solve(
 ) -> Calibrated:
     """Return what `calibrate_natural` does, from features and matches that were gathered before."""
     nominal = rig.only(evidence.images)
-    seen, tracks = _looked_at(nominal, evidence, movers, gate, seed)
-    start, parts = _coarse(nominal, seen, tracks, seed)
-    tracks = Tracks.of(parts)
-    progress(0.6, f"{len(tracks)} tracks")
-    solution = annealed(start, tracks)
+    seen, solution, parts = _annealed(nominal, evidence, movers, gate, seed)
+    for _ in range(MOST_LENSES):
+        if not rebends(solution):
+            break
+        lens = lens_groups(solution)
+        bent = with_lens_of(nominal, solution)  # the lens lets matches through that gates refused without it
+        seen, solution, parts = _annealed(bent, evidence, movers, gate, seed, lens)
+    progress(0.6, f"{sum(map(len, parts))} tracks")
     tracks = Tracks.of([refined(part, list(one.images.values())) for part, one in zip(parts, seen, strict=True)])
     progress(0.8, "patches refined")
     fine = observed(tracks, PATCH_SD_PX)
-    solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX))
+    solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX), lens_groups(solution))
+    solution = with_lens(solution)
     progress(0.95, "adjusted")
     judge(nominal, solution)
     found = _calibrated(rig, nominal, solution, [len(part) for part in parts], date)
     progress(1.0, str(found.report["summary"]))
     return found
+
+
+def _annealed(
+    nominal: Rig, still: Evidence, movers: Movers | None, gate: Gate, seed: int, lens: Sequence[str] = ()
+) -> tuple[list[Evidence], Solution, list[Tracks]]:
+    """Return the evidence, the cameras by its features, with their lens where it shows, and its tracks."""
+    seen, tracks = _looked_at(nominal, still, movers, gate, seed)
+    start, parts = _coarse(nominal, seen, tracks, seed)
+    return seen, with_lens(annealed(start, Tracks.of(parts), lens)), parts
 
 
 def _looked_at(
@@ -179,7 +201,7 @@ def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: Sequence[int
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
     sd_deg = refuse_unsure(sds)
     found = cameras.written_to(nominal)
-    focal = float(solution.state.steps[-1])
+    focal = solution.moved("focal")
     report: dict[str, object] = {
         "date": date,
         "method": "natural",
@@ -189,7 +211,7 @@ def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: Sequence[int
         "focal_change": focal,
         "focal_sd_percent": sds[0].focal_percent,
         "metric_scale": "from the nominal camera centres alone",
-    }
+    } | lens_report(solution, found, nominal)
     return calibrated(rig, align(found, nominal).carry_rig(found), solution, fit, sds, report)
 
 
@@ -201,20 +223,22 @@ def coarse(cameras: Cameras, tracks: Tracks) -> Solution:
     return Solution(problem, adjust(problem, state, least_gain=ROUGHLY))
 
 
-def annealed(start: Solution, tracks: Tracks) -> Solution:
-    """Adjust from a coarse solution to free poses, then to a free focal length."""
+def annealed(start: Solution, tracks: Tracks, lens: Sequence[str] = ()) -> Solution:
+    """Adjust from a coarse solution to free poses, then to a free focal length and the parts of the `lens`."""
     cameras = start.state.cameras
     observations = observed(tracks, FEATURE_SD_PX)
     state = State(cameras, ScenePoints(triangulated(cameras, tracks)), start.state.steps)
     for px, center_m in STEPS:
         freedom = Freedom.poses(len(cameras), center_m)
         state = adjust(Problem(observations, freedom, Loss("cauchy", px / FEATURE_SD_PX)), state, least_gain=ROUGHLY)
-    return with_focal(state, observations, Loss("cauchy", STEPS[-1][0] / FEATURE_SD_PX))
+    return with_focal(state, observations, Loss("cauchy", STEPS[-1][0] / FEATURE_SD_PX), lens)
 
 
-def with_focal(state: State, observations: Observations, loss: Loss) -> Solution:
-    """Adjust on with the focal length free, and with other observations of the same points."""
+def with_focal(state: State, observations: Observations, loss: Loss, lens: Sequence[str] = ()) -> Solution:
+    """Adjust on with the focal length and the parts of the `lens` free, and other observations of the same points."""
     freedom = Freedom.poses(len(state.cameras), CENTER_SD_M).shared_focal(state.cameras, FOCAL_SD)
+    for name in lens:
+        freedom = freedom.shared(name, DISTORTION_SD)
     steps = np.append(state.steps, np.zeros(len(freedom.prior_sd) - len(state.steps)))
     problem = Problem(observations, freedom, loss)
     return Solution(problem, adjust(problem, replace(state, steps=steps), 40))

@@ -139,6 +139,12 @@ class Freedom:
             freedom = freedom.freed(columns, prior_sd, group)
         return freedom
 
+    def shared(self, name: str, prior_sd: float) -> Freedom:
+        """Free one change of the parameter `name`, alike for all cameras, in a group of its name."""
+        columns = np.zeros((len(self.mixing), len(PARAMETERS), 1))
+        columns[:, PARAMETERS.index(name)] = 1.0
+        return self.freed(columns, prior_sd, name)
+
     def shared_focal(self, cameras: Cameras, prior_sd: float) -> Freedom:
         """Free one factor of all focal lengths, as a relative change, in the group "focal"."""
         return self.freed(_own_focal(cameras).sum(axis=2, keepdims=True), prior_sd, "focal")

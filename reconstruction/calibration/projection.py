@@ -38,7 +38,7 @@ class Cameras:
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Cameras:
         """Return the cameras of a rig, in order."""
-        lenses = [(c.fx, c.fy, c.cx, c.cy, *(*c.distortion, 0.0)[:5]) for c in cameras]
+        lenses = [(c.fx, c.fy, c.cx, c.cy, *bends_of(c)) for c in cameras]
         turns, centers = [c.cam_from_rig.rotation for c in cameras], [c.center for c in cameras]
         fisheye = np.array([c.lens_model == "fisheye" for c in cameras])
         return cls(np.array(turns), np.array(centers), np.array(lenses, dtype=np.float64), fisheye)
@@ -70,6 +70,11 @@ class Cameras:
             values = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": shortened(tuple(bends))}
             found.append(replace(camera, cam_from_rig=Transform(u @ vt, -(u @ vt) @ center), **values))
         return replace(rig, cameras=tuple(found))
+
+
+def bends_of(camera: Camera) -> Floats:
+    """Return the coefficients of a camera's lens [5], with a zero where it has but four."""
+    return np.array((*camera.distortion, 0.0)[:5], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def judge(nominal: Rig, solution: Solution) -> None:
         raise GeometryError(
             f"found fewer than {LEAST_OBSERVATIONS} good observations in {', '.join(few)}", do="leave it out"
         )
-    focal = float(solution.state.steps[-1])
+    focal = solution.moved("focal")
     if abs(focal) > MOST_FOCAL:
         raise GeometryError(
             f"found a focal length {focal:+.1%} off the nominal one",

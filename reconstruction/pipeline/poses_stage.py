@@ -7,11 +7,13 @@ import numpy as np
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
+from reconstruction.calibration.projection import bends_of
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.initialisers import INITIALISERS, InitOptions
 from reconstruction.pipeline.artefacts import FOUND_RIG, write_rig
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
+from rigs.lens import shortened
 from rigs.rig import Rig
 
 REFINE_SD_DEG = 0.02  # degrees of doubt in a rotation above which training refines the poses: an eighth of a pixel
@@ -37,7 +39,7 @@ def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> Non
         return
     if found.rig is recording.rig:
         return
-    write_rig(run.path / FOUND_RIG, _with_shared_focal(found.rig, recording.rig, run.plan.views))
+    write_rig(run.path / FOUND_RIG, _with_shared_lens(found.rig, recording.rig, run.plan.views))
     run.document.poses = {"init": init, "held_out_used": False, **found.report}
     reason = str(found.report.get("summary", "the rig's poses are nominal"))
     run.amend("poses", Decision("poses", f"found by {init}", reason, "--init"))
@@ -52,8 +54,17 @@ def _refine(run: RunFolder, reason: str) -> None:
         run.amend("poses", decision, refine=True)
 
 
-def _with_shared_focal(found: Rig, given: Rig, views: Sequence[str]) -> Rig:
-    """Return the rig found, with the focal factor of `views` also in the cameras that were not looked at."""
-    factor = float(np.mean([found.camera(view).fx / given.camera(view).fx for view in views]))
-    unseen = {c.id: replace(c, fx=c.fx * factor, fy=c.fy * factor) for c in given.cameras if c.id not in views}
+def _with_shared_lens(found: Rig, given: Rig, views: Sequence[str]) -> Rig:
+    """Return the rig found, with what `views` have in common also in the cameras that were not looked at.
+
+    That is the factor of the focal length, and the change of the lens.
+    """
+    pairs = [(found.camera(view), given.camera(view)) for view in views]
+    factor = float(np.mean([now.fx / then.fx for now, then in pairs]))
+    change = np.mean([bends_of(now) - bends_of(then) for now, then in pairs], axis=0)
+    unseen = {}
+    for camera in given.cameras:
+        if camera.id not in views:
+            own = shortened(tuple((bends_of(camera) + change).tolist())) if change.any() else camera.distortion
+            unseen[camera.id] = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, distortion=own)
     return replace(found, cameras=tuple(unseen.get(c.id, c) for c in found.cameras))
