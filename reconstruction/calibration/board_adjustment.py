@@ -3,8 +3,9 @@
 Poses and one focal factor of all cameras are always free. Each camera's own focal length, its principal point, k1 and
 k2 are freed together. Then groups that are not significant go back to their nominal values, the least significant
 first: a group of n values stays while its Wald statistic is above n log(observed numbers), the price of a parameter in
-Schwarz, "Estimating the dimension of a model", 1978. Other values would only make the poses worse. p1 and p2 are never
-freed: at these angles they look almost like a principal point.
+Schwarz, "Estimating the dimension of a model", 1978. Other values would only make the poses worse. k3, where k2 stayed,
+and then p1 and p2 together, which look almost like a principal point, are freed afterwards and judged alike, with all
+others once more; a fisheye keeps its own.
 
 Each pose of the board begins as one picture has it. A picture of a plane allows two poses (Collins and Bartoli,
 "Infinitesimal plane-based pose estimation", IJCV 2014); the other cameras tell which, and whose pose is the best.
@@ -38,7 +39,16 @@ LEAST_POINTS = 4  # fewest points of a board in a picture that tells its pose
 LEAST_WIDTH = 0.1  # least extent of the points across their length, as a share of it; less is a line
 MOST_PX = 50.0  # largest distance that a point far off counts with
 BEND = 4.0  # Huber's, in standard deviations
-OWN, PRINCIPAL, K1, K2 = LENS_GROUPS = ("own focal lengths", "principal points", "k1", "k2")
+OWN, PRINCIPAL, K1, K2, K3, TANGENTIAL = LENS_GROUPS = (
+    "own focal lengths",
+    "principal points",
+    "k1",
+    "k2",
+    "k3",
+    "p1 p2",
+)
+RARE_SDS = {K3: 3.0, TANGENTIAL: 0.03}  # prior deviations of what few lenses have
+HIGHER = {K1: K2, K2: K3}  # groups that are judged once the other is gone
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +82,19 @@ def solve(rig: Rig, points: Floats, sightings: Sightings) -> tuple[BoardSolution
     state = adjust(_problem(sightings, first, ROUGH_PX, 10.0), state)
     state = replace(state, steps=np.append(state.steps, np.zeros(len(freedom.prior_sd) - len(state.steps))))
     state = adjust(_problem(sightings, freedom, FINE_PX), state, 60)
-    return _reduced(freedom, sightings, state), sightings
+    return _grown(_reduced(freedom, sightings, state), sightings), sightings
+
+
+def _grown(solution: BoardSolution, sightings: Sightings) -> BoardSolution:
+    """Return the solution with k3, and with p1 and p2, where they are significant beside all else; else as it was."""
+    for group, prior_sd in RARE_SDS.items():
+        if solution.state.cameras.fisheye.any() or (group == K3 and K2 not in solution.found):
+            continue
+        freedom = solution.problem.freedom.each(group.split(), prior_sd, group)
+        steps = np.append(solution.state.steps, np.zeros(len(freedom.prior_sd) - len(solution.state.steps)))
+        larger = _reduced(freedom, sightings, replace(solution.state, steps=steps))
+        solution = larger if group in larger.found else solution
+    return solution
 
 
 def _reduced(freedom: Freedom, sightings: Sightings, state: State) -> BoardSolution:
@@ -96,10 +118,10 @@ def _reduced(freedom: Freedom, sightings: Sightings, state: State) -> BoardSolut
 
 
 def _weakest(freedom: Freedom, steps: Floats, covariance: Floats, numbers: int) -> str | None:
-    """Return the least significant group, if it is not significant; k1 is judged once k2 is gone."""
+    """Return the least significant group, if it is not significant; k1 is judged once k2 is gone, that once k3 is."""
     ratios = {}
     for group in LENS_GROUPS:
-        if group in freedom.groups and not (group == K1 and K2 in freedom.groups):
+        if group in freedom.groups and HIGHER.get(group) not in freedom.groups:
             own = freedom.of(group)
             x = steps[own]
             ratios[group] = float(x @ np.linalg.solve(covariance[np.ix_(own, own)], x)) / (len(x) * np.log(numbers))

@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.reader import Recording
-from reconstruction.calibration.board_adjustment import K1, K2, OWN, PRINCIPAL, BoardSolution, solve
+from reconstruction.calibration.board_adjustment import K1, K2, K3, OWN, PRINCIPAL, TANGENTIAL, BoardSolution, solve
 from reconstruction.calibration.board_sightings import Sightings, sight_board
 from reconstruction.calibration.board_spec import BoardSpec
 from reconstruction.calibration.calibrated import (
@@ -92,7 +92,7 @@ def _report(
 ) -> dict[str, object]:
     """Return what was found, as plain values."""
     found, pairs = solution.found, set(zip(sightings.camera.tolist(), sightings.pose.tolist(), strict=True))
-    k = ", ".join(name for name in (K1, K2) if name in found)
+    k = ", ".join(name for name in (K1, K2, TANGENTIAL, K3) if name in found)
     return {
         "method": "board",
         "board": board.text,

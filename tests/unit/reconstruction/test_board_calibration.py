@@ -100,6 +100,23 @@ def test_lenses_that_differ_from_the_nominal_ones_are_found(change, what, tolera
             assert found.rig.camera(camera.id).distortion[0] == pytest.approx(camera.distortion[0], abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("bends", "said", "at", "tolerance"),
+    [
+        ((-0.1, 0.0, 0.006, -0.004), "k1, p1 p2 found for each camera", (2, 3), 0.002),
+        ((-0.1, 0.2, 0.0, 0.0, 1.5), "k1, k2, k3 found for each camera", (4,), 0.4),
+    ],
+)
+def test_rare_parts_of_lenses_are_found_where_the_board_shows_them(bends, said, at, tolerance):
+    true = lens(RIG, distortion=lambda _: bends)
+    found = from_sightings(NOMINAL, BOARD, seen_by(true, noise_px=0.01), DATE)
+    assert found.report["distortion"] == said
+    assert found.report["residual_px"] < 0.02
+    for number in at:
+        values = [(*camera.distortion, 0.0)[number] for camera in found.rig.cameras]
+        assert np.mean(values) == pytest.approx(bends[number], abs=tolerance)
+
+
 def test_the_metres_are_the_boards_own():
     small = dataclasses.replace(BOARD, points=BOARD.points * 1.05)
     found = from_sightings(NOMINAL, small, seen_by(RIG), DATE)
