@@ -47,7 +47,7 @@ OWN, PRINCIPAL, K1, K2, K3, TANGENTIAL = LENS_GROUPS = (
     "k3",
     "p1 p2",
 )
-RARE_SDS = {K3: 3.0, TANGENTIAL: 0.03}  # prior deviations of what few lenses have
+RARE_SDS = {K3: 3.0, TANGENTIAL: 0.03}  # prior deviations, of values in a lens that is well made
 HIGHER = {K1: K2, K2: K3}  # groups that are judged once the other is gone
 
 
