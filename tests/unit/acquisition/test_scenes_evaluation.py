@@ -19,6 +19,7 @@ from acquisition.scenes.catalog import (
     build_scene,
 )
 from acquisition.scenes.digest import committed_digests, scenes_digest
+from acquisition.scenes.traffic import traffic
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -194,7 +195,7 @@ def test_the_demo_scene_is_what_the_figures_were_made_on():
 
 
 def test_one_evaluation_scene_is_the_committed_one():
-    assert scene_digest(build_scene("traffic", 101)) == committed_digests()["traffic-101"]
+    assert scene_digest(traffic(101)) == committed_digests()["traffic-101"]
 
 
 @pytest.mark.slow
