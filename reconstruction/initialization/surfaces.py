@@ -20,8 +20,9 @@ from reconstruction.initialization.texture import spread_of
 
 PLAIN = 0.8  # share of textured pixels from which a view has no plain region worth a plane
 SMOOTH_PX = 1.0  # blur before edges are looked for
-EDGE = 1.0  # deviations of an image's noise that 3x3 blurred pixels spread by at the border of a region
-LEAST_PIXELS = 40  # of a region
+EDGE = 1.2  # deviations of an image's noise that 3x3 blurred pixels spread by at the border of a region
+CLOSED_PX = 2  # half the width of a gap in a border that is closed
+LEAST_PIXELS = 40  # of a region, away from its border
 REACH_PX = 5  # how far outside a region its border's depths are taken from
 LEAST_BORDER = 12  # depths at the border of a region that a plane is laid through
 LEAST_SUPPORT = 0.2  # least share of the border on the plane, less what lies behind it
@@ -56,14 +57,18 @@ def inferred(found: DepthMap, image: Image, noise: Image, options: SweepOptions,
     """Return the map with planes in its unknown regions without texture; what is known, or cannot be told, stays."""
     soft = np.asarray(cv2.GaussianBlur(image, (0, 0), SMOOTH_PX), np.float32)
     smooth = spread_of(soft, 1) < EDGE * noise
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(smooth.astype(np.uint8), connectivity=4)
+    narrow = np.ones((2 * CLOSED_PX + 1,) * 2, np.uint8)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        cv2.erode(smooth.astype(np.uint8), narrow), connectivity=4
+    )
     depth, known = found.depth.copy(), np.isfinite(found.depth)
     step = ON_PLANE * float(np.diff(options.inverse_depths[:2])[0])
     for label in range(1, count):
         if boxes[label, cv2.CC_STAT_AREA] < LEAST_PIXELS:
             continue
         rows, columns = _around(boxes[label], image.shape)
-        region = np.asarray(labels[rows, columns] == label)
+        core = (labels[rows, columns] == label).astype(np.uint8)
+        region = (cv2.dilate(core, narrow) > 0) & smooth[rows, columns]
         plane = _plane_of(region, found.depth[rows, columns], step, rng)
         open_ = region & ~known[rows, columns]
         if plane is not None and open_.any():
