@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 def spread_of(image: Image, radius: int, *, sloping: bool = True) -> Image:
     """Return the standard deviation [H, W] of the windows of `radius` around each pixel.
 
-    Without `sloping`, the window's mean slope is taken out: it looks the same wherever one cuts it, so it tells no depth.
+    Without `sloping`, the window's mean slope is taken out: a slope is alike wherever one cuts it and tells no depth.
     """
     size = (2 * radius + 1, 2 * radius + 1)
     exact = image.astype(np.float64)

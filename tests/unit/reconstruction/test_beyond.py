@@ -1,6 +1,7 @@
 """Depths beyond the usual range: found where something is there, not looked for elsewhere, an even sky put far."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,7 +100,8 @@ def test_light_may_pass_where_nothing_is_and_nothing_may_stop_it():
     rendered = Rendering(torch.zeros(16, 16, 1), torch.ones(16, 16), alpha, torch.zeros(0))
     half = torch.zeros(16, 16)
     half[:8] = 1
-    view = TrainingView(RIG.cameras[0], None)  # pyright: ignore[reportArgumentType]
+    straight = SimpleNamespace(straightening=None)
+    view = TrainingView(RIG.cameras[0], straight)  # pyright: ignore[reportArgumentType]
     losses = [term.held(replace(view, empty=e), rendered, target) for e in (None, half)]
     assert losses[0].item() == pytest.approx(0.5 * 0.75)
     assert losses[1].item() == pytest.approx(0.5 * (0.25 * 0.5 + 0.75 * 0.5))

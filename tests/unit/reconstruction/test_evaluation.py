@@ -38,13 +38,13 @@ def wall():
 
 def test_the_nearest_view_is_an_image_of_a_training_camera(wall):
     views, wanted, _ = wall
-    assert any(np.array_equal(nearest_view(wanted, views), image) for _, image in views)
+    assert any(np.array_equal(nearest_view(wanted, views).intensity, image) for _, image in views)
 
 
 def test_the_depth_blend_finds_the_wall_and_beats_the_nearest_view(wall):
     views, wanted, (truth, depth) = wall
     blend = depth_blend(wanted, views)
-    assert psnr_db(blend.intensity, truth, 0.6) > psnr_db(nearest_view(wanted, views), truth, 0.6) + 8
+    assert psnr_db(blend.intensity, truth, 0.6) > psnr_db(nearest_view(wanted, views).intensity, truth, 0.6) + 8
     assert np.nanmedian(np.abs(blend.depth / depth - 1)) < 0.01
 
 
