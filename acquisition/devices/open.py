@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from urllib.parse import parse_qsl, urlsplit
 
 import libusb_package
@@ -26,6 +26,7 @@ from acquisition.devices.usb import CameraSetupError, SoftwareTrigger, UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.glass import PERFECT, Glass
 from acquisition.scenes.misplaced import misplaced
 from acquisition.scenes.own import Own, owned
 from acquisition.scenes.source import ReplaySource, SceneSource
@@ -49,7 +50,8 @@ class Simulation:
     stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them. On USB
     they are devices of the `profile` of that name. `light` is a factor of the scene's own; the sensor's dark current
     stays. The gains of the cameras differ by `camera_gains` (standard deviation); they see up to `camera_lags` ticks
-    early or late. `traits` come on top of the sensor's.
+    early or late. `traits` come on top of the sensor's. A lens of the `glass` is not in the rig file, which is then
+    nominal.
     """
 
     scene: str
@@ -64,6 +66,7 @@ class Simulation:
     camera_gains: float = 0.0
     camera_lags: float = 0.0
     traits: Traits = PLAIN
+    glass: Glass = PERFECT
 
     def __post_init__(self) -> None:
         if self.fault:
@@ -98,20 +101,28 @@ class Simulation:
         """A flag: cameras or pixels differ by more than those of the plain sensors."""
         return bool(self.camera_gains or self.camera_lags or self.sensor == "harsh" or self.traits != PLAIN)
 
+    @property
+    def unlike_its_file(self) -> bool:
+        """A flag: cameras stand elsewhere than the rig file has them, or have other lenses."""
+        return bool(self.rig_error or self.glass.lens)
+
     def built(self, rig: Rig) -> Rig:
         """Return the rig as its cameras really stand, which a calibration does not move.
 
         The file of an uncalibrated rig is the drawing that its cameras were built by, and they stand misplaced from it.
-        The drawing of a calibrated rig is the catalog's; without one it stands as its file has it.
+        The drawing of a calibrated rig is the catalog's; without one it stands as its file has it, lenses included.
         """
-        if not self.rig_error:
+        if not self.unlike_its_file:
             return rig
         drawing = rig if rig.calibration is None else _drawing_of(rig)
-        return rig if drawing is None else misplaced(drawing, self.rig_error, self.seed)
+        if drawing is None:
+            return rig
+        built = misplaced(drawing, self.rig_error, self.seed) if self.rig_error else drawing
+        return self.glass.bent(built, self.seed)
 
     def drawn(self, rig: Rig) -> Rig:
-        """Return the rig as a recording states it: nominal where its cameras are misplaced and not calibrated."""
-        return replace(rig, poses="nominal") if self.rig_error and rig.calibration is None else rig
+        """Return the rig as a recording states it: nominal where its cameras are others and not calibrated."""
+        return replace(rig, poses="nominal") if self.unlike_its_file and rig.calibration is None else rig
 
 
 @dataclass(frozen=True)
@@ -123,6 +134,7 @@ class OpenCameras:
     scene: Scenery | None = None
 
 
+NESTED: dict[str, type[Traits | Glass]] = {"traits": Traits, "glass": Glass}  # fields of a Simulation with fields
 Devices = Simulation | Path | None  # simulated cameras, a recording that is sent again, or those on USB
 
 
@@ -139,15 +151,23 @@ def parse_devices(uri: str) -> Devices:
     if parts.scheme != "mock":
         raise CameraSetupError(f"found the devices {uri!r}", "usb: or mock:SCENE, or replay:REC")
     values: dict[str, object] = dict(parse_qsl(parts.query, keep_blank_values=True))
-    traits = [field.name for field in dataclasses.fields(Traits)]
-    fields = [field.name for field in dataclasses.fields(Simulation) if field.name not in ("scene", "traits")]
+    kinds = (Simulation, *NESTED.values())
+    fields = [f.name for kind in kinds for f in dataclasses.fields(kind) if f.name not in ("scene", *NESTED)]
     for name, value in values.items():
-        if name not in (*fields, *traits):
-            raise CameraSetupError(f"found {name}", ", ".join((*fields, *traits)), where=uri)
-        if name not in ("sensor", "fault", "profile"):
+        if name not in fields:
+            raise CameraSetupError(f"found {name}", ", ".join(fields), where=uri)
+        if name not in ("sensor", "fault", "profile", "lens"):
             values[name] = _number(uri, name, str(value))
-    chosen = Traits(**cast(dict, {name: values.pop(name) for name in traits if name in values}))
-    return Simulation(parts.path, traits=chosen, **cast(dict, values))
+    return Simulation(parts.path, **cast(dict, nested_in(values)))
+
+
+def nested_in(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a Simulation that flat `values` by name stand for."""
+    flat, nested = dict(values), {}
+    for name, kind in NESTED.items():
+        names = [field.name for field in dataclasses.fields(kind)]
+        nested[name] = kind(**{field: flat.pop(field) for field in names if field in flat})
+    return flat | nested
 
 
 def _drawing_of(rig: Rig) -> Rig | None:
@@ -206,6 +226,7 @@ def _models(rig: Rig, scene: Scenery, simulation: Simulation, planes: int) -> li
     for camera in rig.cameras:
         layout = PlaneLayout(camera.width, camera.height)
         options = {"samples": simulation.samples, "threads": threads, "own": own[camera.id]}
+        options |= {"pane": simulation.glass.pane(camera)}
         source = SceneSource(scene, camera, rig.clock, planes, sensors[camera.id], layout, **options)
         models.append(DeviceModel(camera.serial, source, rig.tick_rate_hz, profile=profile))
     return models

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
+from acquisition.scenes.glass import Pane
 from acquisition.scenes.own import AS_NOMINAL, Own
 from acquisition.scenes.view import Scenery, View
 from acquisition.spikes.layout import PlaneLayout
@@ -24,8 +25,8 @@ class SceneSource:
 
     A tick's light is that of one instant, not its integral: at 5 m/s and 120 rad/s and INSTANTS_HZ the two agree to
     64 dB. A longer tick has the mean of as many instants as it takes. The cameras of a rig run side by side, so by
-    default each takes one of the cores; `threads` 0 takes every core. `own` is the gain and lag of the camera.
-    Raises BadRecordingError when camera, sensor and layout differ in size.
+    default each takes one of the cores; `threads` 0 takes every core. `own` is the gain and lag of the camera, `pane`
+    what its light passes. Raises BadRecordingError when camera, sensor and layout differ in size.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class SceneSource:
         samples: int = 2,
         threads: int = 1,
         own: Own = AS_NOMINAL,
+        pane: Pane | None = None,
     ):
         sizes = {(camera.height, camera.width), sensor.shape, (layout.height, layout.width)}
         if len(sizes) > 1:
@@ -47,7 +49,7 @@ class SceneSource:
         self.layout = layout
         self.sensitivity = 1.0  # spikes for the same light, as a share of those at the nominal threshold
         self.own = own
-        self._scene, self._camera, self._sensor = scene, camera, sensor
+        self._scene, self._camera, self._sensor, self._pane = scene, camera, sensor, pane
         self._clock, self._ticks = clock, ticks
         self._samples, self._threads = samples, threads
         self._view: View | None = None
@@ -74,6 +76,7 @@ class SceneSource:
         if each > 1:
             light = light.reshape(last - self._rendered, each, *light.shape[1:]).mean(axis=1)
         self._rendered = last
+        light = self._pane.passed(light) if self._pane else light
         gain = self.sensitivity * self.own.gain
         light = light if gain == 1 else light * np.float32(gain)
         return pack(self._sensor.expose(light), self.layout)

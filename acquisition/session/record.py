@@ -10,6 +10,7 @@ from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.progress import Progress, part, silent
 from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
+from acquisition.scenes.glass import PERFECT, write_glass
 from acquisition.scenes.own import write_own
 from acquisition.scenes.truth import write_truth
 from acquisition.session.rig_lock import rig_lock
@@ -97,6 +98,8 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
                 write_truth(scene, devices.built(rig), planes, every, folder, report, sensor=devices.sensor)
                 if devices.uneven:
                     write_own(folder, devices.owned(rig), devices.sensors(rig))
+                if devices.glass != PERFECT:
+                    write_glass(folder, devices.glass, devices.built(rig).cameras)
         manifest = recording.commit(recording.entries(), opened.trigger.kind)
     progress(1.0, f"{len(streams)} cameras, {max(stream.planes for stream in streams)} planes each")
     if manifest.reason:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from acquisition.devices.open import MOST_GAINS, MOST_LAGS, MOST_LIGHT, MOST_RIG_ERROR, Simulation
+from acquisition.devices.open import MOST_GAINS, MOST_LAGS, MOST_LIGHT, MOST_RIG_ERROR, Simulation, nested_in
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
@@ -17,6 +17,7 @@ from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_size, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import PURPOSES, SCENES
+from acquisition.scenes.glass import Glass
 from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from acquisition.spikes.sensor import SENSOR_KINDS
@@ -76,6 +77,13 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     help="Let cameras see up to so many ticks early or late.",
 )
 @click.option(
+    "--lens",
+    default="",
+    metavar="BEND",
+    help="Bend by 10% at the corners (negative: pincushion), or by OpenCV's k1,k2[,p1,p2[,k3]]. Not in the rig file.",
+)
+@numbers_of(Glass)
+@click.option(
     "--samples",
     default=2,
     show_default=True,
@@ -124,8 +132,7 @@ def simulate_command(
     found = load_named_rig(rig)
     found = found.scaled(*size) if size else found
     found = dataclasses.replace(found, tick_rate_hz=rate_hz) if rate_hz else found
-    traits = Traits(**{field.name: simulation.pop(field.name) for field in dataclasses.fields(Traits)})
-    manifest = simulate(Simulation(scene, traits=traits, **simulation), found, ticks, out, progress_of("simulate"))
+    manifest = simulate(Simulation(scene, **nested_in(simulation)), found, ticks, out, progress_of("simulate"))
     if spikecv:
         write_config(out, manifest)
     _print_recording(out, manifest, as_json)

@@ -24,7 +24,7 @@ def several(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def numbers_of(kind: type) -> Callable[[Any], Any]:
-    """Return the options for a dataclass of numbers whose fields say `most` and `about` in their metadata."""
+    """Return the options for the numbers of a dataclass whose fields say `most` and `about` in their metadata."""
     return several(
         *(
             click.option(
@@ -35,6 +35,7 @@ def numbers_of(kind: type) -> Callable[[Any], Any]:
                 help=field.metadata["about"],
             )
             for field in dataclasses.fields(kind)
+            if field.metadata
         )
     )
 
