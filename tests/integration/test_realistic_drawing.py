@@ -1,6 +1,7 @@
 """The path tracer against light that is known in closed form; skipped where the extra is not installed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,43 @@ def test_depth_and_objects_are_those_of_the_centre_rays():
     assert depth[0, 0] == pytest.approx(2.5, rel=1e-5)
     assert depth[12, 20] == pytest.approx(1.5, abs=0.003)
     assert (objects[0, 0], objects[12, 20]) == (1, 2)
+
+
+def test_rays_of_pinholes_are_to_the_bit_what_they_were_before_there_were_lenses():
+    from acquisition.scenes.realistic.rays import _number, center_rays, dr, mi
+
+    number = dr.arange(mi.UInt32, CAMERA.width * CAMERA.height)
+    x, y = mi.Float(number % CAMERA.width) + 0.5, mi.Float(number // CAMERA.width) + 0.5
+    fx, fy, cx, cy = (_number(value) for value in (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy))
+    seen = dr.normalize(mi.Vector3f((x - cx) / fx, (y - cy) / fy, 1))
+    wanted = [dr.dot(mi.Vector3f(*map(_number, row)), seen) for row in CAMERA.cam_from_rig.rotation.T]
+    ray, forward = center_rays(CAMERA)
+    np.testing.assert_array_equal(np.array(ray.d), np.stack([np.array(axis) for axis in wanted]))
+    np.testing.assert_array_equal(np.array(forward), np.array(seen.z))
+
+
+def test_rays_through_a_lens_look_where_the_camera_says():
+    from acquisition.scenes.realistic.painter import Painter, look
+    from acquisition.scenes.realistic.rays import Rays, mi
+
+    leaning = sheet((0, 0, 2.5), (6, 0, 2.0), (0, -6, 0))  # z = 2.5 + x / 3
+    painter = Painter(Setting((Thing("wall", leaning, Finish((0.0, 0.4))),), CORNERS, lamps=(BEHIND,)))
+    plain = catalog_rig("lab3x3").camera("cam11").scaled(200, 125)  # the rig's frame is its own
+    rows, columns = np.indices((plain.height, plain.width)) + 0.5
+    pixels = np.arange(0, plain.width * plain.height, 977)
+    corners = np.stack(np.divmod(pixels, plain.width)[::-1], axis=1)[:, None]
+    opencv = [{"distortion": numbers} for numbers in ((-0.22, 0.01, 0.002, -0.001), (0.1, 0.0, 0.0, 0.0, 0.02))]
+    for lens in (*opencv, {"distortion": (-0.05, 0.01, 0.0, 0.0), "lens_model": "fisheye"}):
+        camera = replace(plain, **lens)
+        x, _ = camera.slopes(np.stack([columns.ravel(), rows.ravel()], axis=1)).T
+        depth, _ = look(painter, camera)
+        off = 1e-3 / camera.fx  # rays run straight between nodes
+        np.testing.assert_allclose(depth.ravel(), 2.5 / (1 - x / 3), rtol=1e-6 + off)
+        rays = np.array(Rays.through(camera, mi.UInt32(pixels), 2, 5).ray.d)
+        places = camera.bent((rays[:2] / rays[2]).T * (camera.fx, camera.fy) + (camera.cx, camera.cy))
+        within = (places.reshape(-1, 4, 2) - corners) * 2 - [[0, 0], [1, 0], [0, 1], [1, 1]]  # of its quarter
+        assert -4e-3 < within.min() < within.max() < 1 + 4e-3
+        assert within.std() == pytest.approx(12**-0.5, rel=0.1)
 
 
 def test_what_no_mover_reaches_is_the_same_in_every_frame():

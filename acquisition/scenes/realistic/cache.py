@@ -27,6 +27,8 @@ def camera_digest(camera: Camera) -> str:
     """Return what tells apart cameras that see different pictures, whatever their names."""
     pose = np.round(camera.cam_from_rig.matrix * 1e9).astype(np.int64).tolist()
     lens = [camera.width, camera.height, *(round(v * 1e6) for v in (camera.fx, camera.fy, camera.cx, camera.cy))]
+    if camera.bends:
+        lens += [camera.lens.model, *(round(k * 1e9) for k in camera.lens.coefficients)]
     return hashlib.sha256(json.dumps([lens, pose]).encode()).hexdigest()[:16]
 
 

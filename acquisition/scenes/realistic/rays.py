@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from acquisition.scenes.realistic.bent import slopes  # lens
 from acquisition.scenes.realistic.library import drjit, mitsuba
 from acquisition.scenes.realistic.surfaces import COATED, MIRRORS, MOVES, ROUGH
 from rigs.camera import Camera
@@ -48,6 +49,7 @@ def center_rays(camera: Camera) -> tuple[Any, Any]:
 def _rays(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
     fx, fy, cx, cy = (_number(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
     seen = dr.normalize(mi.Vector3f((x - cx) / fx, (y - cy) / fy, 1))
+    seen = dr.normalize(mi.Vector3f(*slopes(camera, x, y), 1)) if camera.bends else seen  # lens
     turn = [mi.Vector3f(*map(_number, row)) for row in camera.cam_from_rig.rotation.T]
     direction = mi.Vector3f(*(dr.dot(row, seen) for row in turn))
     center = mi.Point3f(*map(_number, camera.center))

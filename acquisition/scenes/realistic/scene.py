@@ -1,4 +1,4 @@
-"""A scene that a path tracer draws, seen by any pinhole camera; what was drawn once is read from the cache."""
+"""A scene that a path tracer draws, seen by any camera; what was drawn once is read from the cache."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.errors import AcquisitionError, BadRecordingError
+from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
 from acquisition.scenes.motion import Floats, Vector
 from acquisition.scenes.realistic.cache import LightCache, camera_digest
@@ -29,6 +29,7 @@ from rigs.camera import Camera
 Build = Callable[[int], Setting]
 WHITE, CENTER = 0.6, (0.0, 0.0, 1.9)  # of every such scene: spikes per tick, metres
 _DRAWING = ("meshes", "setting", "pictures", "physics", "painter", "rays", "surfaces", "passed_on", "studio")
+LENS = b"# lens\n"  # ends lines of code that change nothing for cameras whose lenses do not bend
 _one_at_a_time = threading.RLock()  # nine simulated cameras ask at once
 
 
@@ -73,12 +74,20 @@ class DrawnScene:
 
     @functools.cached_property
     def digest(self) -> str:
-        """The SHA-256 of all that decides what is drawn: the code, the versions of the packages, the seed."""
+        """The SHA-256 of all that decides what pinholes see: the code, the versions of the packages, the seed."""
+        return self._digest(_DRAWING, lambda line: not line.endswith(LENS))
+
+    @functools.cached_property
+    def bent_digest(self) -> str:
+        """The SHA-256 of all that decides what cameras see whose lenses bend."""
+        return self._digest((*_DRAWING, "bent"), lambda line: True)
+
+    def _digest(self, names: Sequence[str], counts: Callable[[bytes], bool]) -> str:
         folder = Path(__file__).parent
-        sources = [folder / f"{name}.py" for name in _DRAWING] + [Path(inspect.getfile(self.build))]
+        sources = [folder / f"{name}.py" for name in names] + [Path(inspect.getfile(self.build))]
         found = hashlib.sha256(json.dumps([self.name, self.seed, versions()], sort_keys=True).encode())
         for source in sources:
-            found.update(source.read_bytes())
+            found.update(b"".join(filter(counts, source.read_bytes().splitlines(keepends=True))))
         return found.hexdigest()
 
     def lit(self, factor: float) -> Self:
@@ -90,13 +99,7 @@ class DrawnScene:
         return replace(self, begins_s=begins_s)
 
     def view(self, camera: Camera, samples: int, threads: int = 0) -> DrawnView:
-        """Return what `camera` sees; how many rays a pixel has is the studio's choice, not that of `samples`.
-
-        Raises AcquisitionError for a camera with lens distortion.
-        """
-        if camera.bends:
-            found = f"found lens distortion {camera.distortion}"
-            raise AcquisitionError(found, "none", "scenes are seen by pinholes", where=camera.id)
+        """Return what `camera` sees; how many rays a pixel has is the studio's choice, not that of `samples`."""
         return DrawnView(self, camera)
 
     def render(self, camera: Camera, instants_s: Floats, samples: int = 4) -> Frames:
@@ -105,7 +108,7 @@ class DrawnScene:
 
     def prepare(self, cameras: Sequence[Camera], last_s: float, progress: Progress = silent) -> None:
         """Draw what the cameras see until `last_s` on the rig clock, and the cache lacks; a stopped one goes on."""
-        views = [DrawnView(self, camera) for camera in cameras if not camera.bends]
+        views = [DrawnView(self, camera) for camera in cameras]
         last = min(last_s + self.begins_s, LASTS_S)
         chunks = list(chunks_of(*_around(np.array([self.begins_s, last]))))
         lacking = [(chunk, [view for view in views if not view.has(chunk)]) for chunk in chunks]
@@ -130,7 +133,7 @@ class DrawnView:
     def __init__(self, scene: DrawnScene, camera: Camera):
         self.camera = camera
         self._scene = scene
-        self._cache = LightCache(scene.digest, camera)
+        self._cache = LightCache(scene.bent_digest if camera.bends else scene.digest, camera)
         self._read: dict[int, NDArray] = {}
 
     def has(self, chunk: int) -> bool:

@@ -1,11 +1,13 @@
 """Scenes of a path tracer: what holds without one. That one draws them is in test_realistic_drawing."""
 
 import importlib.metadata
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from acquisition.errors import BadRecordingError
+from acquisition.errors import AcquisitionError, BadRecordingError
 from acquisition.scenes.catalog import (
     EVALUATION_SEEDS,
     REALISTIC,
@@ -16,6 +18,7 @@ from acquisition.scenes.catalog import (
 )
 from acquisition.scenes.digest import COMMITTED_REALISTIC, committed_digests
 from acquisition.scenes.realistic import library, scene
+from acquisition.scenes.realistic.bent import node_slopes
 from acquisition.scenes.realistic.cache import LightCache, cache_folder, camera_digest
 from acquisition.scenes.realistic.meshes import ball, box, capsule, drum, read_obj, sheet
 from acquisition.scenes.realistic.scene import DrawnScene
@@ -132,6 +135,34 @@ def test_the_cache_lies_where_it_is_told(monkeypatch, tmp_path):
 def test_scenes_differ_in_their_digests(cache):
     found = [DrawnScene(name, seed, SCENES[name].args[0]).digest for name in REALISTIC for seed in (1, 2)]
     assert len(set(found)) == 2 * len(REALISTIC)
+
+
+def test_what_lenses_need_changes_no_digest_of_pinholes(cache, monkeypatch):
+    """Drawings of cameras whose lenses do not bend stay valid whatever is changed in the lines of lenses."""
+    room = DrawnScene("plain_room", 3, SCENES["plain_room"].args[0])
+    before = room.digest, room.bent_digest
+    source, read = Path(scene.__file__).with_name("rays.py"), Path.read_bytes
+    lines = read(source).splitlines(keepends=True)
+    assert sum(line.endswith(scene.LENS) for line in lines) == 2
+    without = b"".join(line for line in lines if not line.endswith(scene.LENS))
+    for changed, same in ((without, True), (without + b"# ray\n", False)):
+        monkeypatch.setattr(Path, "read_bytes", lambda path, said=changed: said if path == source else read(path))
+        again = replace(room)
+        assert (again.digest == before[0]) is same
+        assert len({again.digest, again.bent_digest, before[1]}) == 3
+
+
+def test_cameras_with_other_lenses_see_other_pictures():
+    bent = [replace(CAMERA, distortion=(k1, 0.0, 0.0, 0.0)) for k1 in (0.0, -0.1, -0.2)]
+    fisheye = replace(CAMERA, lens_model="fisheye", distortion=(-0.1, 0.0, 0.0, 0.0))
+    assert camera_digest(bent[0]) == camera_digest(CAMERA)
+    assert len({camera_digest(camera) for camera in (*bent, fisheye)}) == 4
+
+
+def test_a_lens_that_folds_is_refused():
+    with pytest.raises(AcquisitionError, match="cam11: found a lens that folds inside the picture"):
+        node_slopes(replace(CAMERA, distortion=(-3.0, 0.0, 0.0, 0.0)))
+    assert node_slopes(replace(CAMERA, distortion=(-0.2, 0.0, 0.0, 0.0))).shape == (21, 33, 2)
 
 
 def test_groups_stand_for_their_scenes():
