@@ -8,6 +8,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # Threads that spin at a barrier take the cores from the tests of the other process.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # has no such policy; the matrices here are small
 
 # No test asserts on elapsed time. What a run draws is the same every time; `make fuzz` draws afresh.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

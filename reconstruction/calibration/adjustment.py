@@ -71,8 +71,8 @@ def linearised(problem: Problem, state: State) -> Linearised:
     used = np.flatnonzero(mixing.any(axis=(0, 2)))  # most camera parameters are not free
     mixing = mixing[:, used]
     jc, jb, r = (
-        root[:, :, None] * seen.by_camera[:, :, used],
-        root[:, :, None] * (seen.by_point @ by_block),
+        root[:, :, None] * obs.measured(seen.by_camera[:, :, used]),
+        root[:, :, None] * obs.measured(seen.by_point @ by_block),
         root * residuals,
     )
     p, d = jc.shape[2], jb.shape[2]
@@ -97,9 +97,10 @@ def linearised(problem: Problem, state: State) -> Linearised:
 
 
 def _residuals(problem: Problem, seen: Projection) -> tuple[Floats, Floats]:
-    """Return the residuals: squared in standard deviations [O], and in px [O, 2]."""
+    """Return the measured residuals: squared in standard deviations [O], and in px [O, 2]."""
     obs = problem.observations
-    residuals = np.where(seen.seen[:, None], seen.pixels - obs.pixels, UNSEEN_PX)
+    off = obs.measured((seen.pixels - obs.pixels)[:, :, None])[:, :, 0]
+    residuals = np.where(seen.seen[:, None], off, UNSEEN_PX)
     return (residuals**2).sum(axis=1) / obs.sd_px**2, residuals
 
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from acquisition.progress import Progress, silent
 from reconstruction.calibration.adjustment import Solution, adjust, covariance
 from reconstruction.calibration.calibrated import Calibrated, Fit, calibrated, camera_sds
+from reconstruction.calibration.edge_points import with_edges
+from reconstruction.calibration.edges import find_edges
 from reconstruction.calibration.features import Features, Image, find_features
 from reconstruction.calibration.matches import Gate, Matches, Pair, Tracks, gated, joined, matched, verified
 from reconstruction.calibration.moments import Movers
@@ -50,6 +52,7 @@ HELD_M = 1e-4
 ROUGHLY = 1e-3  # gain at which a step on the way is good enough
 FOCAL_SD = 0.02  # prior deviation of a nominal focal length, as a share
 CENTER_SD_M = 0.02  # prior deviation of a nominal camera centre
+SURE_DEG = 0.01  # mean deviation of the turns by features alone, below which edges are not looked at
 STEPS = ((10.0, 1e-3), (5.0, 4e-3), (3.0, CENTER_SD_M), (1.0, CENTER_SD_M))  # Cauchy's bend in px, centre prior in m
 
 
@@ -88,7 +91,7 @@ def gather(
         progress(0.3 * (i + 1) / len(images), f"features of {camera}: {len(features[-1])}")
     candidates = {(a, b): matched(features[a], features[b]) for a, b in itertools.combinations(range(len(images)), 2)}
     progress(0.5, f"{sum(map(len, candidates.values()))} matches")
-    return Evidence(images, features, candidates)
+    return Evidence(images, features, candidates, where)
 
 
 def solve(
@@ -115,10 +118,10 @@ def solve(
     progress(0.8, "patches refined")
     fine = observed(tracks, PATCH_SD_PX)
     solution = with_focal(solution.state, fine, Loss("cauchy", BEND_PX / PATCH_SD_PX), lens_groups(solution))
-    solution = with_lens(solution)
+    solution, edge_points = _with_edges(with_lens(solution), nominal, seen, gate)
     progress(0.95, "adjusted")
     judge(nominal, solution)
-    found = _calibrated(rig, nominal, solution, [len(part) for part in parts], date)
+    found = _calibrated(rig, nominal, solution, ([len(part) for part in parts], edge_points), date)
     progress(1.0, str(found.report["summary"]))
     return found
 
@@ -193,10 +196,26 @@ def spread(tracks: Tracks, cameras: Sequence[Camera], most: int, seed: int) -> T
     return tracks.only(np.sort(order[np.argsort(rank, kind="stable")[:most]]))
 
 
-def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: Sequence[int], date: str) -> Calibrated:
-    """Return the outcome for `rig`, of which the cameras of `nominal` were adjusted; `counts` of tracks by evidence."""
-    tracks, moving = sum(counts), sum(counts[1:])
+def _with_edges(solution: Solution, nominal: Rig, seen: Sequence[Evidence], gate: Gate) -> tuple[Solution, int]:
+    """Return the solution by edges of still things too, where features alone leave it unsure, and how many points."""
+    cameras = solution.state.cameras
+    sds = camera_sds(covariance(solution.problem, solution.state), solution.problem.freedom, cameras, metric=False)
+    if np.mean([sd.rotation_deg for sd in sds]) < SURE_DEG:
+        return solution, 0
+    moving = seen[1].where if len(seen) > 1 else None
+    edges = [find_edges(image, moving[view] if moving else None) for view, image in seen[0].images.items()]
+    found, count = with_edges(solution, edges, gate, object_distance_m(nominal.cameras))
+    return found, count
+
+
+def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: tuple[Sequence[int], int], date: str) -> Calibrated:
+    """Return the outcome for `rig`, of which the cameras of `nominal` were adjusted.
+
+    `counts` are those of the tracks by evidence, and of the points on edges.
+    """
+    tracks, moving, edges = sum(counts[0]), sum(counts[0][1:]), counts[1]
     counted = f"{tracks} tracks" + (f", {moving} of them on movers" if moving else "")
+    counted += f", {edges} points on edges" if edges else ""
     cameras, problem, fit = solution.state.cameras, solution.problem, Fit.of(solution)
     sds = camera_sds(covariance(problem, solution.state), problem.freedom, cameras, metric=False)
     sd_deg = refuse_unsure(sds)
@@ -208,6 +227,7 @@ def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: Sequence[int
         "summary": f"{counted}, residual {fit.rms_px:.3f} px, rotations to {sd_deg:.4f} degrees, focal {focal:+.2%}",
         "tracks": tracks,
         "moving_tracks": moving,
+        "edge_points": edges,
         "focal_change": focal,
         "focal_sd_percent": sds[0].focal_percent,
         "metric_scale": "from the nominal camera centres alone",

@@ -68,15 +68,38 @@ Blocks = ScenePoints | BoardPoses
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Pixels [O, 2], each of block `block` [O] seen by camera `camera` [O], with the standard deviation `sd_px` [O]."""
+    """Pixels [O, 2], each of block `block` [O] seen by camera `camera` [O], with the standard deviation `sd_px` [O].
+
+    `normals` [O, 2] are unit directions of those that were measured along one alone, NaN for the others; None: for all.
+    """
 
     camera: Indices
     block: Indices
     pixels: Floats
     sd_px: Floats
+    normals: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.camera)
+
+    def measured(self, vectors: Floats) -> Floats:
+        """Return vectors [O, 2, n] in px in the directions that were measured."""
+        if self.normals is None:
+            return vectors
+        along = self.normals[:, :, None]
+        return np.where(np.isfinite(along), along * (along * vectors).sum(axis=1, keepdims=True), vectors)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Observations]) -> Observations:
+        """Return the observations of all parts, one after another."""
+        normals = [np.full((len(p), 2), np.nan) if p.normals is None else p.normals for p in parts]
+        return cls(
+            np.concatenate([part.camera for part in parts]),
+            np.concatenate([part.block for part in parts]),
+            np.concatenate([part.pixels for part in parts]),
+            np.concatenate([part.sd_px for part in parts]),
+            np.concatenate(normals),
+        )
 
 
 @dataclass(frozen=True)

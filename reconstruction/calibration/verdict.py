@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.calibration.adjustment import Solution
 from reconstruction.calibration.calibrated import INLIER_PX, CameraSd, Fit, displacement
@@ -28,11 +29,15 @@ MOST_TURN_DEG, MOST_SHIFT_M, MOST_FOCAL = 12.5, 0.1, 0.08  # off the drawing: fi
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The images by camera id, the features of each, and what matches between every two of them before any gate."""
+    """The images by camera id, the features of each, and what matches between every two of them before any gate.
+
+    `where` are the masks [H, W] that features were looked for in, by camera id; None: everywhere.
+    """
 
     images: Mapping[str, Image]
     features: Sequence[Features]
     candidates: Mapping[Pair, Matches]
+    where: Mapping[str, NDArray[np.bool_]] | None = None
 
 
 def refuse_few(views: Sequence[str], tracks: Tracks) -> Tracks:

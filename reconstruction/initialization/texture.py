@@ -15,7 +15,7 @@ from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions
 
 TEXTURED = 2.0  # deviations of an image's noise that a window spreads by, from which its depth can be judged
 LEAST_TEXTURE = 0.005  # share of textured pixels from which poses can be judged
-LEAST_SHARE = 0.5  # of textured pixels with a confirmed depth; right poses leave 0.65 to 0.91, wrong ones 0.07 to 0.2
+LEAST_SHARE = 0.4  # of textured pixels with a confirmed depth; right poses leave 0.65 to 0.91, wrong ones 0.07 to 0.2
 
 Mask = NDArray[np.bool_]
 

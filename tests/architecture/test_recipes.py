@@ -132,8 +132,8 @@ def test_a_supervision_term_is_two_files(copy):
         from torch import Tensor
 
 
-        def fourth_loss(light: Tensor, rate: Tensor, planes: int) -> Tensor:
-            """Return the mean fourth power of light [H, W] less a rate [H, W], both in spikes per tick."""
+        def fourth_loss(light: Tensor, rate: Tensor, planes: int, noise: Tensor | float = 1.0) -> Tensor:
+            """Return the mean fourth power of light less a rate, both [N] in spikes per tick."""
             return ((light - rate) ** 4).mean()
         ''',
     )

@@ -15,7 +15,8 @@ IMPORT_ALL = """
 import importlib, pkgutil, sys
 for name in ("rigs", "acquisition"):
     for module in pkgutil.walk_packages(importlib.import_module(name).__path__, name + "."):
-        if "-" not in module.name:  # libacquisition-v2.so is no Python module
+        drawn = module.name == "acquisition.scenes.realistic.rays"  # for who has the extra `realistic`
+        if not drawn and "-" not in module.name:  # libacquisition-v2.so is no Python module
             importlib.import_module(module.name)
 from acquisition.native import load_library
 from rigs.toml import catalog_names

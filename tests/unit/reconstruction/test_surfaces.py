@@ -139,7 +139,7 @@ def test_shuffled_poses_of_a_plain_room_are_refused(room):
     cameras, images, noises, _ = room
     shuffled = [cameras[i] for i in (2, 4, 3, 6, 5, 0, 1, 7)]
     maps, sure, _ = swept(shuffled, images, noises)
-    with pytest.raises(StereoError, match=r"with texture, expected 50%; check the poses"):
+    with pytest.raises(StereoError, match=r"with texture, expected 40%; check the poses"):
         judge_poses(maps, sure)
 
 
