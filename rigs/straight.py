@@ -34,6 +34,7 @@ from rigs.rig import Rig
 from rigs.transform import Floats, Transform
 
 MOST_PIXELS = 6.0  # pixels of a view for each of the camera; a lens that needs more sees too far off its axis
+LEAST_PIXELS = 0.25  # of the same; a lens that needs fewer is no lens
 LEAST_AREA = 1e-9  # px^2 of an overlap; less is rounding
 COVERED = 0.999  # share of a view's pixel that pixels of the camera must cover
 Image = NDArray[np.float32]
@@ -121,7 +122,8 @@ class Straightening:
 def view_of(camera: Camera, size: tuple[int, int] | None = None) -> Camera:
     """Return the pinhole that covers the picture of `camera`, of that size (width, height) where one is given.
 
-    Raises RigError where its lens folds inside the picture, or sees so far off its axis that no pinhole takes it.
+    Raises RigError where its lens folds inside the picture, sees so far off its axis that no pinhole takes it, or so
+    narrowly that a pinhole loses detail.
     """
     if not camera.bends and size in (None, (camera.width, camera.height)):
         return camera
@@ -138,6 +140,10 @@ def view_of(camera: Camera, size: tuple[int, int] | None = None) -> Camera:
         found = f"found a lens that sees {degrees:.0f} degrees off its axis: {width}x{height} pixels of a pinhole"
         expected = f"at most {MOST_PIXELS:g} times its {camera.width}x{camera.height}"
         raise RigError(found, expected, "record a part of its picture", where=camera.id)
+    if width * height < LEAST_PIXELS * camera.width * camera.height:
+        found = f"found a lens whose picture is {width}x{height} pixels of a pinhole"
+        expected = f"at least {LEAST_PIXELS:g} times its {camera.width}x{camera.height}"
+        raise RigError(found, expected, "calibrate it again", where=camera.id)
     wide, tall = size or (width, height)
     left, top = int(low[0]) - (wide - width) // 2, int(low[1]) - (tall - height) // 2
     middle = {"cx": camera.cx - left, "cy": camera.cy - top}

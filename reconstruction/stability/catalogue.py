@@ -8,13 +8,24 @@ from pathlib import Path
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress, part
-from reconstruction.stability import cameras, dimness, images, losses, marching, motion, pixels, recordings, rendering
+from reconstruction.stability import (
+    cameras,
+    dimness,
+    images,
+    lenses,
+    losses,
+    marching,
+    motion,
+    pixels,
+    recordings,
+    rendering,
+)
 from reconstruction.stability.case import Case, Row, row_of
 from reconstruction.stability.drift import drift_cases
 from reconstruction.stability.probe import omissions
 from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, stiff_cases
 
-_SUBJECTS = (rendering, motion, losses, images, recordings, cameras, marching, dimness, pixels)
+_SUBJECTS = (rendering, motion, losses, images, recordings, cameras, marching, dimness, pixels, lenses)
 _ALL = (case for subject in _SUBJECTS for case in subject.CASES)
 CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))
 

@@ -198,6 +198,7 @@ def test_cameras_that_differ_get_views_of_one_size_and_pinholes_alone_stay_as_th
         ((-1.5, 0, 0, 0), "opencv", "cam00: found a lens that folds 25.2 degrees off its axis, inside the picture"),
         ((-0.6, 0, 0, 0), "fisheye", "folds"),
         ((-0.35, 0, 0, 0), "fisheye", "cam00: found a lens that sees 85 degrees off its axis"),
+        ((40, 0, 0, 0), "opencv", "cam00: found a lens whose picture is 37x30 pixels of a pinhole"),
     ],
 )
 def test_lenses_that_no_view_covers_are_refused(distortion, model, words):
