@@ -115,9 +115,10 @@ def _points(inferred: Inferred, moved: Rig, scale: float) -> tuple[NDArray[np.fl
     """
     height, width = inferred.depth.shape[1:]
     maps, factor = [], inferred.factor
-    for camera, depth in zip(moved.cameras, inferred.depth, strict=True):
-        lens = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
-        small = replace(camera, width=width, height=height, pixels=None, **lens)
+    for camera, pinhole, depth in zip(moved.cameras, inferred.pinholes, inferred.depth, strict=True):
+        lens = {"fx": camera.fx, "fy": camera.fy, "cx": pinhole.cx, "cy": pinhole.cy}
+        lens = {name: value / factor for name, value in lens.items()}
+        small = replace(pinhole, cam_from_rig=camera.cam_from_rig, width=width, height=height, pixels=None, **lens)
         maps.append(DepthMap(small, np.asarray(scale * depth, np.float32), np.zeros_like(depth)))
     tolerance = AGREEMENT / (scale * inferred.views.distance)
     points, sure = [], []
