@@ -45,7 +45,7 @@ class Glass:
 
     lens: str = ""
     lens_spread: float = _number(1.0, "Let lenses differ: spread the bend of each by this share (standard deviation).")
-    vignetting: float = _number(0.9, "Lose this share of the light at the corners, and less of it inwards.")
+    vignetting: float = _number(0.9, "Darken the corners by this share against the middle; the mean stays.")
     blur: float = _number(5.0, "Spread every point over a Gaussian of so many pixels (standard deviation).")
 
     def __post_init__(self) -> None:
@@ -108,7 +108,8 @@ class Pane:
     """The loss and the spread of light before one camera.
 
     Light falls off as behind a lens that shades by cos^4: (1 + a r^2)^-2 at the distance r from the principal point,
-    with the share `vignetting` lost at the farthest corner. Beyond the edge a picture goes on as its edge.
+    with the share `vignetting` lost at the farthest corner. The exposure makes up for it: the mean over the pixels is
+    one, as in maps of their gains. Beyond the edge a picture goes on as its edge.
     """
 
     camera: Camera
@@ -117,11 +118,12 @@ class Pane:
 
     @cached_property
     def shares(self) -> Image:
-        """The shares [H, W] of the light that arrive."""
+        """The light [H, W] that arrives, as a share of that of a mean pixel."""
         rows, columns = np.indices((self.camera.height, self.camera.width)) + 0.5
         corner = _corner(self.camera) * (self.camera.fx, self.camera.fy)
         square = ((columns - self.camera.cx) ** 2 + (rows - self.camera.cy) ** 2) / (corner @ corner)
-        return ((1 + square * ((1 - self.vignetting) ** -0.5 - 1)) ** -2).astype(np.float32)
+        shares = (1 + square * ((1 - self.vignetting) ** -0.5 - 1)) ** -2
+        return (shares / shares.mean()).astype(np.float32)
 
     def passed(self, light: Image) -> Image:
         """Return the light [n, H, W] that arrives of `light` [n, H, W]."""
@@ -159,8 +161,8 @@ def discrete_gaussian(sd: float) -> NDArray[np.float64]:
 def write_glass(folder: Path, glass: Glass, cameras: Iterable[Camera]) -> None:
     """Write beside the truth in `folder` what the glass does to light, which the truth itself is without.
 
-    `glass.json` has the numbers; `camRC/vignetting.npy` (float32 [H, W]) the shares that arrive. What the lens of a
-    camera bends is in `cameras.json`.
+    `glass.json` has the numbers; `camRC/vignetting.npy` (float32 [H, W]) the light of pixels, as shares of that of the
+    mean one. What the lens of a camera bends is in `cameras.json`.
     """
     write_json(folder / GLASS_FILE, asdict(glass))
     for camera in cameras if glass.vignetting else ():

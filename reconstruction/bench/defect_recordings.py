@@ -58,7 +58,7 @@ def _seen_by(work: Path, rig: Rig, seed: int, defect: Defect) -> Rig:
         rig = replace(rig, cameras=tuple(replace(c, distortion=BARREL) for c in rig.cameras))
     if not defect.maps:
         return rig
-    simulated = {name: value for name, value in defect.simulated.items() if name in ("traits", "sensor")}
+    simulated = {name: value for name, value in defect.simulated.items() if name in ("traits", "sensor", "glass")}
     flat, dark = (
         _even(work / f"{light}-{seed}-{defect.name}", Simulation(light, seed, **simulated), rig)
         for light in ("flat", "dark")

@@ -13,6 +13,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from acquisition.scenes.catalog import BACKGROUNDS, DEVELOPMENT_SEEDS
+from acquisition.scenes.glass import Glass
 from acquisition.spikes.traits import Traits
 from reconstruction.bench.conventions import HOLDOUT, kept
 from reconstruction.bench.defect_recordings import Defect, recorded, straightened
@@ -42,6 +43,8 @@ DEFECTS = (
     Defect("lens", bent=True),
     Defect("pixels", {"traits": SPREAD}, maps=True, uncured={"pixels": "even"}),
     Defect("unmapped-pixels", {"traits": SPREAD}, uncured={"pixels": "even"}),
+    Defect("vignetting", {"glass": Glass(vignetting=0.3)}, maps=True, uncured={"pixels": "even"}),
+    Defect("blur", {"glass": Glass(blur=0.5)}),
     Defect("gains", {"camera_gains": 0.05}, uncured={"gains": "off"}),
     Defect("lags", {"camera_lags": 1.0}, uncured={"gains": "off"}),
     Defect("harsh", {"sensor": "harsh"}, maps=True, uncured={"pixels": "even"}),

@@ -91,12 +91,12 @@ def test_a_lens_that_folds_in_a_camera_is_refused_by_its_name():
 def test_the_farthest_corner_loses_the_share(share):
     camera = Camera("a", 61, 43, 50.0, 60.0, 25.0, 20.0, Transform.identity())
     shares = Pane(camera, share, 0.0).shares.astype(np.float64)
-    assert shares[19:21, 24:26].min() > 1 - 2e-3  # next to the principal point
+    assert shares.mean() == pytest.approx(1, rel=1e-6)
     assert shares.min() == shares[-1, -1]
-    square = (36.0**2 + 23.0**2, 35.5**2 + 22.5**2)  # of the corner, and of the middle of its pixel
-    wide = ((1 - share) ** -0.5 - 1) / square[0]
-    assert (1 + wide * square[0]) ** -2 == pytest.approx(1 - share)
-    assert shares[-1, -1] == pytest.approx((1 + wide * square[1]) ** -2, rel=1e-6)
+    wide = ((1 - share) ** -0.5 - 1) / (36.0**2 + 23.0**2)
+    assert (1 + wide * (36.0**2 + 23.0**2)) ** -2 == pytest.approx(1 - share)
+    found = shares[-1, -1] / shares[20, 25]  # the corner's pixel, and one half a pixel off the principal point
+    assert found == pytest.approx(((1 + wide * (35.5**2 + 22.5**2)) / (1 + wide * 0.5)) ** -2, rel=1e-6)
 
 
 @pytest.mark.parametrize("sd", [1e-9, 0.01, 0.3, 0.7, 1.0, 5.0])
@@ -159,7 +159,7 @@ def test_a_recording_passes_the_glass_and_its_truth_is_without_it(tmp_path):
         assert still.mean() > 0.4
         off = np.abs(rate - shares * spread(light[None], 0.7)[0])[still]
         assert np.quantile(off, 0.9) < 1.2 / 60  # a spike, at most, and the light of rays elsewhere in the pixel
-        assert np.quantile(np.abs(rate - light)[still], 0.9) > 4 / 60
+        assert np.quantile(np.abs(rate - light)[still], 0.9) > 2 / 60
 
 
 def test_a_flat_takes_vignetting_into_the_gains_of_pixels(tmp_path):
