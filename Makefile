@@ -35,14 +35,14 @@ $(SPARK)/vendor/spark.js: $(SPARK)/package.json $(SPARK)/package-lock.json $(SPA
 demo: install
 	$(VENV)/bin/spike4dgs demo
 
-# A file's tests stay in one of the two processes, as its fixtures do.
-PYTEST = $(PY) -m pytest -n 2 --dist loadfile --durations=25 --durations-min=5
+# A file's tests stay in one process, as its fixtures do. Slow ones wait for services half of their time.
+PYTEST = $(PY) -m pytest --dist loadfile --durations=25 --durations-min=5
 
 test: install
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -n 2 -m "not slow"
 
 test-slow: install
-	$(PYTEST) -m "slow and not long"
+	$(PYTEST) -n 3 -m "slow and not long"
 
 test-long: install
 	$(PY) -m pytest -m long

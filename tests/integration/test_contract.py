@@ -29,7 +29,7 @@ from server.settings import ServiceSettings
 from server.store.entries import Filter
 
 LOOPBACK = "http://127.0.0.1"
-EXAMPLES = 15
+EXAMPLES = 8
 
 
 def captures_of(services: Services, status: Status) -> list[Capture]:

@@ -1,5 +1,6 @@
 """Pictures on the operator's page opened large, in a real browser before a service of fake_stage.py."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -128,7 +129,7 @@ def test_the_large_view_follows_each_look_and_keeps_the_best_focus(
     expect(cell.locator(".focus")).to_have_text("Focus 6.00")
     expect(cell).to_contain_text("75 % of the best")
     assert cell.locator("meter").evaluate("one => [one.value, one.max]") == [6, 8]
-    assert "look-3" in cell.locator("img").get_attribute("src")
+    expect(cell.locator("img")).to_have_attribute("src", re.compile("look-3"))
     expect(cell).to_be_visible()
     page.locator("#large-live").uncheck()
     assert page.locator("#live-lab3x3").is_checked() is False

@@ -96,7 +96,7 @@ def test_the_commands_calibrate_and_check(whole, tmp_path, monkeypatch, capsys):
     assert "still fits" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["sfm", pytest.param("msdi", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) for n in ("sfm", "msdi")])
 def test_other_initialisers_find_it_too(whole, name):
     recording, true = Recording.open(whole), true_rig(whole)
     found = INITIALISERS[name](recording, recording.camera_ids, InitOptions(), silent)

@@ -194,6 +194,7 @@ def test_a_rig_of_other_cameras_is_refused(still):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_recording_of_a_waved_board_gives_the_cameras(tmp_path):
     spec = "charuco:6x4:100:67.5:DICT_4X4_50"
     simulate(
