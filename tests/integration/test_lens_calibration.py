@@ -17,7 +17,7 @@ from server.cli.main import main
 
 pytestmark = pytest.mark.slow
 SPEC = "charuco:6x4:100:67.5:DICT_4X4_50"
-POSES, WINDOW = 24, 17  # poses of the board, and planes that it is held in each: those of one picture
+POSES, WINDOW = 18, 17  # poses of the board, and planes that it is held in each: those of one picture
 LENSES = ("--lens", "10%", "--lens-spread", 0.1, "--rig-error", 1, "--seed", 3)
 WAVED = replace(calibration.WAVED, start=at(0.0, 0.0, 1.0), reach_m=(0.22, 0.13, 0.25))  # near, for so few pixels
 
@@ -65,7 +65,7 @@ def seen_by(folder, name, cameras):
 
 def psnr_db(recording):
     out = recording.with_name(f"run-{recording.name}")
-    run("reconstruct", recording, "--out", out, "--holdout", "cam11", "--steps", 80, "--seed", 1)
+    run("reconstruct", recording, "--out", out, "--holdout", "cam11", "--steps", 60, "--seed", 1)
     return json.loads((out / "metrics.json").read_text())["psnr_db"]
 
 
@@ -85,5 +85,5 @@ def test_a_scene_is_reconstructed_by_the_lenses_found(folder):
     found = psnr_db(folder / "found")
     best = psnr_db(seen_by(folder, "true", [replace(true[c.id], serial=c.serial) for c in rig.cameras]))
     ignoring = psnr_db(seen_by(folder, "straight", [camera.pinhole() for camera in rig.cameras]))
-    assert found > best - 0.5  # 28.54 and 28.63 dB
-    assert found > ignoring + 5  # 19.06 dB
+    assert found > best - 0.5  # 28.25 and 28.24 dB
+    assert found > ignoring + 5  # 19.07 dB
