@@ -21,7 +21,8 @@ from reconstruction.initialization.texture import spread_of
 PLAIN = 0.8  # share of textured pixels from which a view has no plain region worth a plane
 SMOOTH_PX = 1.0  # blur before edges are looked for
 EDGE = 1.2  # deviations of an image's noise that 3x3 blurred pixels spread by at the border of a region
-CLOSED_PX = 2  # half the width of a gap in a border that is closed
+CLOSED_PX = (10, 7, 5, 4, 3, 2)  # half the widths of gaps in borders that are closed, one after the other
+GROWTH_PX = 6  # by which regions grow from one width to the next
 LEAST_PIXELS = 40  # of a region, away from its border
 REACH_PX = 5  # how far outside a region its border's depths are taken from
 LEAST_BORDER = 12  # depths at the border of a region that a plane is laid through
@@ -30,6 +31,7 @@ TRIES = 256  # planes tried a region
 ON_PLANE = 1.0  # inverse-depth steps that a border's depth may be off the plane
 FLAT = 1e-4  # least determinant of three places, in widths of the picture, that a plane is laid through
 
+AROUND = np.ones((3, 3), np.uint8)
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.floating]
 
@@ -56,19 +58,12 @@ def with_planes(
 def inferred(found: DepthMap, image: Image, noise: Image, options: SweepOptions, rng: np.random.Generator) -> DepthMap:
     """Return the map with planes in its unknown regions without texture; what is known, or cannot be told, stays."""
     soft = np.asarray(cv2.GaussianBlur(image, (0, 0), SMOOTH_PX), np.float32)
-    smooth = spread_of(soft, 1) < EDGE * noise
-    narrow = np.ones((2 * CLOSED_PX + 1,) * 2, np.uint8)
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
-        cv2.erode(smooth.astype(np.uint8), narrow), connectivity=4
-    )
+    labels = regions(spread_of(soft, 1) < EDGE * noise)
     depth, known = found.depth.copy(), np.isfinite(found.depth)
     step = ON_PLANE * float(np.diff(options.inverse_depths[:2])[0])
-    for label in range(1, count):
-        if boxes[label, cv2.CC_STAT_AREA] < LEAST_PIXELS:
-            continue
-        rows, columns = _around(boxes[label], image.shape)
-        core = (labels[rows, columns] == label).astype(np.uint8)
-        region = (cv2.dilate(core, narrow) > 0) & smooth[rows, columns]
+    for label in range(1, int(labels.max(initial=0)) + 1):
+        rows, columns = _around(labels == label)
+        region = labels[rows, columns] == label
         plane = _plane_of(region, found.depth[rows, columns], step, rng)
         open_ = region & ~known[rows, columns]
         if plane is not None and open_.any():
@@ -78,11 +73,40 @@ def inferred(found: DepthMap, image: Image, noise: Image, options: SweepOptions,
     return replace(found, depth=depth)
 
 
-def _around(box: NDArray[np.int32], shape: Sequence[int]) -> tuple[slice, slice]:
-    """Return the rows and columns of a box [x, y, width, height, area] and what is in reach around it."""
-    left, top, width, height, _ = (int(n) for n in box)
-    rows = slice(max(top - REACH_PX, 0), min(top + height + REACH_PX, shape[0]))
-    return rows, slice(max(left - REACH_PX, 0), min(left + width + REACH_PX, shape[1]))
+def regions(smooth: Mask) -> NDArray[np.int32]:
+    """Return the number of each smooth pixel's region [H, W], from 1; 0 where there is none.
+
+    Regions begin where borders are far, and grow while narrower and narrower gaps in borders let them pass: two that
+    only a gap joins have grown by then. It is a watershed of the distance to borders.
+    Source: Meyer and Beucher, "Morphological segmentation", 1990.
+    """
+    inner = cv2.distanceTransform(smooth.astype(np.uint8), cv2.DIST_L2, 5)
+    labels = np.zeros(smooth.shape, np.float32)
+    for closed in CLOSED_PX:
+        labels = _grown(labels, inner > closed, GROWTH_PX)
+        free = (inner > closed) & (labels == 0)
+        _, parts, boxes, _ = cv2.connectedComponentsWithStats(free.astype(np.uint8), connectivity=4)
+        fresh = boxes[:, cv2.CC_STAT_AREA] >= LEAST_PIXELS
+        fresh[0] = False
+        fresh[np.unique(parts[free & (cv2.dilate(labels, AROUND) > 0)])] = False
+        labels = np.where(fresh[parts], labels.max(initial=0) + np.cumsum(fresh)[parts], labels).astype(np.float32)
+    return _grown(labels, smooth, CLOSED_PX[0]).astype(np.int32)
+
+
+def _grown(labels: Image, where: Mask, steps: int) -> Image:
+    """Return labels [H, W] after so many steps of a pixel into what has none, `where` a mask is true."""
+    for _ in range(steps):
+        labels = np.where(where & (labels == 0), cv2.dilate(labels, AROUND), labels)
+    return labels
+
+
+def _around(region: Mask) -> tuple[slice, slice]:
+    """Return the rows and columns of a region [H, W] and of its reach around it."""
+    rows, columns = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
+    return (
+        slice(max(int(rows[0]) - REACH_PX, 0), int(rows[-1]) + 1 + REACH_PX),
+        slice(max(int(columns[0]) - REACH_PX, 0), int(columns[-1]) + 1 + REACH_PX),
+    )
 
 
 def _places(shape: tuple[int, ...]) -> Floats:

@@ -8,7 +8,7 @@ import pytest
 from acquisition.scenes.catalog import build_scene
 from reconstruction.errors import StereoError
 from reconstruction.images.noise import pixel_spread, still_sigma
-from reconstruction.initialization.surfaces import inferred, with_planes
+from reconstruction.initialization.surfaces import inferred, regions, with_planes
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m
 from reconstruction.initialization.texture import judge_poses, spread_of, textured
 from reconstruction.pipeline.points_stage import swept_maps
@@ -77,6 +77,32 @@ def test_nothing_known_or_everything_known_stays_as_it_is(depth, size):
     image = np.zeros(size, np.float32)
     after = inferred(before, image, np.full(size, 0.004, np.float32), OPTIONS, np.random.default_rng(0))
     np.testing.assert_array_equal(after.depth, before.depth)
+
+
+@pytest.mark.parametrize("gap", [0, 4, 8])
+def test_two_regions_that_a_gap_joins_are_told_apart(gap):
+    smooth = np.ones((H, W), np.bool_)
+    smooth[:, 40:42] = False
+    smooth[10 : 10 + gap, 40:42] = True
+    found = regions(smooth)
+    assert found[30, 10] != found[30, 70]
+    assert ((found > 0) == smooth)[:, :38].all()
+    away = np.abs(np.indices((H, W))[1] - 41) > 6
+    assert len(np.unique(found[smooth & away])) == 2
+
+
+def test_a_gap_as_wide_as_a_region_joins_it():
+    smooth = np.ones((H, W), np.bool_)
+    smooth[:20, 40:42] = False
+    assert len(np.unique(regions(smooth)[smooth])) == 1
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 50), (8, 8), (H, W)])
+def test_no_smooth_pixel_or_too_few_are_no_region(shape):
+    assert not regions(np.zeros(shape, np.bool_)).any()
+    speck = np.zeros(shape, np.bool_)
+    speck[0, 0] = True
+    assert not regions(speck).any()
 
 
 def test_the_spread_is_that_of_numpy():
