@@ -1,5 +1,7 @@
 """Simulates the recordings of the defects bench: a scene, seen by cameras with one defect or several."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -9,6 +11,7 @@ from acquisition.devices.open import Simulation
 from acquisition.durable import made_aside, write_durably
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
+from reconstruction.bench.conventions import truth_of
 from reconstruction.bench.leave_out import apart
 from reconstruction.images.pixels import estimate_pixels, write_pixels
 from rigs.rig import Rig
@@ -23,7 +26,9 @@ class Defect:
     """One thing that is wrong with a recording: `simulated` are fields of Simulation that differ from the clean one.
 
     `bent`: lenses bend as BARREL says. `rate_hz`: planes a second. `maps`: flat and dark recordings of the same sensors
-    calibrate the pixels. Without the cure a run has the choices `uncured`, and takes bent lenses for pinholes.
+    calibrate the pixels. Without the cure a run has the choices `uncured`, and takes bent lenses for pinholes. `told`:
+    the recording is that of another defect, with a rig file that has the cameras as they were built. Costs are counted
+    from the recording of the same scene that is named `against`.
     """
 
     name: str
@@ -32,6 +37,8 @@ class Defect:
     rate_hz: float | None = None
     maps: bool = False
     uncured: dict[str, Any] = field(default_factory=dict)
+    told: Defect | None = None
+    against: str = "clean"
 
     @property
     def curable(self) -> bool:
@@ -41,6 +48,8 @@ class Defect:
 
 def recorded(work: Path, rig: Rig, subject: tuple[str, int], defect: Defect) -> Path:
     """Return the recording of a scene and seed with a defect in `work`, simulated by `rig` where there is none."""
+    if defect.told:
+        return as_built(recorded(work, rig, subject, defect.told))
     scene, seed = subject
     path = work / f"{scene}-{seed}-{defect.name}"
     if not path.exists():
@@ -81,14 +90,30 @@ def _even(path: Path, simulation: Simulation, rig: Rig) -> Recording:
 
 def straightened(path: Path) -> Path:
     """Return the same recording with a rig file that knows of no bent lens."""
-    out = path.with_name(f"{path.name}-straight")
+    rig = Recording.open(path).rig
+    pinholes = tuple(replace(c, distortion=(0.0,) * 4, pixels=None) for c in rig.cameras)
+    return _with_rig(path, "straight", replace(rig, cameras=pinholes))
+
+
+def as_built(path: Path) -> Path:
+    """Return the same recording with a rig file that has the true poses and focal lengths."""
+    recording = Recording.open(path)
+    true = truth_of(recording).cameras(recording.tick_rate_hz)
+    if true is None:
+        return path
+    pairs = [(camera, true.camera(camera.id)) for camera in recording.rig.cameras]
+    built = tuple(replace(c, cam_from_rig=t.cam_from_rig, fx=t.fx, fy=t.fy) for c, t in pairs)
+    return _with_rig(path, "built", replace(recording.rig, cameras=built, poses="calibrated"))
+
+
+def _with_rig(path: Path, name: str, rig: Rig) -> Path:
+    """Return the recording at `path` with another rig file, in a folder of the same name and `name`."""
+    out = path.with_name(f"{path.name}-{name}")
     if not out.exists():
         with made_aside(out) as aside:
             aside.mkdir(parents=True, exist_ok=True)
             for file in path.iterdir():
                 if file.name != "rig.toml":
                     (aside / file.name).symlink_to(file.resolve())
-            rig = Recording.open(path).rig
-            pinholes = tuple(replace(c, distortion=(0.0,) * 4, pixels=None) for c in rig.cameras)
-            write_durably(aside / "rig.toml", dump_rig(replace(rig, cameras=pinholes)))
+            write_durably(aside / "rig.toml", dump_rig(rig))
     return out

@@ -1,7 +1,8 @@
 """Measures what each defect of real cameras and real light costs, alone and all together, with its cure and without.
 
 All runs take the same steps and are scored on the centre camera. `cost_db` is what a defect takes from the clean
-recording of the same scene, `uncured_cost_db` what it takes where its cure is switched off.
+recording of the same scene, or from the one by the same misplaced cameras whose rig file says where they are (`built`).
+`uncured_cost_db` is what it takes where its cure is switched off.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,12 +33,15 @@ CLEAN = Defect("clean")
 SPREAD = Traits(pixel_spread=0.03)
 BLIND = {"pixels": "even", "gains": "off"}
 NINE = {"window": 9}
+RIG_OFF = Defect("rig-off", {"rig_error": OFF}, uncured={"init": "sweep"}, against="built")
+BUILT = Defect("built", told=RIG_OFF)
 TOGETHER = Defect(
     "together",
     {"traits": SPREAD, "camera_gains": 0.05, "camera_lags": 1.0, "rig_error": OFF},
     bent=True,
     maps=True,
     uncured=BLIND,
+    against="built",
 )
 DEFECTS = (
     Defect("lens", bent=True),
@@ -48,7 +52,8 @@ DEFECTS = (
     Defect("gains", {"camera_gains": 0.05}, uncured={"gains": "off"}),
     Defect("lags", {"camera_lags": 1.0}, uncured={"gains": "off"}),
     Defect("harsh", {"sensor": "harsh"}, maps=True, uncured={"pixels": "even"}),
-    Defect("rig-off", {"rig_error": OFF}, uncured={"init": "sweep"}),
+    BUILT,
+    RIG_OFF,
     TOGETHER,
     Defect("10-khz", rate_hz=10000, uncured=NINE),
     Defect("5-khz", rate_hz=5000, uncured=NINE),
@@ -56,7 +61,7 @@ DEFECTS = (
     Defect("tenth-light", {"light": 0.1}, uncured=NINE),
     Defect("hundredth-light", {"light": 0.01}, uncured=NINE),
 )
-FEW = (Defect("rig-off", {"rig_error": OFF}), TOGETHER)  # on the realistic scenes
+FEW = (BUILT, RIG_OFF, TOGETHER)  # on the realistic scenes
 
 
 @dataclass(frozen=True)
@@ -125,24 +130,24 @@ def bench_defects(
 
 
 def costs(rows: Sequence[dict]) -> dict[str, float]:
-    """Return what each defect takes from the clean recording of its scene, with its cure and without, in dB."""
-    clean = {row["scene"]: row for row in rows if row["defect"] == CLEAN.name and "refused" not in row}
+    """Return what each defect takes from the recording it is held against, with its cure and without, in dB."""
+    good = [row for row in rows if "refused" not in row]
+    cured = {(row["scene"], row["defect"]): row for row in good if row["cured"]}
+    against = {defect.name: defect.against for defect in (*DEFECTS, *FEW)}
     found: dict[str, float] = {}
-    for row in rows:
-        key, own = f"{row['scene']}.{row['defect']}", clean.get(row["scene"])
-        if "refused" in row or own is None:
-            continue
-        if row is own:
+    for row in good:
+        key, own = f"{row['scene']}.{row['defect']}", cured.get((row["scene"], against.get(row["defect"], CLEAN.name)))
+        if row["defect"] == CLEAN.name:
             found |= {f"{key}.{score}": row[score] for score in SCORES if score in row}
+            continue
+        if own is None:
             continue
         start = "" if row["cured"] else "uncured_"
         for score, name in (("psnr_db", "cost_db"), ("dynamic_psnr_db", "dynamic_cost_db")):
             if score in row and score in own:
                 found[f"{key}.{start}{name}"] = own[score] - row[score]
         if row["cured"]:
-            found |= {
-                f"{key}.{name}": row[name] for name in ("abs_rel", "rotation_deg", "focal_percent") if name in row
-            }
+            found |= {f"{key}.{name}": row[name] for name in OTHERS if name in row}
     return found
 
 

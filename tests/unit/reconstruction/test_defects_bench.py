@@ -10,8 +10,9 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import BACKGROUNDS
 from reconstruction.bench import defect_recordings, defects
+from reconstruction.bench.conventions import truth_of
 from reconstruction.bench.defect_recordings import BARREL, Defect, recorded, straightened
-from reconstruction.bench.defects import CLEAN, DEFECTS, FEW, STEPS, TOGETHER, bench_defects, costs
+from reconstruction.bench.defects import BUILT, CLEAN, DEFECTS, FEW, RIG_OFF, STEPS, TOGETHER, bench_defects, costs
 from reconstruction.bench.diagrams import plot_defects
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.toml import catalog_rig
@@ -35,6 +36,8 @@ def test_costs_are_against_the_clean_recording_of_the_same_scene():
         row("a", "clean", True, 36.0),
         row("a", "lens", True, 35.5) | {"rotation_deg": 0.02},
         row("a", "lens", False, 25.0),
+        row("a", "built", True, 38.0),
+        row("a", "rig-off", True, 37.9),
         row("b", "clean", True, 40.0),
         row("b", "lens", True, 39.0),
         {"scene": "b", "seed": 1, "defect": "gains", "cured": True, "refused": "too dark"},
@@ -43,6 +46,8 @@ def test_costs_are_against_the_clean_recording_of_the_same_scene():
     assert found["a.lens.cost_db"] == pytest.approx(0.5)
     assert found["a.lens.uncured_cost_db"] == pytest.approx(11.0)
     assert found["a.lens.rotation_deg"] == 0.02
+    assert found["a.built.cost_db"] == pytest.approx(-2.0)
+    assert found["a.rig-off.cost_db"] == pytest.approx(0.1)  # from the same cameras, as built
     assert found["b.lens.cost_db"] == pytest.approx(1.0)
     assert found["b.clean.psnr_db"] == 40.0
     assert not any(key.startswith("b.gains") for key in found)
@@ -63,6 +68,21 @@ def test_a_recording_has_its_bent_lenses_its_rate_and_its_maps(tmp_path, monkeyp
     straight = Recording.open(straightened(path))
     assert not any(camera.bends for camera in straight.rig.cameras)
     np.testing.assert_array_equal(straight.stream("cam00").packed, found.stream("cam00").packed)
+
+
+def test_a_rig_file_as_built_has_the_true_cameras(tmp_path, monkeypatch):
+    monkeypatch.setattr(defect_recordings, "apart", lambda work: work())
+    monkeypatch.setattr(defect_recordings, "TICKS", 20)
+    rig = catalog_rig("ci3x3").scaled(48, 30)
+    subject = ("fan_and_ball", 1)
+    off, built = (Recording.open(recorded(tmp_path, rig, subject, defect)) for defect in (RIG_OFF, BUILT))
+    true = truth_of(built).cameras(built.tick_rate_hz)
+    assert true is not None
+    for camera in built.rig.cameras:
+        np.testing.assert_allclose(camera.cam_from_rig.matrix, true.camera(camera.id).cam_from_rig.matrix, atol=1e-12)
+        assert camera.fx == pytest.approx(true.camera(camera.id).fx)
+    assert (off.rig.poses, built.rig.poses) == ("nominal", "calibrated")
+    np.testing.assert_array_equal(built.stream("cam00").packed, off.stream("cam00").packed)
 
 
 def test_the_bench_resumes_and_says_what_it_left_out(tmp_path, monkeypatch):
