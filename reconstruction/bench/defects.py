@@ -26,7 +26,7 @@ from rigs.toml import catalog_rig
 
 STEPS, QUICK_STEPS = 600, 20
 OFF = 2.0  # degrees, cm and percent that a nominal rig is off
-SCORES, OTHERS = ("psnr_db", "dynamic_psnr_db", "abs_rel"), ("abs_rel", "rotation_deg", "focal_percent")
+SCORES = ("psnr_db", "dynamic_psnr_db", "abs_rel", "rotation_deg", "focal_percent")
 
 
 CLEAN = Defect("clean")
@@ -137,8 +137,9 @@ def costs(rows: Sequence[dict]) -> dict[str, float]:
     found: dict[str, float] = {}
     for row in good:
         key, own = f"{row['scene']}.{row['defect']}", cured.get((row["scene"], against.get(row["defect"], CLEAN.name)))
+        if row["cured"]:
+            found |= {f"{key}.{name}": row[name] for name in SCORES if name in row}
         if row["defect"] == CLEAN.name:
-            found |= {f"{key}.{score}": row[score] for score in SCORES if score in row}
             continue
         if own is None:
             continue
@@ -146,8 +147,6 @@ def costs(rows: Sequence[dict]) -> dict[str, float]:
         for score, name in (("psnr_db", "cost_db"), ("dynamic_psnr_db", "dynamic_cost_db")):
             if score in row and score in own:
                 found[f"{key}.{start}{name}"] = own[score] - row[score]
-        if row["cured"]:
-            found |= {f"{key}.{name}": row[name] for name in OTHERS if name in row}
     return found
 
 

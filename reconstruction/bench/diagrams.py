@@ -132,7 +132,7 @@ def plot_defects(path: Path, document: dict) -> None:
     axes.set_yticks(range(len(names)), names, fontsize=8)
     axes.invert_yaxis()
     axes.axvline(0.0, color="#999", linewidth=1)
-    axes.set_xlabel("dB below the clean recording of the same scene")
+    axes.set_xlabel("dB below the recording of the same scene that it is held against")
     axes.legend(fontsize=8, frameon=False)
     write_figure(path, figure, caption(document, document["rows"]))
 
