@@ -169,6 +169,7 @@ def test_captures_are_deleted_together(
         wait_for(lambda: service.client.capture(extra[-1].id).status == "done")
     page = open_page()
     for capture in (*extra, pair[0]):
+        expect(page.locator(f"#capture-{capture.id}")).to_contain_text("No plane lost")  # so its size is known
         page.check(f"#choose-{capture.id}")
     page.get_by_role("button", name="Delete 3…").click()
     expect(page.locator("#dialog-title")).to_have_text(re.compile(r"^Delete 3 captures, \d+(\.\d)? MiB\?$"))
