@@ -46,7 +46,6 @@ TOGETHER = Defect(
 DEFECTS = (
     Defect("lens", bent=True),
     Defect("pixels", {"traits": SPREAD}, maps=True, uncured={"pixels": "even"}),
-    Defect("unmapped-pixels", {"traits": SPREAD}, uncured={"pixels": "even"}),
     Defect("vignetting", {"glass": Glass(vignetting=0.3)}, maps=True, uncured={"pixels": "even"}),
     Defect("blur", {"glass": Glass(blur=0.5)}),
     Defect("gains", {"camera_gains": 0.05}, uncured={"gains": "off"}),

@@ -204,8 +204,7 @@ def _with_edges(solution: Solution, nominal: Rig, seen: Sequence[Evidence], gate
         return solution, 0
     moving = seen[1].where if len(seen) > 1 else None
     edges = [find_edges(image, moving[view] if moving else None) for view, image in seen[0].images.items()]
-    found, count = with_edges(solution, edges, gate, object_distance_m(nominal.cameras))
-    return found, count
+    return with_edges(solution, edges, gate, object_distance_m(nominal.cameras))
 
 
 def _calibrated(rig: Rig, nominal: Rig, solution: Solution, counts: tuple[Sequence[int], int], date: str) -> Calibrated:

@@ -22,7 +22,8 @@ ABOUT = {
     "defects": "The development scenes at equal steps. `cost_db`: what a defect takes from the clean recording of the "
     "same scene, over the whole picture and over movers; `uncured_`: without the cure. `built`: cameras 2 degrees off "
     "the drawing, whose rig file knows it; the costs of `rig-off` and `together`, which must find it, count from "
-    "there. `together`: 10% barrel, 3% pixel spread, 5% camera gains, lags of a plane, and a rig 2 degrees off.",
+    "there. `pixels` without its cure is a recording without maps. `together`: 10% barrel, 3% pixel spread, 5% "
+    "camera gains, lags of a plane, and a rig 2 degrees off.",
     "faults": "Rounds of a real web process with two workers, jobs that sleep, and captures by the real recorder on "
     "simulated cameras, while processes are killed with kill -9 and clients cancel, resume, restart, stop, save and "
     "finalise; both databases side by side. `lost`: accepted and gone; `undone`: never ended; `repeated`: ended work "
