@@ -37,7 +37,7 @@ from reconstruction.run.prices import INSTANTS
 from rigs.camera import Camera
 
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
-LEAST_POINTS = 200  # points of the still scene
+LEAST_POINTS = 200  # points of the still scene, where so many were asked for
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 
 
@@ -108,10 +108,9 @@ def _still_points(
         run.amend("points", Decision("darkness", "kept empty", reason, "none", facts={"share": share}))
     masks = [source.background.trusted & ~void for source, void in zip(sources.values(), voids, strict=True)]
     points = sample_points([filled(m) for m in maps], stills, masks, run.plan.still_gaussians, 0.0, rng)
-    if len(points) < LEAST_POINTS:
-        raise StereoError(
-            f"found {len(points)} points", f"{LEAST_POINTS}", "check that the scene is lit and stands still"
-        )
+    least = min(LEAST_POINTS, run.plan.still_gaussians)
+    if len(points) < least:
+        raise StereoError(f"found {len(points)} points", f"{least}", "check that the scene is lit and stands still")
     return points
 
 

@@ -33,8 +33,9 @@ ABOUT = {
     "that the service does not tell of; `unexplained`: no reason given. `failed` ones kept no plane.",
     "images": "The evaluation scenes, centre camera, 400x250, real sensor, three instants each; PSNR and SSIM against "
     "the exact light. `@light`: factors of the scene's light; `@drop` and `@reintegrate`: planes a second.",
-    "leave-out": "200x125, 12,000 Gaussians, 400 steps. Positive costs are what the plan loses against the other run; "
-    "`saves` is what the other run takes more. `everything on` is an engine that does not look at the scene.",
+    "leave-out": "200x125, 400 steps, as many Gaussians as the plan chooses. Positive costs are what the plan loses "
+    "against the other run; `saves` is what the other run takes more. `everything on` is an engine that does not "
+    "look at the scene.",
     "pixels": "A still picture by a centre camera whose pixels were calibrated from a flat and a dark recording.",
     "poses": "The rig as drawn is the true one misplaced by about 2 degrees, 2 cm and 2% of the focal length. Errors "
     "are after similarity alignment; refused runs are not in the means. `nominal`, `views`, `planes` with a number: "

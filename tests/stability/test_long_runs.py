@@ -1,6 +1,7 @@
 """Tests the part `spike4dgs stability --full` adds: small drifts and trainings, and that faults in them are noticed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 from acquisition.native import code_paths
 from acquisition.progress import silent
 from reconstruction.bench.diagrams import plot_stability
+from reconstruction.pipeline.points_stage import LEAST_POINTS
 from reconstruction.stability import catalogue, drift, stiff
 from reconstruction.stability.case import row_of
 from reconstruction.stability.catalogue import LongRuns
@@ -72,6 +74,11 @@ def test_a_spread_a_gap_or_a_training_that_fails_is_a_failure(tmp_path):
     for losses in ((*falling[:-1], np.nan), (1.0,) * TINY.steps):
         found = judged(scene_of(tmp_path, cubic=Trained(losses, 20.0)))[KINDS[2]]
         assert [v == "fail" for v in found] == [name == "cubic" for name in model_names()]
+
+
+def test_a_model_may_have_fewer_gaussians_than_a_recording_needs_points(tmp_path):
+    few = replace(TINY, gaussians=200)
+    assert StiffScene("burst", tmp_path, few).run(0, "linear").plan.still_gaussians < LEAST_POINTS
 
 
 def test_curves_are_drawn(tmp_path):
