@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 from acquisition.native import Address, Kernel
@@ -17,6 +20,33 @@ Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type that goes with `add
 def kernel(name: str, *argument_types: Any, returns: Any = None) -> Kernel:
     """Return the kernel `name`; `Address` stands for an array or tensor, ctypes' types for numbers and structures."""
     return Kernel("reconstruction", name, *argument_types, returns=returns)
+
+
+_team: ContextVar[int | None] = ContextVar("team", default=None)
+
+
+def threads() -> int:
+    """Return the number of threads that a kernel takes: as many as torch has outside `kernels_alone`."""
+    import torch
+
+    return _team.get() or torch.get_num_threads()
+
+
+@contextmanager
+def kernels_alone() -> Iterator[None]:
+    """Let kernels alone have several threads inside the block, and torch's own operations one.
+
+    Where these are small, they are over before a second thread has woken up.
+    """
+    import torch
+
+    before, token = torch.get_num_threads(), _team.set(threads())
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+        _team.reset(token)
 
 
 def addresses(*tensors: Tensor | None) -> ctypes.Array:

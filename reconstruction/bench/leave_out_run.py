@@ -24,11 +24,13 @@ from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.losses.picture import Compared
 from reconstruction.pipeline.artefacts import MOVING, posed, read_views, read_white
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
+from reconstruction.training.cells import Drawn
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
@@ -120,14 +122,14 @@ class EveryChannel(ImageTerm):
     def __init__(self, grey: ImageTerm):
         super().__init__(**vars(grey))
 
-    def against(self, rendered: Rendering, target: Tensor) -> Tensor:
-        """Return the loss of one render against its target image [H, W]."""
+    def compared(self, view: TrainingView, rendered: Rendering, target: Tensor, drawn: Drawn | None = None) -> Compared:
+        """Compare every channel of one render with its target image [H, W]."""
         light = rendered.intensity
-        losses = [
-            super(EveryChannel, self).against(rendered._replace(intensity=light[..., c : c + 1]), target)
-            for c in range(light.shape[2])
+        found = [
+            super(EveryChannel, self).compared(view, rendered._replace(intensity=channel[..., None]), target, drawn)
+            for channel in light.unbind(-1)
         ]
-        return torch.stack(losses).mean()
+        return replace(found[0], loss=torch.stack([one.loss for one in found]).mean())
 
 
 class Memory:

@@ -12,7 +12,7 @@ from acquisition.bench_document import BenchDocument, fastest_s
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
-from reconstruction.losses.ssim import ssim_map
+from reconstruction.losses.picture import PictureLoss, Target, picture_loss
 from reconstruction.rendering.native import Work, work_of
 from reconstruction.rendering.render import NEAR_M, Backend, Rendering, render
 from reconstruction.rendering.result import Instantaneous
@@ -185,9 +185,9 @@ def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
 
 
 def loss_of(rendering: Rendering, target: Tensor) -> Tensor:
-    """Return L1 and SSIM of a render against its target [H, W], weighted as in training."""
-    image = rendering.intensity[..., 0]
-    return 0.8 * (image - target).abs().mean() / WHITE + 0.2 * (1 - ssim_map(image, target, WHITE).mean())
+    """Return the loss of a render against its target [H, W], as in training."""
+    seen = rendering.intensity[..., 0], rendering.depth, rendering.alpha
+    return picture_loss(seen, Target(target), PictureLoss(WHITE)).loss
 
 
 class Step:

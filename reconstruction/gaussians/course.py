@@ -14,7 +14,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from acquisition.native import Address
-from reconstruction.native import Addresses, Int, addresses, fits, kernel
+from reconstruction.native import Addresses, Int, addresses, fits, kernel, threads
 
 LEAST_DURATION = 1e-3  # clips; a shorter flash falls between two planes
 MOST_DURATION = 1e3  # clips; as good as for ever
@@ -78,7 +78,7 @@ class _Evaluate(Function):
     def forward(ctx: Any, instant: float, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         tensors = tuple(t.contiguous() for t in tensors)
         means, opacities = torch.empty_like(tensors[0]), torch.empty_like(tensors[1])
-        _forward(_motion(instant, tensors), means, opacities, torch.get_num_threads())
+        _forward(_motion(instant, tensors), means, opacities, threads())
         ctx.save_for_backward(*tensors)
         ctx.instant = instant
         return means, opacities
@@ -90,5 +90,5 @@ class _Evaluate(Function):
         to_means, to_opacities = to_means.contiguous(), to_opacities.contiguous()
         found = [torch.empty_like(t) for t in tensors[1:]]
         out = addresses(*found, *[None] * (4 + ORDERS - len(tensors)))
-        _backward(_motion(ctx.instant, tensors), to_means, to_opacities, out, torch.get_num_threads())
+        _backward(_motion(ctx.instant, tensors), to_means, to_opacities, out, threads())
         return (None, to_means, *found)

@@ -12,7 +12,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from acquisition.native import Address
-from reconstruction.native import Int, addresses, fits, kernel
+from reconstruction.native import Int, addresses, fits, kernel, threads
 from reconstruction.quaternions import product, rotated
 
 
@@ -55,7 +55,7 @@ class _Carry(Function):
     def forward(ctx: Any, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         tensors = tuple(t.contiguous() for t in tensors)
         means, quats = torch.empty_like(tensors[0]), torch.empty_like(tensors[1])
-        _forward(_riders(*tensors), means, quats, torch.get_num_threads())
+        _forward(_riders(*tensors), means, quats, threads())
         ctx.save_for_backward(*tensors)
         return means, quats
 
@@ -66,5 +66,5 @@ class _Carry(Function):
         to_means, to_quats = to_means.contiguous(), to_quats.contiguous()
         means, quats = torch.empty_like(to_means), torch.empty_like(to_quats)
         poses = to_means.new_empty(len(tensors[2]), 7)
-        _backward(_riders(*tensors), to_means, to_quats, means, quats, poses, torch.get_num_threads())
+        _backward(_riders(*tensors), to_means, to_quats, means, quats, poses, threads())
         return means, quats, poses[:, :4], poses[:, 4:], None

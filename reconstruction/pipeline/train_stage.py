@@ -13,6 +13,7 @@ from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, Seeds
+from reconstruction.losses.picture import inverse_depth
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
@@ -27,7 +28,6 @@ from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.choice import WINDOW, between, count_error
-from reconstruction.training.depth_hold import ConfirmedDepth
 from reconstruction.training.exposure import FROM
 from reconstruction.training.lags import Lags
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
@@ -42,11 +42,11 @@ def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView]
     """Return the views of a training and the points to seed it; BadRunError where artefacts or truth are missing."""
     rig, views = recording.rig, []
     for view, (camera, source) in artefacts.read_views(run, recording).items():
-        depth = ConfirmedDepth.of(run.read_array(artefacts.DEPTH.format(view=view))).without(source.moving)
+        known = inverse_depth(np.where(source.moving, np.nan, run.read_array(artefacts.DEPTH.format(view=view))))
         shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
         void = artefacts.EMPTY.format(view=view)
         empty = torch.from_numpy(run.read_array(void).astype(np.float32)) if run.has_array(void) else None
-        views.append(TrainingView(camera, shown, depth=depth, empty=empty))
+        views.append(TrainingView(camera, shown, inverse_depth=known, empty=empty))
     still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
     clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
     bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731

@@ -83,8 +83,9 @@ class Watch:
         views = list(self.trainer.views)
         for i, moving in masks.items():
             retargeted = views[i].source.retargeted(moving, partial(short_images, self.run.plan))
-            depth = views[i].depth
-            views[i] = replace(views[i], source=retargeted, depth=depth and depth.without(moving))
+            known = views[i].inverse_depth
+            known = None if known is None else known * torch.from_numpy(~moving)
+            views[i] = replace(views[i], source=retargeted, inverse_depth=known)
         return views
 
     def _write(self, state: dict) -> None:

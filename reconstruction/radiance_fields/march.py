@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import softplus
 
 from acquisition.native import Address
-from reconstruction.native import Addresses, Int, Long, addresses, kernel
+from reconstruction.native import Addresses, Int, Long, addresses, kernel, threads
 
 BLOCK = (8, 8, 4)  # nodes of a block of `near`
 KNOT = (16, 16, 8)  # nodes between knots of the offsets
@@ -85,7 +85,7 @@ class _March(Function):
         raws, intensities, offsets = (t.contiguous() for t in tensors)
         out = tuple(torch.empty(len(lines)) for _ in range(3))
         field = _field(grids, (raws, intensities, offsets), step)
-        _forward(field, lines, jitter, len(lines), addresses(*out), torch.get_num_threads())
+        _forward(field, lines, jitter, len(lines), addresses(*out), threads())
         ctx.grids, ctx.step = grids, step
         ctx.save_for_backward(lines, jitter, raws, intensities, offsets, *out[:2])
         ctx.mark_non_differentiable(out[2])
@@ -99,7 +99,7 @@ class _March(Function):
         out = tuple(torch.zeros_like(t) for t in (raws, intensities, offsets))
         field = _field(ctx.grids, (raws, intensities, offsets), ctx.step)
         seen = (addresses(light, alpha), addresses(*wanted), addresses(*out))
-        _backward(field, lines, jitter, len(lines), *seen, torch.get_num_threads())
+        _backward(field, lines, jitter, len(lines), *seen, threads())
         return (None, None, None, None, *out)
 
 

@@ -4,13 +4,12 @@ import math
 
 import torch
 
-from reconstruction.losses.ssim import ssim_map
+from reconstruction.losses.picture import PictureLoss, Target, inverse_depth, picture_loss
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import NAMES, render
-from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.rendering.result import Instantaneous
 from reconstruction.stability.case import Case, Observation, refusal
 from reconstruction.stability.probe import CAMERA, apart, gaussians_of, renderers, running
-from reconstruction.training.depth_hold import ConfirmedDepth, DepthHold
 
 
 def _constant_signal(_: str) -> Observation:
@@ -27,11 +26,11 @@ def _equal_images(_: str) -> Observation:
     flat, dark = torch.full((20, 24), 0.4), torch.zeros(20, 24)
     noise = torch.rand(20, 24, generator=torch.Generator().manual_seed(1))
     for image in (flat, dark, noise):
-        leaf = image.clone().requires_grad_()
-        similarity = ssim_map(leaf, image, 1.0)
-        similarity.mean().backward()
+        leaf, whole = image.clone().requires_grad_(), torch.ones_like(image)
+        found = picture_loss((leaf, whole, whole), Target(image), PictureLoss(1.0, ssim=1.0))
+        found.loss.backward()
         assert leaf.grad is not None
-        error = max(error, apart(similarity.detach(), torch.ones_like(image)))
+        error = max(error, float(found.losses.abs().max()))
         slope = max(slope, apart(leaf.grad, torch.zeros_like(image)))
     return Observation(f"flat, dark and noise: 1 to {error:.0e}, no gradient to {slope:.0e}", error, slope)
 
@@ -63,19 +62,19 @@ def _held_depth(_: str) -> Observation:
     shares = torch.tensor([1.0, 1.01, 1.0, 0.98, 1.3, 0.0, 1.0001, 1.02, 1.0, 1.0, 1.0, 1.0])
     alpha = torch.tensor([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     depth = torch.where(known.isfinite(), known * shares, 2.0)
-    hold = DepthHold(0.2)
+    loss = PictureLoss(1.0, ssim=0.0, solid=0.0, hold=0.2)
     found = []
     for dtype in (torch.float32, torch.float64):
         leaves = [t.to(dtype)[None].clone().requires_grad_() for t in (depth, alpha)]
-        image = Rendering(torch.zeros(1, len(known), 1), leaves[0], leaves[1], torch.zeros(0, dtype=torch.int32))
-        loss = hold(image, ConfirmedDepth.of(known[None].numpy()))
-        loss.backward()
+        none, inverse = torch.zeros(1, len(known), dtype=dtype), inverse_depth(known[None].numpy()).to(dtype)
+        held = picture_loss((none, *leaves), Target(none, inverse_depth=inverse), loss).loss
+        held.backward()
         # As a share of the depth it is the same everywhere; a metre is not.
         slopes = [leaf.grad.double() for leaf in leaves if leaf.grad is not None]
-        found.append((loss.detach().double(), slopes[0] * depth.double()[None].nan_to_num(), slopes[1]))
+        found.append((held.detach().double(), slopes[0] * depth.double()[None].nan_to_num(), slopes[1]))
     off = (depth[:8].double() / known[:8].double() - alpha[:8].double()).abs()
-    exact = hold.weight * off.clamp_max(hold.most).sum() / len(known)
-    error = max(apart(loss[None], exact[None]) for loss, *_ in found)
+    exact = loss.hold * off.clamp_max(loss.most).sum() / len(known)
+    error = max(apart(held[None], exact[None]) for held, *_ in found)
     slope = max(apart(single, double) for single, double in zip(found[0][1:], found[1][1:], strict=True))
     return Observation(f"off by {error:.0e}, gradient by {slope:.0e}", error, slope)
 

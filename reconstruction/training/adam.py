@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.native import Double, Int, addresses, fits, kernel
+from reconstruction.native import Double, Int, addresses, fits, kernel, threads
 
 BETAS, EPS = (0.9, 0.99), 1e-15
 
@@ -57,7 +57,7 @@ class Adam(torch.optim.Optimizer):
                     gradient = leaf.grad.contiguous()
                     kept.append(gradient)
                     leaves.append(self._leaf(leaf, gradient, group["lr"]))
-        _step((_Leaf * len(leaves))(*leaves), len(leaves), *self.betas, self.eps, torch.get_num_threads())
+        _step((_Leaf * len(leaves))(*leaves), len(leaves), *self.betas, self.eps, threads())
 
     def _leaf(self, leaf: Tensor, gradient: Tensor, rate: float) -> _Leaf:
         state = self.state[leaf]

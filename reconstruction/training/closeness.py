@@ -2,8 +2,6 @@
 
 import math
 
-from torch import Tensor
-
 MEMORY = 50  # images in the mean; single ones differ far more than a training gains between them
 
 
@@ -18,10 +16,9 @@ class Closeness:
         self._seen = 0
         self._mean_square = 0.0
 
-    def see(self, image: Tensor, target: Tensor) -> None:
-        """Take in one render and its target, [H, W] in spikes per tick."""
+    def see(self, square: float) -> None:
+        """Take in the mean squared error of one render, (spikes per tick)^2."""
         self._seen += 1
-        square = float((image - target).square().mean())
         self._mean_square += (square - self._mean_square) / min(self._seen, MEMORY)
 
     @property

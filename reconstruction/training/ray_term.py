@@ -58,7 +58,7 @@ class RayTerm:
         light, alpha = self._integral(field, view, pixels, (first, window), rng)
         spikes, rates = self._explained(light, view, pixels, (first, window))
         if self.closeness:
-            self.closeness.see(light.detach(), rates)
+            self.closeness.see(float((light.detach() - rates).square().mean()))
         cells = torch.from_numpy(rng.integers(len(field), size=self.sampled))
         return spikes / self.white + self.solid * (1 - alpha).mean() + self.smooth * field.variation(cells)
 

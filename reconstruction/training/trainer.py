@@ -17,9 +17,9 @@ from reconstruction.initialization.sweep import depth_range_m
 from reconstruction.methods.definition import Training
 from reconstruction.rendering.render import Backend
 from reconstruction.scene_model import SceneModel
+from reconstruction.training.cells import CellDraws
 from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.closeness import Closeness
-from reconstruction.training.depth_hold import DepthHold
 from reconstruction.training.ending import Ending
 from reconstruction.training.exposure import Exposure
 from reconstruction.training.freeing import freed, freed_states
@@ -84,6 +84,10 @@ class Trainer:
         self.views = self._corrected(views)
 
     def _corrected(self, views: Sequence[TrainingView]) -> Sequence[TrainingView]:
+        import os
+
+        share = float(os.environ.get("SHARE", 1))
+        views = [replace(v, draws=CellDraws(v.camera, share)) for v in views]
         if self.lags:
             return [replace(v, corrected=partial(self.lags.seen, view=i)) for i, v in enumerate(views)]
         if not self.refinement:
@@ -180,7 +184,7 @@ def _terms(
     """Return the term on images and the one on spikes; which kind of model they take depends on the supervision."""
     if settings.supervision == RAYS:
         return RayTerm(clock, settings.white, closeness=closeness), None
-    hold = DepthHold(settings.training.holds_depth) if settings.training.holds_depth else None
+    hold = settings.training.holds_depth
     seen = {"closeness": closeness, "backend": settings.backend, "hold": hold, "exposure": exposure}
     image = ImageTerm(clock, settings.white, settings.tick_stride, **seen)
     return image, supervisions()[settings.supervision].term(image, settings.training.spikes)

@@ -8,7 +8,7 @@ from torch import Tensor
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
 from reconstruction.rendering.result import Instantaneous
-from reconstruction.training.depth_hold import ConfirmedDepth
+from reconstruction.training.cells import CellDraws
 from rigs.camera import Camera
 
 
@@ -17,15 +17,17 @@ class TrainingView:
     """A camera and the images it should see.
 
     `corrected`: the cloud at an instant (s) as its refined pose, gain and lag show it (None: they stand as they are).
-    `depth`: the depths of its pixels that are known before the training. `empty` [H, W]: 1 where nothing is, else 0;
-    None where something is everywhere.
+    `inverse_depth` [H, W]: of the pixels whose depth is known before the training, 1/m, else 0. `empty` [H, W]: 1 where
+    nothing is, else 0; None where something is everywhere. `draws`: the cells of its picture that steps compare (None:
+    all of them).
     """
 
     camera: Camera
     source: CompositeSource
     corrected: Callable[[DynamicCloud, float], Instantaneous] | None = None
-    depth: ConfirmedDepth | None = None
+    inverse_depth: Tensor | None = None
     empty: Tensor | None = None
+    draws: CellDraws | None = None
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """Return the Gaussians to render for this camera at an instant (s, rig clock)."""

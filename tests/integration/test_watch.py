@@ -77,15 +77,14 @@ def test_what_moves_after_all_is_not_held_in_depth(small_recording, blind, whole
     anew = beginning_trainer(whole, small_recording)
     before = beginning_trainer(RunFolder.open(blind), small_recording)
     for now, later, then in zip(trainer.views, anew.views, before.views, strict=True):
-        assert now.depth is not None
-        assert later.depth is not None
-        assert then.depth is not None
-        assert not now.source.moving.ravel()[now.depth.pixels.numpy()].any()
-        assert 0 < len(now.depth.pixels) <= len(then.depth.pixels)
-        assert torch.equal(now.depth.pixels, later.depth.pixels)
-    assert any(
-        v.source.moving.ravel()[t.depth.pixels.numpy()].any() for v, t in zip(anew.views, before.views, strict=True)
-    )
+        assert now.inverse_depth is not None
+        assert later.inverse_depth is not None
+        assert then.inverse_depth is not None
+        assert not now.inverse_depth[now.source.moving].any()
+        assert 0 < (now.inverse_depth > 0).sum() <= (then.inverse_depth > 0).sum()
+        assert torch.equal(now.inverse_depth, later.inverse_depth)
+    pairs = zip(anew.views, before.views, strict=True)
+    assert any(t.inverse_depth[v.source.moving].any() for v, t in pairs if t.inverse_depth is not None)
 
 
 def test_what_moves_is_found_and_the_plan_says_so(whole):

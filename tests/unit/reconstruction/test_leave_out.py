@@ -1,5 +1,7 @@
 """The leave-out bench: its cases, what it makes of its rows, that it resumes, and the mover that a plan misses."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -38,6 +40,7 @@ from reconstruction.rendering.result import Rendering
 from reconstruction.run.plan import STILL_SHARE
 from reconstruction.training.changed_pixels import changed_pixels
 from reconstruction.training.image_term import ImageTerm
+from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 from rigs.toml import catalog_rig
 
@@ -118,8 +121,10 @@ def test_three_equal_channels_are_trained_as_one_is():
     generator = torch.Generator().manual_seed(0)
     light, target = torch.rand(24, 32, 1, generator=generator), torch.rand(24, 32, generator=generator)
     none, grey = torch.zeros(24, 32), ImageTerm(RigClock(20000.0), 0.6, 4)
+    camera = catalog_rig("ci3x3").cameras[0]
+    view = TrainingView(camera, SimpleNamespace(straightening=None))  # pyright: ignore[reportArgumentType]
     one, three = (Rendering(light.repeat(1, 1, n), none, none, none) for n in (1, 3))
-    assert EveryChannel(grey).against(three, target) == pytest.approx(float(grey.against(one, target)))
+    assert float(EveryChannel(grey).held(view, three, target)) == pytest.approx(float(grey.held(view, one, target)))
     assert (GREY.channels, COLOUR.channels) == (1, 3)
 
 

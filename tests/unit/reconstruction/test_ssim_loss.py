@@ -1,10 +1,9 @@
-"""Structural similarity: the native kernels against the reference in float64, and against the formula."""
+"""Structural similarity in torch: against the formula, single precision against double, at its limits."""
 
 import pytest
 import torch
 
-from reconstruction.errors import ReconstructionError
-from reconstruction.losses.ssim import ssim_map, ssim_map_reference
+from reconstruction.losses.ssim import ssim_map
 
 SIZES = [(1, 1), (1, 40), (7, 3), (11, 11), (29, 37), (48, 64)]
 
@@ -26,23 +25,19 @@ def value_and_gradient(function, image, target, weights, data_range):
 
 @pytest.mark.parametrize("data_range", [0.2, 1.0])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-def test_native_agrees_with_the_float64_reference(height, width, data_range):
+def test_single_precision_is_enough(height, width, data_range):
     image, target, weights = images(height, width)
-    native = value_and_gradient(ssim_map, image, target, weights, data_range)
-    reference = value_and_gradient(ssim_map_reference, image.double(), target.double(), weights.double(), data_range)
+    single = value_and_gradient(ssim_map, image, target, weights, data_range)
+    double = value_and_gradient(ssim_map, image.double(), target.double(), weights.double(), data_range)
     # Worst measured: 1e-6; for a single pixel, whose variances are rounding beside a C2 of 4e-5, 3e-4 and 1.4e-3.
-    torch.testing.assert_close(native[0], reference[0], rtol=0, atol=5e-6 if height * width > 1 else 1e-3)
-    scale = max(1.0, float(reference[1].abs().max()))
-    torch.testing.assert_close(
-        native[1] / scale, reference[1] / scale, rtol=0, atol=5e-6 if height * width > 1 else 5e-3
-    )
+    torch.testing.assert_close(single[0], double[0], rtol=0, atol=5e-6 if height * width > 1 else 1e-3)
+    scale = max(1.0, float(double[1].abs().max()))
+    torch.testing.assert_close(single[1] / scale, double[1] / scale, rtol=0, atol=5e-6 if height * width > 1 else 5e-3)
 
 
 def test_the_gradient_of_the_reference_is_that_of_its_values():
     image, target, _ = images(3, 4)
-    assert torch.autograd.gradcheck(
-        lambda x: ssim_map_reference(x, target.double(), 1.0), image.double().requires_grad_()
-    )
+    assert torch.autograd.gradcheck(lambda x: ssim_map(x, target.double(), 1.0), image.double().requires_grad_())
 
 
 def test_one_pixel_is_the_formula_without_windows():
@@ -89,30 +84,8 @@ def test_flat_images_of_different_levels_keep_a_finite_gradient(level):
     assert bool(torch.isfinite(image.grad).all())
 
 
-def test_the_result_does_not_depend_on_the_number_of_threads():
-    image, target, weights = images(50, 60)
-    before = torch.get_num_threads()
-    try:
-        results = []
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            results.append(value_and_gradient(ssim_map, image, target, weights, 1.0))
-    finally:
-        torch.set_num_threads(before)
-    for value, gradient in results[1:]:
-        assert (value == results[0][0]).all()
-        assert (gradient == results[0][1]).all()
-
-
 def test_images_that_do_not_share_memory_order_are_read_as_they_are():
     image, target, _ = images(20, 31)
     torch.testing.assert_close(
         ssim_map(image.T, target.T, 1.0), ssim_map(image.T.contiguous(), target.T.contiguous(), 1.0)
     )
-
-
-def test_bad_input_is_refused():
-    with pytest.raises(ReconstructionError, match="shapes"):
-        ssim_map(torch.zeros(3, 4), torch.zeros(4, 3), 1.0)
-    with pytest.raises(ReconstructionError, match="data range"):
-        ssim_map(torch.zeros(3, 4), torch.zeros(3, 4), 0.0)
