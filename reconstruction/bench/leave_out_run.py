@@ -24,13 +24,11 @@ from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.losses.picture import Compared
 from reconstruction.pipeline.artefacts import MOVING, posed, read_views, read_white
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.result import Rendering
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
-from reconstruction.training.cells import Drawn
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
@@ -122,14 +120,10 @@ class EveryChannel(ImageTerm):
     def __init__(self, grey: ImageTerm):
         super().__init__(**vars(grey))
 
-    def compared(self, view: TrainingView, rendered: Rendering, target: Tensor, drawn: Drawn | None = None) -> Compared:
-        """Compare every channel of one render with its target image [H, W]."""
-        light = rendered.intensity
-        found = [
-            super(EveryChannel, self).compared(view, rendered._replace(intensity=channel[..., None]), target, drawn)
-            for channel in light.unbind(-1)
-        ]
-        return replace(found[0], loss=torch.stack([one.loss for one in found]).mean())
+    def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
+        """Return the loss of one render against its target image [H, W]."""
+        channels = (rendered._replace(intensity=channel[..., None]) for channel in rendered.intensity.unbind(-1))
+        return torch.stack([super(EveryChannel, self).held(view, channel, target) for channel in channels]).mean()
 
 
 class Memory:

@@ -187,7 +187,7 @@ def dynamic_cloud(cloud: Instantaneous) -> DynamicCloud:
 def loss_of(rendering: Rendering, target: Tensor) -> Tensor:
     """Return the loss of a render against its target [H, W], as in training."""
     seen = rendering.intensity[..., 0], rendering.depth, rendering.alpha
-    return picture_loss(seen, Target(target), PictureLoss(WHITE)).loss
+    return picture_loss(seen, Target(target), PictureLoss(WHITE))[0]
 
 
 class Step:

@@ -18,9 +18,8 @@ constexpr int kLine = 48;                  // floats of a stored row of kWide: w
 struct Picture {  // filled by Python
     const float *intensity, *depth, *alpha, *target;  // [H, W]
     const float *empty, *inverse_depth;               // [H, W], or null: nothing is empty, no depth is known
-    const float *weights;                             // [cells], row by row; cells of weight 0 are not looked at
     float *to_intensity, *to_depth, *to_alpha;        // [H, W]: gradients
-    double *losses, *squares;                         // [cells]: sums over a cell's pixels, before its weight
+    double *losses, *squares;                         // [cells], row by row: sums over a cell's pixels
     float *scratch;                                   // [cells, kWide, kLine]
     double white, ssim, solid, shared, hold, most, c1, c2;
     int32_t width, height;
@@ -160,14 +159,6 @@ Sums pixels(const Picture &p, int64_t at, int count, float weight, const float *
     return {loss, square};
 }
 
-void skip(const Picture &p, int x0, int y0) {
-    const int across = std::min(kCell, p.width - x0), down = std::min(kCell, p.height - y0);
-    for (int j = 0; j < down; ++j) {
-        std::fill_n(p.to_alpha + int64_t(y0 + j) * p.width + x0, across, 0.f);
-        std::fill_n(p.to_depth + int64_t(y0 + j) * p.width + x0, across, 0.f);
-    }
-}
-
 Sums look(const Picture &p, const float *inverse_x, const float *inverse_y, int x0, int y0, float weight, Patch &patch,
           float *to) {
     const int across = std::min(kCell, p.width - x0), down = std::min(kCell, p.height - y0);
@@ -196,7 +187,6 @@ void assemble(const Picture &p, const Grid &grid, int cell) {
     for (int ny = std::max(cy - 1, 0); ny <= std::min(cy + 1, grid.down - 1); ++ny)
         for (int nx = std::max(cx - 1, 0); nx <= std::min(cx + 1, grid.across - 1); ++nx) {
             const int near = ny * grid.across + nx;
-            if (!p.weights[near]) continue;
             const float *from = p.scratch + int64_t(near) * kWide * kLine;
             const int dx = x0 - nx * kCell + kReach, dy = y0 - ny * kCell + kReach;  // of the cell in its neighbour's rows
             const int left = std::max(0, -dx), right = std::min(across, kWide - dx);
@@ -211,24 +201,20 @@ void assemble(const Picture &p, const Grid &grid, int cell) {
 
 }  // namespace
 
-// Fills the gradients and the sums of `picture`; weights of cells are divided by the number of pixels here.
+// Fills the gradients of the mean loss of `picture`, and the sums of its cells.
 S4_API void picture_loss(const Picture *picture, int32_t threads) {
     const Picture &p = *picture;
     const Grid grid(p);
     const std::vector<float> inverse_x = inverse_masses(p.width), inverse_y = inverse_masses(p.height);
-    const double pixels = double(p.width) * p.height;
+    const float weight = float(1 / (double(p.width) * p.height));
 #pragma omp parallel num_threads(std::max(threads, 1))
     {
         Patch patch;
 #pragma omp for schedule(dynamic)
         for (int cell = 0; cell < grid.cells(); ++cell) {
             const int x0 = cell % grid.across * kCell, y0 = cell / grid.across * kCell;
-            Sums sums;
-            if (p.weights[cell])
-                sums = look(p, inverse_x.data(), inverse_y.data(), x0, y0, float(p.weights[cell] / pixels), patch,
-                            p.scratch + int64_t(cell) * kWide * kLine);
-            else
-                skip(p, x0, y0);
+            float *around = p.scratch + int64_t(cell) * kWide * kLine;
+            const Sums sums = look(p, inverse_x.data(), inverse_y.data(), x0, y0, weight, patch, around);
             p.losses[cell] = sums.loss, p.squares[cell] = sums.square;
         }
 #pragma omp for schedule(static)

@@ -23,16 +23,14 @@ std::unique_ptr<s4::Frame> take_frame() {
 
 }  // namespace
 
-// Renders `cloud` into `image` and `radii` [N]; returns the frame that backward and release want. `wanted` [tiles] are the
-// blocks of each tile that are drawn, null for all; the rest of `image` stays as it is.
+// Renders `cloud` into `image` and `radii` [N]; returns the frame that backward and release want.
 S4_API void *render_forward(const s4::Pinhole *camera, const s4::Cloud *cloud, const s4::Image *image, int32_t *radii,
-                            const uint16_t *wanted, int32_t threads) {
+                            int32_t threads) {
     std::unique_ptr<s4::Frame> frame = take_frame();
     frame->camera = *camera;
     frame->tiles_x = (camera->width + s4::kTile - 1) / s4::kTile;
     frame->tiles_y = (camera->height + s4::kTile - 1) / s4::kTile;
     threads = std::max(threads, 1);
-    s4::want(*frame, wanted);
     s4::prepare(*frame, *cloud, threads);
 #pragma omp parallel num_threads(threads)
     {

@@ -49,8 +49,6 @@ struct Moments {
 struct Frame {
     Pinhole camera;
     int tiles_x, tiles_y;
-    std::vector<uint16_t> wanted;             // by tile: blocks that are drawn; none of it: the whole picture
-    std::vector<int32_t> wanted_before;       // [tiles_y + 1, tiles_x + 1]: wanted tiles above and to the left
     std::vector<Splat> splats;                // by Gaussian
     std::vector<Span> spans;                  // by Gaussian
     std::vector<int32_t> visible;             // which Gaussians became splats, in their order; visible_count of them
@@ -64,14 +62,6 @@ struct Frame {
     std::vector<float> checkpoints;           // transmittance of a tile before each group but the first
     std::vector<Moments> moments;             // by slot: one a splat and tile
     int64_t visible_count, slots;
-
-    uint16_t blocks_wanted(int tile) const { return wanted.empty() ? 0xffff : wanted[tile]; }
-    bool meets(const Span &s) const {  // whether any tile of the span is wanted
-        if (wanted.empty()) return true;
-        const int32_t *top = wanted_before.data() + s.y_first * (tiles_x + 1);
-        const int32_t *below = wanted_before.data() + (s.y_last + 1) * (tiles_x + 1);
-        return below[s.x_last + 1] - below[s.x_first] - top[s.x_last + 1] + top[s.x_first] > 0;
-    }
 };
 
 struct Image {
@@ -85,7 +75,6 @@ struct CloudGradient {
     float *means, *quats, *log_scales, *opacities, *intensities;
 };
 
-void want(Frame &frame, const uint16_t *blocks);  // [tiles], or null for the whole picture
 void prepare(Frame &frame, const Cloud &cloud, int threads);  // before the team
 void project(Frame &frame, const Cloud &cloud, int32_t *radii);
 void sort_and_count(Frame &frame);

@@ -1,12 +1,9 @@
 """The C++ renderer as a torch function: float32 on the CPU, torch's number of threads."""
 
 import ctypes
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
@@ -28,7 +25,7 @@ class _Cloud(ctypes.Structure):
 
 _Handle, _CloudPointer = ctypes.c_void_p, ctypes.POINTER(_Cloud)
 _forward = kernel(
-    "render_forward", ctypes.POINTER(_Camera), _CloudPointer, Addresses, Address, Address, Int, returns=ctypes.c_void_p
+    "render_forward", ctypes.POINTER(_Camera), _CloudPointer, Addresses, Address, Int, returns=ctypes.c_void_p
 )
 _backward = kernel("render_backward", _Handle, _CloudPointer, Addresses, Addresses, Int)
 _release = kernel("render_release", _Handle)
@@ -49,31 +46,16 @@ def _cloud(tensors: tuple[Tensor, ...]) -> _Cloud:
     return _Cloud(addresses(*tensors), len(tensors[0]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """The images that are asked for: which 4x4 blocks, as sixteen bits a tile (None: all), and whether a median."""
-
-    camera: Camera
-    near_m: float
-    blocks: NDArray[np.uint16] | None = None
-    median: bool = False
-
-    def image(self) -> Tensor:
-        size = self.camera.height, self.camera.width
-        return torch.empty(*size) if self.blocks is None else torch.zeros(*size)
-
-
-def _rendered(asked: _Asked, cloud: tuple[Tensor, ...]) -> tuple[_Frame, Rendering]:
+def _rendered(camera: Camera, near_m: float, cloud: tuple[Tensor, ...], *, median: bool) -> tuple[_Frame, Rendering]:
     """Return the frame and the images of five contiguous tensors, the last of them intensities [N]."""
-    camera = asked.camera
-    intensity, depth, alpha = (asked.image() for _ in range(3))
-    middle = asked.image() if asked.median else None
+    intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
+    middle = torch.empty(camera.height, camera.width) if median else None
     radii = torch.empty(len(cloud[0]), dtype=torch.int32)
     pose, lens = camera.cam_from_rig, (camera.fx, camera.fy, camera.cx, camera.cy)
-    numbers = (*pose.rotation.ravel(), *pose.translation, *lens, asked.near_m)
+    numbers = (*pose.rotation.ravel(), *pose.translation, *lens, near_m)
     seen_by = _Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)
     images = addresses(intensity, depth, alpha, middle)
-    frame = _Frame(_forward(seen_by, _cloud(cloud), images, radii, asked.blocks, threads()))
+    frame = _Frame(_forward(seen_by, _cloud(cloud), images, radii, threads()))
     return frame, Rendering(intensity, depth, alpha, radii, middle)
 
 
@@ -88,7 +70,7 @@ class Work(NamedTuple):
 
 def work_of(gaussians: Instantaneous, camera: Camera, near_m: float) -> Work:
     """Render the first channel as `render_native` does, and return how much work that was."""
-    frame, _ = _rendered(_Asked(camera, near_m), (*gaussians[:4], gaussians.intensities[:, 0].contiguous()))
+    frame, _ = _rendered(camera, near_m, (*gaussians[:4], gaussians.intensities[:, 0].contiguous()), median=False)
     counts = (ctypes.c_int64 * 4)()
     _work(frame.handle, counts)
     return Work(*counts)
@@ -96,9 +78,9 @@ def work_of(gaussians: Instantaneous, camera: Camera, near_m: float) -> Work:
 
 class _Render(Function):
     @staticmethod
-    def forward(ctx: Any, asked: _Asked, *cloud: Tensor) -> tuple[Tensor | None, ...]:
+    def forward(ctx: Any, camera: Camera, near_m: float, median: bool, *cloud: Tensor) -> tuple[Tensor | None, ...]:
         cloud = tuple(t.contiguous() for t in cloud)
-        ctx.frame, images = _rendered(asked, cloud)
+        ctx.frame, images = _rendered(camera, near_m, cloud, median=median)
         ctx.save_for_backward(*cloud)
         ctx.mark_non_differentiable(*(image for image in images[3:] if image is not None))
         ctx.set_materialize_grads(False)
@@ -112,21 +94,10 @@ class _Render(Function):
         out = tuple(torch.zeros_like(t) for t in cloud)
         given = (_cloud(cloud), addresses(*wanted), addresses(*out), threads())
         ctx.frame.backward(ctx.frame.handle, *given)
-        return (None, *out)
+        return (None, None, None, *out)
 
 
-def _tiles(wanted: Tensor) -> NDArray[np.uint16]:
-    """Return the wanted blocks [h, w] as bits of tiles of 4x4 blocks, row by row."""
-    down, across = (-(-size // 4) for size in wanted.shape)
-    blocks = np.zeros((4 * down, 4 * across), dtype=np.uint16)
-    blocks[: wanted.shape[0], : wanted.shape[1]] = wanted.numpy()
-    bits = blocks.reshape(down, 4, across, 4) << np.arange(16, dtype=np.uint16).reshape(4, 1, 4)
-    return np.ascontiguousarray(bits.sum(axis=(1, 3), dtype=np.uint16))
-
-
-def render_native(
-    gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False, wanted: Tensor | None = None
-) -> Rendering:
+def render_native(gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False) -> Rendering:
     """Render as `render_reference` does, in C++; each channel beyond the first costs another pass.
 
     Raises ReconstructionError for tensors that are not float32 on the CPU, or without a channel.
@@ -138,7 +109,7 @@ def render_native(
             "float32 on the CPU",
             "use the reference backend",
         )
-    geometry = (_Asked(camera, near_m, None if wanted is None else _tiles(wanted), median), *gaussians[:4])
+    geometry = (camera, near_m, median, *gaussians[:4])
     if intensities.shape[1] == 1:
         intensity, *others = _Render.apply(*geometry, intensities.squeeze(-1))
         return Rendering(intensity[..., None], *others)

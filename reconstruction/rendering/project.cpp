@@ -107,10 +107,7 @@ void project(Frame &frame, const Cloud &cloud, int32_t *radii) {
     int64_t visible = 0, slots = 0;
     for (int64_t block = first; block < last; block += kLanes) project_block(frame, cloud, radii, block);
     for (int64_t i = first; i < last; ++i)
-        if (radii[i] && frame.meets(frame.spans[i]))
-            ++visible, slots += frame.spans[i].tiles();
-        else
-            radii[i] = 0;
+        if (radii[i]) ++visible, slots += frame.spans[i].tiles();
     frame.part_visible[rank] = visible;
     frame.part_slots[rank] = slots;
 #pragma omp barrier

@@ -17,12 +17,10 @@ struct alignas(64) Gradient {
 void gather(const Frame &frame, const Cloud &cloud, int32_t source, int i, Geometry &g, Gradient &d) {
     const Splat &s = frame.splats[source];
     load_gaussian(g, cloud, source, i);
-    const Moments *moments = frame.moments.data() + s.slot;
+    const int64_t end = s.slot + s.span.tiles();
     float sum[kMoments] = {};
-    for (int y = s.span.y_first; y <= s.span.y_last; ++y)
-        for (int x = s.span.x_first; x <= s.span.x_last; ++x, ++moments)
-            if (frame.blocks_wanted(y * frame.tiles_x + x))
-                for (int k = 0; k < kMoments; ++k) sum[k] += moments->value[k];
+    for (int64_t slot = s.slot; slot < end; ++slot)
+        for (int k = 0; k < kMoments; ++k) sum[k] += frame.moments[slot].value[k];
     for (int k = 0; k < kMoments; ++k) d.sum[k][i] = sum[k];
 }
 

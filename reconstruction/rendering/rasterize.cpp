@@ -60,8 +60,6 @@ void load_group(Frame &f, const Tile &t, int64_t first, int64_t last, uint16_t l
 
 template <bool kMedian>
 void forward_tile(Frame &f, const Image &image, int tile) {
-    const uint16_t wanted = f.blocks_wanted(tile);
-    if (!wanted) return;
     const Tile t(f, tile);
     Canvas canvas = {};
     Group g;
@@ -71,7 +69,7 @@ void forward_tile(Frame &f, const Image &image, int tile) {
     }
     float *checkpoint = f.checkpoints.data() + f.checkpoint_start[tile] * kPixels;
     const int64_t start = f.tile_start[tile], last = f.tile_start[tile + 1];
-    uint16_t live = wanted;
+    uint16_t live = 0xffff;
     for (int64_t first = start; first < last; first += kGroup) {
         if (!live) {
             std::fill(f.blocks.begin() + first, f.blocks.begin() + last, uint16_t(0));
@@ -92,7 +90,6 @@ void forward_tile(Frame &f, const Image &image, int tile) {
         }
     }
     for (int b = 0; b < kBlock; ++b) {
-        if (!(wanted >> b & 1)) continue;
         store_block(f.camera, t, b, canvas.intensity[b], image.intensity);
         store_block(f.camera, t, b, canvas.depth[b], image.depth);
         if constexpr (kMedian) store_block(f.camera, t, b, canvas.median[b], image.median);

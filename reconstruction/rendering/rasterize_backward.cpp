@@ -114,8 +114,6 @@ void backward_group(Frame &f, const Tile &t, int64_t first, const Block *T, Scra
 }
 
 void backward_tile(Frame &f, const ImageGradient &gradient, int tile, Scratch &s) {
-    const int64_t start = f.tile_start[tile], count = f.tile_start[tile + 1] - start;
-    if (!count) return;
     const Tile t(f, tile);
     Block T[kBlock];
     for (int b = 0; b < kBlock; ++b) {
@@ -124,7 +122,8 @@ void backward_tile(Frame &f, const ImageGradient &gradient, int tile, Scratch &s
         s.alpha[b] = load_block(f.camera, t, b, gradient.alpha);
         s.B[b] = {};
     }
-    for (int64_t group = (count - 1) / kGroup; group >= 0; --group) {
+    const int64_t start = f.tile_start[tile], count = f.tile_start[tile + 1] - start;
+    for (int64_t group = (count - 1) / kGroup; count && group >= 0; --group) {
         s.group.count = int(std::min<int64_t>(kGroup, count - group * kGroup));
         if (group)
             std::memcpy(T, f.checkpoints.data() + (f.checkpoint_start[tile] + group - 1) * kPixels, sizeof T);

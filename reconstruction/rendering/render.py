@@ -14,24 +14,9 @@ from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 
 Backend = Literal["native", "reference", "gsplat"]
-RENDERERS = {"reference": render_reference, "gsplat": render_gsplat}  # that draw whole pictures alone
+RENDERERS = {"native": render_native, "reference": render_reference, "gsplat": render_gsplat}
 NEAR_M = 0.01  # depth of the near plane in m
 NAMES = Instantaneous._fields
-BLOCK_PX = 4  # pixels a side of the smallest part of a picture that can be drawn alone
-
-
-def blocks_of(camera: Camera) -> tuple[int, int]:
-    """Return the numbers of rows and columns of blocks of a camera's picture."""
-    return -(-camera.height // BLOCK_PX), -(-camera.width // BLOCK_PX)
-
-
-def _cut(seen: Rendering, camera: Camera, wanted: Tensor | None) -> Rendering:
-    """Return a rendering without the light, depth and alpha of blocks that are not wanted."""
-    if wanted is None:
-        return seen
-    kept = wanted.repeat_interleave(BLOCK_PX, 0)[: camera.height].repeat_interleave(BLOCK_PX, 1)[:, : camera.width]
-    images = {"intensity": seen.intensity * kept[..., None], "depth": seen.depth * kept, "alpha": seen.alpha * kept}
-    return seen._replace(**images)
 
 
 def _check(gaussians: Instantaneous) -> None:
@@ -61,16 +46,13 @@ def render(
     near_m: float = NEAR_M,
     background: Tensor | float | None = None,
     median: bool = False,
-    wanted: Tensor | None = None,
 ) -> Rendering:
     """Render N Gaussians, the five tensors of an `Instantaneous`; differentiable in all of them.
 
     `backend`: native (float32 on the CPU), reference (float32 or float64, anywhere), gsplat (float32 on a CUDA device).
     `near_m`: the least depth that is seen, m. `background`: the intensity behind everything, one number or [H, W, C],
-    black if None. `median` asks for the median depth too, which gsplat does not have. `wanted`
-    [ceil(H / BLOCK_PX), ceil(W / BLOCK_PX)]: the blocks that are drawn (None: all); all images are 0 elsewhere, and
-    Gaussians that touch no tile of theirs are not seen. Raises ReconstructionError for shapes that do not fit, NaN or
-    infinity, or a lens that distorts.
+    black if None. `median` asks for the median depth too, which gsplat does not have. Raises ReconstructionError for
+    shapes that do not fit, NaN or infinity, or a lens that distorts.
     """
     now = Instantaneous(*gaussians)
     _check(now)
@@ -78,14 +60,7 @@ def render(
         raise ReconstructionError("found lens distortion", "a pinhole", "render its view and bend it", where=camera.id)
     if not near_m > 0:
         raise ReconstructionError(f"found the near plane at {near_m} m", "a positive depth")
-    if wanted is not None and tuple(wanted.shape) != blocks_of(camera):
-        raise ReconstructionError(f"found {tuple(wanted.shape)} blocks wanted", str(blocks_of(camera)), where=camera.id)
-    if wanted is not None and median:
-        raise ReconstructionError("found a median asked of a part of a picture", "the whole picture", where=camera.id)
-    if backend == "native":
-        seen = render_native(now, camera, near_m, median=median, wanted=wanted)
-    else:
-        seen = _cut(RENDERERS[backend](now, camera, near_m, median=median), camera, wanted)
+    seen = RENDERERS[backend](now, camera, near_m, median=median)
     if background is None:
         return seen
     return seen._replace(intensity=seen.intensity + (1 - seen.alpha)[..., None] * background)

@@ -51,7 +51,6 @@ void count_entries(Frame &f) {
             here = row + (y ? f.cursor[size_t(y - 1) * across + x] : 0);
             f.tile_start[y * f.tiles_x + x] = total;
             f.checkpoint_start[y * f.tiles_x + x] = groups;
-            if (!f.blocks_wanted(y * f.tiles_x + x)) continue;
             total += here;
             groups += here > kGroup ? (here - 1) / kGroup : 0;
         }
@@ -74,19 +73,6 @@ int first_row(const Frame &f, int rank, int threads) {
 
 }  // namespace
 
-void want(Frame &f, const uint16_t *blocks) {
-    f.wanted.clear();
-    if (!blocks) return;
-    f.wanted.assign(blocks, blocks + f.tiles_x * f.tiles_y);
-    const int across = f.tiles_x + 1;
-    f.wanted_before.assign(size_t(across) * (f.tiles_y + 1), 0);
-    for (int y = 0; y < f.tiles_y; ++y)
-        for (int x = 0, row = 0; x < f.tiles_x; ++x) {
-            row += f.wanted[y * f.tiles_x + x] != 0;
-            f.wanted_before[(y + 1) * across + x + 1] = f.wanted_before[y * across + x + 1] + row;
-        }
-}
-
 void sort_and_count(Frame &f) {
 #pragma omp sections
     {
@@ -105,8 +91,7 @@ void fill_tiles(Frame &f) {
         const int32_t source = int32_t(uint32_t(f.keys[rank_in_depth]));
         const Span s = f.spans[source];
         for (int y = std::max<int>(s.y_first, top); y <= std::min<int>(s.y_last, bottom); ++y)
-            for (int x = s.x_first; x <= s.x_last; ++x)
-                if (f.blocks_wanted(y * f.tiles_x + x)) f.entries[f.cursor[y * f.tiles_x + x]++] = source;
+            for (int x = s.x_first; x <= s.x_last; ++x) f.entries[f.cursor[y * f.tiles_x + x]++] = source;
     }
 #pragma omp barrier
 }

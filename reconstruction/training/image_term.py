@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.losses.picture import Compared, PictureLoss, Target, picture_loss
+from reconstruction.losses.picture import PictureLoss, Target, picture_loss
 from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Backend, render
 from reconstruction.rendering.result import Rendering
-from reconstruction.training.cells import Drawn
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.exposure import Exposure, mean_of
 from reconstruction.training.view import TrainingView
@@ -46,55 +45,35 @@ class ImageTerm:
         """Return the loss at a random plane."""
         instants = target_planes(cloud, view, self.stride)
         plane = int(instants[rng.integers(len(instants))])
-        draws = view.draws
-        drawn = draws.draw(rng) if draws else None
-        rendered, target = self.pair(cloud, view, plane, drawn)
-        found = self.compared(view, rendered, target, drawn)
-        if draws:
-            draws.see(drawn, found.losses)
-        return found.loss
+        return self.held(view, *self.pair(cloud, view, plane))
 
-    def pair(
-        self, cloud: DynamicCloud, view: TrainingView, plane: int, drawn: Drawn | None = None
-    ) -> tuple[Rendering, Tensor]:
-        """Return the render at `plane`, or what the cells `drawn` need of it, and its target image [H, W]."""
+    def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
+        """Return the render at `plane` and its target image [H, W]."""
         span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
-        rendered = self.over(cloud, view, view.camera, span, drawn)
+        rendered = self.over(cloud, view, view.camera, span)
         target = torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
         way = view.source.straightening
         return (rendered, target) if way is None else alike_beyond(torch.from_numpy(way.covered), rendered, target)
 
-    def over(
-        self,
-        cloud: DynamicCloud,
-        view: TrainingView,
-        camera: Camera,
-        span: tuple[int, int, int],
-        drawn: Drawn | None = None,
-    ) -> Rendering:
+    def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
         """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
         first, length, nodes = span
         renders = []
         for node, weight in zip(*quadrature(nodes if cloud.changes else 1), strict=True):
             instant_s = self.clock.instant_s(first + length * node - 0.5)
-            seen, wanted = view.seen(cloud, instant_s), drawn.wanted if drawn else None
-            renders.append((weight, render(seen, camera, backend=self.backend, wanted=wanted)))
+            renders.append((weight, render(view.seen(cloud, instant_s), camera, backend=self.backend)))
         return mean_of(renders)
 
     def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
         """Return the loss of one render against its target image [H, W] and the depths that the view knows."""
-        return self.compared(view, rendered, target).loss
-
-    def compared(self, view: TrainingView, rendered: Rendering, target: Tensor, drawn: Drawn | None = None) -> Compared:
-        """Compare one render with its target image [H, W] and the depths that the view knows, in the cells `drawn`."""
         way, (light, depth, alpha) = view.source.straightening, (rendered.intensity[..., 0], *rendered[1:3])
         shared = 1 / way.covered.mean().item() if way else 1.0  # a mean over what was seen
         parts = PictureLoss(self.white, self.ssim, self.solid, self.hold)
         aim = Target(target, view.empty, view.inverse_depth if self.hold else None, shared)
-        found = picture_loss((light, depth, alpha), aim, parts, drawn.weights if drawn else None)
+        loss, mean_square = picture_loss((light, depth, alpha), aim, parts)
         if self.closeness:
-            self.closeness.see(found.mean_square(drawn.weights if drawn else None))
-        return found
+            self.closeness.see(mean_square)
+        return loss
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from reconstruction.initialization.sweep import depth_range_m
 from reconstruction.methods.definition import Training
 from reconstruction.rendering.render import Backend
 from reconstruction.scene_model import SceneModel
-from reconstruction.training.cells import CellDraws
 from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.ending import Ending
@@ -84,10 +83,6 @@ class Trainer:
         self.views = self._corrected(views)
 
     def _corrected(self, views: Sequence[TrainingView]) -> Sequence[TrainingView]:
-        import os
-
-        share = float(os.environ.get("SHARE", 1))
-        views = [replace(v, draws=CellDraws(v.camera, share)) for v in views]
         if self.lags:
             return [replace(v, corrected=partial(self.lags.seen, view=i)) for i, v in enumerate(views)]
         if not self.refinement:

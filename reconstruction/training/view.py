@@ -8,7 +8,6 @@ from torch import Tensor
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
 from reconstruction.rendering.result import Instantaneous
-from reconstruction.training.cells import CellDraws
 from rigs.camera import Camera
 
 
@@ -18,8 +17,7 @@ class TrainingView:
 
     `corrected`: the cloud at an instant (s) as its refined pose, gain and lag show it (None: they stand as they are).
     `inverse_depth` [H, W]: of the pixels whose depth is known before the training, 1/m, else 0. `empty` [H, W]: 1 where
-    nothing is, else 0; None where something is everywhere. `draws`: the cells of its picture that steps compare (None:
-    all of them).
+    nothing is, else 0; None where something is everywhere.
     """
 
     camera: Camera
@@ -27,7 +25,6 @@ class TrainingView:
     corrected: Callable[[DynamicCloud, float], Instantaneous] | None = None
     inverse_depth: Tensor | None = None
     empty: Tensor | None = None
-    draws: CellDraws | None = None
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """Return the Gaussians to render for this camera at an instant (s, rig clock)."""

@@ -1,4 +1,4 @@
-"""The loss of a picture: the native kernel against the reference in float64, whole and in parts, and at its limits."""
+"""The loss of a picture: the native kernel against the reference in float64, its formula, and at its limits."""
 
 import math
 
@@ -7,11 +7,8 @@ import torch
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.losses.picture import (
-    CELL_PX,
     PictureLoss,
     Target,
-    by_pixel,
-    cells_of,
     inverse_depth,
     picture_loss,
     picture_loss_reference,
@@ -35,62 +32,28 @@ def seen_and_target(height, width, seed=0, dtype=torch.float32):
     return tuple(t.to(dtype) for t in (light, depth, alpha)), Target(*given, shared=1.3)
 
 
-def outcome(function, seen, target, weights=None, loss=LOSS):
-    """The loss, its three gradients, and the cells' means."""
+def outcome(function, seen, target, loss=LOSS):
+    """The loss, its three gradients, and the mean squared error."""
     leaves = tuple(image.clone().requires_grad_() for image in seen)
-    found = function(leaves, target, loss, weights)
-    (1.7 * found.loss).backward()
-    return [found.loss.detach(), *(leaf.grad for leaf in leaves), found.losses, found.squares]
+    value, square = function(leaves, target, loss)
+    (1.7 * value).backward()
+    return [value.detach(), *(leaf.grad for leaf in leaves), torch.tensor(square)]
 
 
-def some(height, width):
-    weights = torch.rand(cells_of(height, width), generator=torch.Generator().manual_seed(1))
-    return weights * (weights > 0.4) if weights.numel() > 1 else weights
-
-
-@pytest.mark.parametrize("weigh", [lambda *_: None, some], ids=["whole", "some"])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-def test_native_agrees_with_the_float64_reference(height, width, weigh):
-    weights = weigh(height, width)
-    single = outcome(picture_loss, *seen_and_target(height, width), weights)
-    double = outcome(picture_loss_reference, *seen_and_target(height, width, dtype=torch.float64), weights)
-    looked_at = torch.ones(cells_of(height, width)) if weights is None else weights
-    double[4:] = [by_cell * (looked_at > 0) for by_cell in double[4:]]
+def test_native_agrees_with_the_float64_reference(height, width):
+    single = outcome(picture_loss, *seen_and_target(height, width))
+    double = outcome(picture_loss_reference, *seen_and_target(height, width, dtype=torch.float64))
     bound = 1e-6 if height * width > 1 else 5e-4  # a single pixel's variances are rounding beside C2
     for one, other in zip(single, double, strict=True):
-        torch.testing.assert_close(one.double(), other, rtol=0, atol=bound * max(float(other.abs().max()), 1e-3))
+        scale = max(float(other.abs().max()), 1e-3)
+        torch.testing.assert_close(one.double(), other.double(), rtol=0, atol=bound * scale)
 
 
 def test_the_gradient_of_the_reference_is_that_of_its_values():
     seen, target = seen_and_target(5, 6, dtype=torch.float64)
     leaves = [image.clone().requires_grad_() for image in seen]
-    assert torch.autograd.gradcheck(lambda *s: picture_loss_reference(s, target, LOSS).loss, leaves)
-
-
-def test_cells_weigh_as_their_pixels_do():
-    seen, target = seen_and_target(70, 50)
-    found = picture_loss(seen, target, LOSS)
-    assert float((found.losses * found.sizes).sum() / found.sizes.sum()) == pytest.approx(float(found.loss), rel=1e-6)
-    square = float((seen[0] - target.picture).square().mean())
-    assert found.mean_square() == pytest.approx(square, rel=1e-6)
-    weights = some(70, 50)
-    by_hand = float((found.losses * found.sizes * weights).sum() / found.sizes.sum())
-    assert float(picture_loss(seen, target, LOSS, weights).loss) == pytest.approx(by_hand, rel=1e-6)
-    assert by_pixel(weights, 70, 50)[CELL_PX, CELL_PX] == weights[1, 1]
-
-
-def test_no_pixel_out_of_reach_of_a_cell_is_read():
-    (light, depth, alpha), target = seen_and_target(96, 96)
-    weights = torch.zeros(3, 3)
-    weights[1, 1] = 2.0
-    inside = outcome(picture_loss, (light, depth, alpha), target, weights)
-    near = torch.zeros(96, 96, dtype=torch.bool)
-    near[27:69, 27:69] = True
-    blind = torch.where(near, light, math.nan), *(torch.where(near, t, math.nan) for t in (depth, alpha))
-    for one, other in zip(inside, outcome(picture_loss, blind, target, weights), strict=True):
-        assert torch.equal(one, other)
-    assert inside[1][near].abs().min() >= 0
-    assert not inside[1][~near].any()
+    assert torch.autograd.gradcheck(lambda *s: picture_loss_reference(s, target, LOSS)[0], leaves)
 
 
 def test_the_hold_is_its_formula():
@@ -100,7 +63,7 @@ def test_the_hold_is_its_formula():
     seen = torch.zeros(4, 6), depth, alpha
     target = Target(torch.zeros(4, 6), inverse_depth=inverse_depth(known.numpy()))
     _, _, by_depth, by_alpha, *_ = outcome(picture_loss, seen, target, loss=PictureLoss(1.0, solid=0.0, hold=0.2))
-    value = picture_loss(seen, target, PictureLoss(1.0, solid=0.0, hold=0.2)).loss
+    value, _ = picture_loss(seen, target, PictureLoss(1.0, solid=0.0, hold=0.2))
     assert float(value) == pytest.approx(0.2 * (0.01 * 12 + 0.05 * 6) / 24, rel=1e-4)
     assert by_depth[:2].abs().max() == 0
     torch.testing.assert_close(by_depth[2:], torch.full((2, 6), 1.7 * 0.2 * 0.5 / 24))
@@ -131,7 +94,7 @@ def test_flat_pictures_keep_finite_gradients(level):
 def test_nan_in_a_render_shows_in_the_loss():
     (light, depth, alpha), target = seen_and_target(40, 40)
     light[3, 4] = math.nan
-    assert picture_loss((light, depth, alpha), target, LOSS).loss.isnan()
+    assert picture_loss((light, depth, alpha), target, LOSS)[0].isnan()
 
 
 def test_the_result_does_not_depend_on_threads():
@@ -142,7 +105,7 @@ def test_the_result_does_not_depend_on_threads():
             torch.set_num_threads(threads)
             with kernels_alone():
                 assert torch.get_num_threads() == 1
-                results.append(outcome(picture_loss, seen, target, some(70, 90)))
+                results.append(outcome(picture_loss, seen, target))
             assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(before)
@@ -154,7 +117,5 @@ def test_bad_input_is_refused():
     seen, target = seen_and_target(8, 9)
     with pytest.raises(ReconstructionError, match="shapes"):
         picture_loss(seen, Target(torch.zeros(9, 8)), LOSS)
-    with pytest.raises(ReconstructionError, match="weights"):
-        picture_loss(seen, target, LOSS, torch.ones(2, 2))
     with pytest.raises(ReconstructionError, match="data range"):
         picture_loss(seen, target, PictureLoss(0.0))

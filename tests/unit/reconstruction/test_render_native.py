@@ -11,7 +11,7 @@ from acquisition.native import code_path, code_paths
 from reconstruction.errors import ReconstructionError
 from reconstruction.rendering.native import work_of
 from reconstruction.rendering.reference import TRANSMITTANCE_MIN, alphas_of, project, transmittance_before
-from reconstruction.rendering.render import NAMES, NEAR_M, blocks_of, render
+from reconstruction.rendering.render import NAMES, NEAR_M, render
 from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -180,54 +180,6 @@ def test_the_same_bits_come_out_each_time_and_for_any_number_of_threads():
     for rendering, grads in runs[1:]:
         assert (rendering.intensity == runs[0][0].intensity).all()
         assert all((a == b).all() for a, b in zip(grads, runs[0][1], strict=True))
-
-
-def in_part(gaussians, camera, wanted, backend="native", dtype=torch.float32):
-    """The light, depth and alpha of wanted blocks, their radii, and the gradients of a weighted sum of them."""
-    leaves = tuple(t.to(dtype).clone().requires_grad_() for t in gaussians)
-    seen = render(leaves, camera, backend=backend, wanted=wanted)
-    shown = wanted.repeat_interleave(4, 0)[: camera.height].repeat_interleave(4, 1)[:, : camera.width]
-    images = torch.stack([seen.intensity[..., 0], seen.depth, seen.alpha])
-    weights = torch.rand(images.shape, generator=torch.Generator().manual_seed(3)).to(dtype)
-    (images * weights * shown).sum().backward()
-    return images.detach(), [leaf.grad for leaf in leaves], seen.radii, shown
-
-
-@pytest.mark.parametrize(("width", "height"), [(70, 45), (16, 16), (33, 2), (1, 1)])
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.5, 1.0])
-def test_a_part_of_a_picture_is_that_of_the_whole(width, height, share):
-    gaussians, camera = cloud_of(300, 4), camera_of(width, height)
-    wanted = torch.rand(blocks_of(camera), generator=torch.Generator().manual_seed(9)) < share
-    part, part_grads, radii, shown = in_part(gaussians, camera, wanted)
-    whole = render(gaussians, camera)
-    images = torch.stack([whole.intensity[..., 0], whole.depth, whole.alpha])
-    assert torch.equal(part, images * shown)
-    assert torch.equal(radii[radii > 0], whole.radii[radii > 0])
-    leaves = tuple(t.clone().requires_grad_() for t in gaussians)
-    seen = render(leaves, camera)
-    weights = torch.rand(images.shape, generator=torch.Generator().manual_seed(3))
-    (torch.stack([seen.intensity[..., 0], seen.depth, seen.alpha]) * weights * shown).sum().backward()
-    assert all(torch.equal(grad, leaf.grad) for grad, leaf in zip(part_grads, leaves, strict=True))
-    unseen = torch.stack([grad.flatten(1).abs().sum(1) if grad.ndim > 1 else grad.abs() for grad in part_grads]).sum(0)
-    assert not unseen[radii == 0].any()
-
-
-def test_the_reference_draws_the_same_part():
-    gaussians, camera = cloud_of(60, 4), camera_of(37, 22)
-    wanted = torch.rand(blocks_of(camera), generator=torch.Generator().manual_seed(9)) < 0.4
-    part, grads, *_ = in_part(gaussians, camera, wanted)
-    expected, slopes, *_ = in_part(gaussians, camera, wanted, "reference", torch.float64)
-    torch.testing.assert_close(part.double(), expected, rtol=0, atol=1e-5)
-    for got, slope in zip(grads, slopes, strict=True):
-        torch.testing.assert_close(got.double(), slope, rtol=0, atol=1e-4 * max(float(slope.abs().max()), 1e-3))
-
-
-def test_a_part_has_the_size_of_the_picture_and_no_median():
-    gaussians, camera = cloud_of(5), camera_of(8, 8)
-    with pytest.raises(ReconstructionError, match="blocks wanted"):
-        render(gaussians, camera, wanted=torch.ones(3, 2, dtype=torch.bool))
-    with pytest.raises(ReconstructionError, match="median"):
-        render(gaussians, camera, wanted=torch.ones(2, 2, dtype=torch.bool), median=True)
 
 
 def test_two_renderings_may_be_alive_at_once():
