@@ -27,7 +27,7 @@ def _equal_images(_: str) -> Observation:
     noise = torch.rand(20, 24, generator=torch.Generator().manual_seed(1))
     for image in (flat, dark, noise):
         leaf, whole = image.clone().requires_grad_(), torch.ones_like(image)
-        loss, _ = picture_loss((leaf, whole, whole), Target(image), PictureLoss(1.0, ssim=1.0))
+        loss = picture_loss((leaf, whole, whole), Target(image), PictureLoss(1.0, ssim=1.0))[0]
         loss.backward()
         assert leaf.grad is not None
         error = max(error, abs(float(loss.detach())))
@@ -67,7 +67,7 @@ def _held_depth(_: str) -> Observation:
     for dtype in (torch.float32, torch.float64):
         leaves = [t.to(dtype)[None].clone().requires_grad_() for t in (depth, alpha)]
         none, inverse = torch.zeros(1, len(known), dtype=dtype), inverse_depth(known[None].numpy()).to(dtype)
-        held, _ = picture_loss((none, *leaves), Target(none, inverse_depth=inverse), loss)
+        held = picture_loss((none, leaves[0], leaves[1]), Target(none, inverse_depth=inverse), loss)[0]
         held.backward()
         # As a share of the depth it is the same everywhere; a metre is not.
         slopes = [leaf.grad.double() for leaf in leaves if leaf.grad is not None]
