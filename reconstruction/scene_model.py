@@ -71,6 +71,11 @@ class SceneModel(Protocol):
     light: Tensor  # [T] gain of each of the clip's planes, or [1] where the light is steady
 
     @property
+    def networks(self) -> bool:
+        """Tell whether a step has large operations of torch, for several threads; else our kernels have them all."""
+        ...
+
+    @property
     def still(self) -> Sized:
         """The elements that stand still."""
         ...

@@ -31,6 +31,7 @@ class DeformationMotion(CanonicalMotion):
     """The network's weights."""
 
     kind = "deformation"
+    networks = True
     rates: ClassVar[Mapping[str, Rate]] = dict.fromkeys(("entry", "inner", "again", "exit"), Rate(3e-3, deforms=True))
     entry: Tensor  # [W, I + 1], the last column is the bias
     inner: Tensor  # [D, W, W + 1]

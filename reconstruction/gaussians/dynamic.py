@@ -47,6 +47,11 @@ class DynamicCloud:
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
 
+    @property
+    def networks(self) -> bool:
+        """Tell whether networks or grids move the Gaussians."""
+        return self.motion.networks
+
     def at(self, instant_s: float) -> Instantaneous:
         """Return all Gaussians at one instant of the rig clock; differentiable in every stored tensor."""
         still, moving, u = self.still, self.moving, self.clip.fraction(instant_s)

@@ -35,6 +35,7 @@ class HexPlaneMotion(CanonicalMotion):
     """The weights of the field."""
 
     kind = "4dgs"
+    networks = True
     rates: ClassVar[Mapping[str, Rate]] = {
         **dict.fromkeys(("coarse_space", "coarse_time", "fine_space", "fine_time"), Rate(2e-2, deforms=True)),
         **dict.fromkeys(("trunk", "hidden", "heads"), Rate(4e-3, deforms=True)),

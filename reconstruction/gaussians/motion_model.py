@@ -19,6 +19,7 @@ class MotionModel(ABC):
     """The motion of M Gaussians. A subclass is a dataclass; its fields are the tensors that a checkpoint stores."""
 
     kind: ClassVar[str]  # the name in a checkpoint
+    networks: ClassVar[bool] = False  # whether networks or grids move the Gaussians: large operations of torch
     rates: ClassVar[Mapping[str, Rate]]  # by tensor; training leaves a tensor without a rate as it is
 
     @abstractmethod

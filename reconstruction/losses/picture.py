@@ -44,7 +44,7 @@ class PictureLoss:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a render is compared with: a `picture` [H, W] and what is known of its pixels.
+    """The picture [H, W] that a render is compared with, and what is known of its pixels.
 
     `empty` [H, W]: 1 where nothing is, else 0; None where something is everywhere. `inverse_depth` [H, W]: 1/m, 0 where
     no depth is known; None where none is. `shared`: factor of the first part of the loss.

@@ -46,6 +46,7 @@ class RadianceField:
     light: Tensor = field(default_factory=lambda: torch.ones(1))
     unit: ClassVar[str] = "cells"
     kind: ClassVar[str] = "field"  # the name in a checkpoint
+    networks: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         parts = [grid_of(self.still, 0, self.frustum.shape, (0, 0, 0))]

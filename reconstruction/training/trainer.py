@@ -3,6 +3,7 @@
 import copy
 import json
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -15,6 +16,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.images.background import dimming
 from reconstruction.initialization.sweep import depth_range_m
 from reconstruction.methods.definition import Training
+from reconstruction.native import kernels_alone
 from reconstruction.rendering.render import Backend
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import model_from_state
@@ -189,7 +191,8 @@ def train(trainer: Trainer, done: Callable[[], float], on_step: Callable[[float,
     """Step until `done()` reaches 1, at least once; `on_step(done, loss)` may raise to stop early."""
     fraction = done()
     while True:
-        loss = trainer.step(fraction)
+        with nullcontext() if trainer.cloud.networks else kernels_alone():
+            loss = trainer.step(fraction)
         fraction = done()
         on_step(fraction, loss)
         if fraction >= 1:
