@@ -131,6 +131,8 @@ void spread(Patch &patch, float *to) {
     }
 }
 
+inline float sign(float x) { return float(x > 0) - float(x < 0); }
+
 struct Sums {
     double loss = 0, square = 0;
 };
@@ -140,21 +142,19 @@ Sums pixels(const Picture &p, int64_t at, int count, float weight, const float *
             float *to) {
     const float light = float(p.shared * (1 - p.ssim) / p.white), through = float(p.shared * p.solid);
     const float alike = float(p.shared * p.ssim), solid = float(p.solid), hold = float(p.hold), most = float(p.most);
-    double loss = 0, square = 0;
+    const float none[kCell] = {}, *empty = p.empty ? p.empty + at : none;
+    const float *known = p.inverse_depth ? p.inverse_depth + at : none, *alpha = p.alpha + at, *depth = p.depth + at;
+    float *to_alpha = p.to_alpha + at, *to_depth = p.to_depth + at, loss = 0, square = 0;
+#pragma omp simd reduction(+ : loss, square)
     for (int i = 0; i < count; ++i) {
-        const float gap = x[i] - y[i], alpha = p.alpha[at + i];
-        float value = light * std::abs(gap) + alike * (1 - similar[i]) + through * (1 - alpha), slope = -through;
-        to[i] += weight * (gap > 0 ? light : gap < 0 ? -light : 0.f);
-        if (p.empty) value += solid * p.empty[at + i] * (2 * alpha - 1), slope += 2 * solid * p.empty[at + i];
-        float by_depth = 0;
-        if (p.inverse_depth && p.inverse_depth[at + i] > 0) {
-            const float off = p.depth[at + i] * p.inverse_depth[at + i] - alpha, far = std::abs(off);
-            const float pull = far > most || off == 0 ? 0.f : off > 0 ? hold : -hold;
-            value += hold * std::min(far, most), slope -= pull, by_depth = pull * p.inverse_depth[at + i];
-        }
-        p.to_alpha[at + i] = weight * slope;
-        p.to_depth[at + i] = weight * by_depth;
-        loss += value, square += double(gap) * gap;
+        const float gap = x[i] - y[i], off = depth[i] * known[i] - alpha[i], far = std::abs(off);
+        const float holds = known[i] > 0 ? hold : 0.f, pull = far > most ? 0.f : holds * sign(off);
+        const float own = light * std::abs(gap) + alike * (1 - similar[i]) + through * (1 - alpha[i]);
+        loss += own + solid * empty[i] * (2 * alpha[i] - 1) + holds * (far < most ? far : most);
+        square += gap * gap;
+        to[i] += weight * light * sign(gap);
+        to_alpha[i] = weight * (2 * solid * empty[i] - through - pull);
+        to_depth[i] = weight * pull * known[i];
     }
     return {loss, square};
 }

@@ -57,9 +57,9 @@ struct Frame {
     std::vector<int64_t> tile_start;          // [tiles + 1]
     std::vector<int64_t> cursor;
     std::vector<int32_t> entries;             // Gaussians, tile after tile, nearest first
-    std::vector<uint16_t> blocks;             // by entry: blocks of the tile it was blended into
-    std::vector<int64_t> checkpoint_start;    // [tiles + 1], in groups
-    std::vector<float> checkpoints;           // transmittance of a tile before each group but the first
+    std::vector<int64_t> group_start;         // [tiles + 1]: groups of kGroup entries in the tiles before
+    std::vector<uint64_t> words;              // by group and block: bit k is set where entry k was blended into it
+    std::vector<float> checkpoints;           // by group: transmittance of the tile before it
     std::vector<Moments> moments;             // by slot: one a splat and tile
     int64_t visible_count, slots;
 };

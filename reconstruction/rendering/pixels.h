@@ -18,6 +18,7 @@ constexpr int kNative = 4;
 #endif
 constexpr int kBlock = 16;  // floats, and blocks a tile
 constexpr int kParts = kBlock / kNative;
+constexpr uint32_t kAllOfBlock = 0xffff;
 using Native = float __attribute__((vector_size(4 * kNative)));
 
 struct alignas(64) Block {
@@ -48,6 +49,24 @@ inline uint32_t bits_at_most(Native a, Native b) {
     for (int i = 0; i < kNative; ++i) bits |= uint32_t(a[i] <= b[i]) << i;
     return bits;
 #endif
+}
+
+// Bit i is bit 7 - `shift` of bytes[i], for kCount bytes.
+template <int kCount>
+inline uint64_t top_bits(const uint8_t *bytes, int shift) {
+    uint64_t bits = 0;
+#if defined(__AVX2__)
+    constexpr int kWide = kCount < 32 ? kCount : 32;
+    for (int i = 0; i < kCount; i += kWide) {
+        if constexpr (kWide == 32)
+            bits |= uint64_t(uint32_t(_mm256_movemask_epi8(_mm256_slli_epi16(*(const __m256i *)(bytes + i), shift)))) << i;
+        else
+            bits |= uint64_t(uint32_t(_mm_movemask_epi8(_mm_slli_epi16(*(const __m128i *)(bytes + i), shift)))) << i;
+    }
+#else
+    for (int i = 0; i < kCount; ++i) bits |= uint64_t(bytes[i] >> (7 - shift) & 1) << i;
+#endif
+    return bits;
 }
 
 // exp(-sigma) for sigma in [0, 6]: a polynomial of degree 5 for exp(-sigma / 8), to the 8th power; 1e-6 relative.

@@ -80,7 +80,7 @@ inline int64_t slot_of(const Splat &s, const Tile &t) {
     return s.slot + int64_t(t.y / kTile - s.span.y_first) * s.span.across() + t.x / kTile - s.span.x_first;
 }
 
-void backward_group(Frame &f, const Tile &t, int64_t first, const Block *T, Scratch &s) {
+void backward_group(Frame &f, const Tile &t, int64_t first, const float *before, Scratch &s) {
     Group &g = s.group;
     const Splat *splats = f.splats.data();
     Moments *at_slot[kGroup];
@@ -92,9 +92,10 @@ void backward_group(Frame &f, const Tile &t, int64_t first, const Block *T, Scra
         at_slot[k] = f.moments.data() + slot_of(splats[entries[k]], t);
         __builtin_prefetch(at_slot[k], 1);
     }
-    uint16_t blocks[kGroup] = {};
-    std::copy_n(f.blocks.data() + first, g.count, blocks);
-    transpose(blocks, g);
+    uint16_t blocks[kGroup];
+    blocks_of(g.words, blocks);
+    Block T[kBlock];
+    std::memcpy(T, before, sizeof T);
     const Pair *at[kBlock];
     Pair *pairs = s.pairs;
     for (int b = 0; b < kBlock; ++b) {
@@ -115,21 +116,18 @@ void backward_group(Frame &f, const Tile &t, int64_t first, const Block *T, Scra
 
 void backward_tile(Frame &f, const ImageGradient &gradient, int tile, Scratch &s) {
     const Tile t(f, tile);
-    Block T[kBlock];
     for (int b = 0; b < kBlock; ++b) {
         s.intensity[b] = load_block(f.camera, t, b, gradient.intensity);
         s.depth[b] = load_block(f.camera, t, b, gradient.depth);
         s.alpha[b] = load_block(f.camera, t, b, gradient.alpha);
         s.B[b] = {};
     }
-    const int64_t start = f.tile_start[tile], count = f.tile_start[tile + 1] - start;
-    for (int64_t group = (count - 1) / kGroup; count && group >= 0; --group) {
-        s.group.count = int(std::min<int64_t>(kGroup, count - group * kGroup));
-        if (group)
-            std::memcpy(T, f.checkpoints.data() + (f.checkpoint_start[tile] + group - 1) * kPixels, sizeof T);
-        else
-            for (int b = 0; b < kBlock; ++b) T[b] = clear_block(f.camera, t, b);
-        backward_group(f, t, start + group * kGroup, T, s);
+    const int64_t start = f.tile_start[tile], last = f.tile_start[tile + 1];
+    for (int64_t group = f.group_start[tile + 1] - 1; group >= f.group_start[tile]; --group) {
+        const int64_t first = start + (group - f.group_start[tile]) * kGroup;
+        s.group.count = int(std::min<int64_t>(kGroup, last - first));
+        std::memcpy(s.group.words, f.words.data() + group * kBlock, sizeof s.group.words);
+        backward_group(f, t, first, f.checkpoints.data() + group * kPixels, s);
     }
 }
 

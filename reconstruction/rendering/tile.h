@@ -61,19 +61,29 @@ inline uint16_t blocks_met(const Splat &s, const Tile &t) {
     return uint16_t(bits);
 }
 
-// From a row of blocks a splat to a row of splats a block; `blocks` holds kGroup numbers, zero beyond the count.
-inline void transpose(const uint16_t *blocks, Group &g) {
+// From a row of blocks a splat, kGroup of them, to a row of splats a block.
+inline void words_of(const uint16_t *blocks, uint64_t *words) {
 #if defined(__AVX512BW__)
-    const __m512i low = _mm512_loadu_si512(blocks), high = _mm512_loadu_si512(blocks + kGroup / 2);
+    const __m512i low = _mm512_load_si512(blocks), high = _mm512_load_si512(blocks + kGroup / 2);
     for (int b = 0; b < kBlock; ++b) {
         const __m512i bit = _mm512_set1_epi16(int16_t(1u << b));
-        g.words[b] = uint64_t(_mm512_test_epi16_mask(high, bit)) << 32 | _mm512_test_epi16_mask(low, bit);
+        words[b] = uint64_t(_mm512_test_epi16_mask(high, bit)) << 32 | _mm512_test_epi16_mask(low, bit);
     }
 #else
-    for (int b = 0; b < kBlock; ++b) g.words[b] = 0;
-    for (int k = 0; k < g.count; ++k)
-        for (uint32_t row = blocks[k]; row; row &= row - 1) g.words[__builtin_ctz(row)] |= uint64_t(1) << k;
+    alignas(64) uint8_t bytes[2][kGroup];
+    for (int k = 0; k < kGroup; ++k) bytes[0][k] = uint8_t(blocks[k]), bytes[1][k] = uint8_t(blocks[k] >> 8);
+    for (int half = 0; half < 2; ++half)
+        for (int b = 0; b < 8; ++b) words[8 * half + b] = top_bits<kGroup>(bytes[half], 7 - b);
 #endif
+}
+
+// The inverse of words_of.
+inline void blocks_of(const uint64_t *words, uint16_t *blocks) {
+    alignas(64) uint8_t bytes[8][kBlock];
+    for (int i = 0; i < 8; ++i)
+        for (int b = 0; b < kBlock; ++b) bytes[i][b] = uint8_t(words[b] >> (8 * i));
+    for (int i = 0; i < 8; ++i)
+        for (int k = 0; k < 8; ++k) blocks[8 * i + k] = uint16_t(top_bits<kBlock>(bytes[i], 7 - k));
 }
 
 // The splat's alpha and weight in the light T: zero beyond the reach of its veil and where hardly any light is left.

@@ -41,7 +41,7 @@ void count_entries(Frame &f) {
         --below[s.x_first], ++below[s.x_last + 1];
     }
     f.tile_start.resize(f.tiles_x * f.tiles_y + 1);
-    f.checkpoint_start.resize(f.tile_start.size());
+    f.group_start.resize(f.tile_start.size());
     int64_t total = 0, groups = 0;
     for (int y = 0; y < f.tiles_y; ++y) {
         int64_t row = 0;
@@ -50,16 +50,16 @@ void count_entries(Frame &f) {
             row += here;
             here = row + (y ? f.cursor[size_t(y - 1) * across + x] : 0);
             f.tile_start[y * f.tiles_x + x] = total;
-            f.checkpoint_start[y * f.tiles_x + x] = groups;
+            f.group_start[y * f.tiles_x + x] = groups;
             total += here;
-            groups += here > kGroup ? (here - 1) / kGroup : 0;
+            groups += (here + kGroup - 1) / kGroup;
         }
     }
     f.tile_start.back() = total;
-    f.checkpoint_start.back() = groups;
+    f.group_start.back() = groups;
     f.cursor.assign(f.tile_start.begin(), f.tile_start.end() - 1);
     f.entries.resize(total);
-    f.blocks.resize(total);
+    f.words.resize(size_t(groups) * (kPixels / 16));
     f.checkpoints.resize(size_t(groups) * kPixels);
 }
 

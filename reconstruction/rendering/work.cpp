@@ -33,15 +33,13 @@ S4_API void render_work(const void *handle, int64_t *work) {
         const s4::Tile t(f, tile);
         s4::Block T[s4::kBlock];
         for (int b = 0; b < s4::kBlock; ++b) T[b] = s4::clear_block(f.camera, t, b);
+        const uint64_t *words = f.words.data() + f.group_start[tile] * s4::kBlock;
         for (int64_t first = f.tile_start[tile]; first < f.tile_start[tile + 1]; first += s4::kGroup) {
-            uint16_t blocks[s4::kGroup] = {};
             g.count = int(std::min<int64_t>(s4::kGroup, f.tile_start[tile + 1] - first));
-            for (int k = 0; k < g.count; ++k) {
-                s4::bring_near(f.splats[f.entries[first + k]], t, g.splats[k]);
-                blocks[k] = f.blocks[first + k];
-                work[2] += __builtin_popcount(blocks[k]);
-            }
-            s4::transpose(blocks, g);
+            for (int k = 0; k < g.count; ++k) s4::bring_near(f.splats[f.entries[first + k]], t, g.splats[k]);
+            __builtin_memcpy(g.words, words, sizeof g.words);
+            words += s4::kBlock;
+            for (int b = 0; b < s4::kBlock; ++b) work[2] += __builtin_popcountll(g.words[b]);
             for (int b = 0; b < s4::kBlock; ++b) work[3] += s4::lit_pixels(g, b, T[b]);
         }
     }
