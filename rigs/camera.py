@@ -107,6 +107,11 @@ class Camera:
         """Return the same camera without the bend of its lens."""
         return replace(self, distortion=(0.0,) * 4, lens_model="opencv") if self.bends else self
 
+    def halved(self) -> Camera:
+        """Return the same lens over pixels of twice the width and height; an odd last row or column is left out."""
+        even = replace(self, width=self.width // 2 * 2, height=self.height // 2 * 2)
+        return even.scaled(self.width // 2, self.height // 2)
+
     def scaled(self, width: int, height: int) -> Camera:
         """Return the same lens over a sensor of another size in pixels; their calibration holds for one size only."""
         sx, sy = width / self.width, height / self.height

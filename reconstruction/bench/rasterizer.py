@@ -14,7 +14,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.losses.picture import PictureLoss, Target, picture_loss
 from reconstruction.rendering.native import Work, work_of
-from reconstruction.rendering.render import NEAR_M, Backend, Rendering, render
+from reconstruction.rendering.render import Backend, Rendering, render
 from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.adam import Adam
@@ -97,7 +97,7 @@ def seconds_of(cloud: Instantaneous, camera: Camera, backend: Backend, repeats: 
 
 def _kernel_row(cloud: Instantaneous, camera: Camera, threads: int) -> dict:
     forward, backward = seconds_of(cloud, camera, "native", REPEATS)
-    work = work_of(cloud, camera, NEAR_M)
+    work = work_of(cloud, camera)
     limits = _limits_s(work, len(cloud.means), camera, threads)
     return {
         "method": "native",

@@ -138,6 +138,7 @@ def trainer_of(
         refines=plan.refine,
         times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays and plan.images not in GIVEN,
         ends_early=method.training.ends_early and run.config.steps is None,
+        doublings=plan.doublings,
         backend=backend,
     )
     if dtype != torch.float32:

@@ -12,10 +12,10 @@ constexpr int kPixels = kTile * kTile;
 constexpr int kGroup = 64;                 // splats of a tile between two checkpoints of the transmittance
 constexpr float kAlphaMax = 0.99f;
 constexpr float kTransmittanceMin = 1e-4f;
-constexpr double kDilation = 0.3;          // px^2 added to the projected covariance
 
-struct Pinhole {  // filled by Python: 17 doubles, two int32
+struct Pinhole {  // filled by Python: 18 doubles, two int32
     double rotation[9], translation[3], fx, fy, cx, cy, near_m;
+    double dilation;  // px^2 added to the projected covariance
     int32_t width, height;
 };
 

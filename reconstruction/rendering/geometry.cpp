@@ -57,7 +57,7 @@ void linearise(Geometry &g, const Pinhole &c) {
     }
 }
 
-void spread(Geometry &g) {
+void spread(Geometry &g, double dilation) {
     for (int k = 0; k < 3; ++k) {
         S4_EACH_LANE {
             const double l = g.log_scale[k][i], above = l > kLogScaleMin ? l : kLogScaleMin;
@@ -74,10 +74,10 @@ void spread(Geometry &g) {
         const double m01 = a0 * b1 - a1 * b0, m02 = a0 * b2 - a2 * b0, m12 = a1 * b2 - a2 * b1;
         const double xx = a0 * a0 + a1 * a1 + a2 * a2, yy = b0 * b0 + b1 * b1 + b2 * b2;
         g.m01[i] = m01, g.m02[i] = m02, g.m12[i] = m12;
-        g.cov_xx[i] = xx + kDilation, g.cov_yy[i] = yy + kDilation;
+        g.cov_xx[i] = xx + dilation, g.cov_yy[i] = yy + dilation;
         g.cov_xy[i] = a0 * b0 + a1 * b1 + a2 * b2;
         g.det[i] = m01 * m01 + m02 * m02 + m12 * m12;
-        g.det_blurred[i] = g.det[i] + kDilation * (xx + yy) + kDilation * kDilation;
+        g.det_blurred[i] = g.det[i] + dilation * (xx + yy) + dilation * dilation;
     }
 }
 
@@ -87,7 +87,7 @@ void measure(Geometry &g, const Pinhole &camera) {
     locate(g, camera);
     rotate(g);
     linearise(g, camera);
-    spread(g);
+    spread(g, camera.dilation);
 }
 
 }  // namespace s4

@@ -1,4 +1,4 @@
-// The geometry between Gaussians and their 2D covariance a a^T + 0.3 I, sixteen at a time and in double: quaternions
+// The geometry between Gaussians and their 2D covariance a a^T + dilation I, sixteen at a time and in double: quaternions
 // and scales may be extreme, and needles must keep their determinant.
 #pragma once
 #include <cstdint>

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.quaternions import unit
-from reconstruction.rendering.reference import DILATION_PX2, LOG_SCALE_MAX, LOG_SCALE_MIN
-from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.rendering.reference import LOG_SCALE_MAX, LOG_SCALE_MIN
+from reconstruction.rendering.result import GUARDS, Guards, Instantaneous, Rendering
 from rigs.camera import Camera
 
 DEVICE = "cuda"
@@ -39,7 +39,9 @@ def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
     return importlib.import_module("gsplat").rasterization
 
 
-def render_gsplat(gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False) -> Rendering:
+def render_gsplat(
+    gaussians: Instantaneous, camera: Camera, guards: Guards = GUARDS, *, median: bool = False
+) -> Rendering:
     """Render as `render_reference` does, by gsplat: float32 on a CUDA device.
 
     Raises ReconstructionError where gsplat or a CUDA device is missing, the tensors are elsewhere, or the median depth
@@ -68,8 +70,8 @@ def render_gsplat(gaussians: Instantaneous, camera: Camera, near_m: float, *, me
         Ks=means.new_tensor(camera.K)[None],
         width=camera.width,
         height=camera.height,
-        near_plane=near_m,
-        eps2d=DILATION_PX2,
+        near_plane=guards.near_m,
+        eps2d=guards.dilation_px2,
         packed=False,
         render_mode="RGB+D",
         rasterize_mode="antialiased",

@@ -11,12 +11,12 @@ from torch.autograd.function import once_differentiable
 from acquisition.native import Address
 from reconstruction.errors import ReconstructionError
 from reconstruction.native import Addresses, Int, addresses, fits, kernel, threads
-from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.rendering.result import GUARDS, Guards, Instantaneous, Rendering
 from rigs.camera import Camera
 
 
 class _Camera(ctypes.Structure):
-    _fields_ = (("numbers", ctypes.c_double * 17), ("width", ctypes.c_int32), ("height", ctypes.c_int32))
+    _fields_ = (("numbers", ctypes.c_double * 18), ("width", ctypes.c_int32), ("height", ctypes.c_int32))
 
 
 class _Cloud(ctypes.Structure):
@@ -46,14 +46,14 @@ def _cloud(tensors: tuple[Tensor, ...]) -> _Cloud:
     return _Cloud(addresses(*tensors), len(tensors[0]))
 
 
-def _rendered(camera: Camera, near_m: float, cloud: tuple[Tensor, ...], *, median: bool) -> tuple[_Frame, Rendering]:
+def _rendered(camera: Camera, guards: Guards, cloud: tuple[Tensor, ...], *, median: bool) -> tuple[_Frame, Rendering]:
     """Return the frame and the images of five contiguous tensors, the last of them intensities [N]."""
     intensity, depth, alpha = (torch.empty(camera.height, camera.width) for _ in range(3))
     middle = torch.empty(camera.height, camera.width) if median else None
     radii = torch.empty(len(cloud[0]), dtype=torch.int32)
     pose, lens = camera.cam_from_rig, (camera.fx, camera.fy, camera.cx, camera.cy)
-    numbers = (*pose.rotation.ravel(), *pose.translation, *lens, near_m)
-    seen_by = _Camera((ctypes.c_double * 17)(*numbers), camera.width, camera.height)
+    numbers = (*pose.rotation.ravel(), *pose.translation, *lens, *guards)
+    seen_by = _Camera((ctypes.c_double * 18)(*numbers), camera.width, camera.height)
     images = addresses(intensity, depth, alpha, middle)
     frame = _Frame(_forward(seen_by, _cloud(cloud), images, radii, threads()))
     return frame, Rendering(intensity, depth, alpha, radii, middle)
@@ -68,9 +68,9 @@ class Work(NamedTuple):
     pixels: int  # that lost some of their light to the splat
 
 
-def work_of(gaussians: Instantaneous, camera: Camera, near_m: float) -> Work:
+def work_of(gaussians: Instantaneous, camera: Camera, guards: Guards = GUARDS) -> Work:
     """Render the first channel as `render_native` does, and return how much work that was."""
-    frame, _ = _rendered(camera, near_m, (*gaussians[:4], gaussians.intensities[:, 0].contiguous()), median=False)
+    frame, _ = _rendered(camera, guards, (*gaussians[:4], gaussians.intensities[:, 0].contiguous()), median=False)
     counts = (ctypes.c_int64 * 4)()
     _work(frame.handle, counts)
     return Work(*counts)
@@ -78,9 +78,9 @@ def work_of(gaussians: Instantaneous, camera: Camera, near_m: float) -> Work:
 
 class _Render(Function):
     @staticmethod
-    def forward(ctx: Any, camera: Camera, near_m: float, median: bool, *cloud: Tensor) -> tuple[Tensor | None, ...]:
+    def forward(ctx: Any, camera: Camera, guards: Guards, median: bool, *cloud: Tensor) -> tuple[Tensor | None, ...]:
         cloud = tuple(t.contiguous() for t in cloud)
-        ctx.frame, images = _rendered(camera, near_m, cloud, median=median)
+        ctx.frame, images = _rendered(camera, guards, cloud, median=median)
         ctx.save_for_backward(*cloud)
         ctx.mark_non_differentiable(*(image for image in images[3:] if image is not None))
         ctx.set_materialize_grads(False)
@@ -97,7 +97,9 @@ class _Render(Function):
         return (None, None, None, *out)
 
 
-def render_native(gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False) -> Rendering:
+def render_native(
+    gaussians: Instantaneous, camera: Camera, guards: Guards = GUARDS, *, median: bool = False
+) -> Rendering:
     """Render as `render_reference` does, in C++; each channel beyond the first costs another pass.
 
     Raises ReconstructionError for tensors that are not float32 on the CPU, or without a channel.
@@ -109,7 +111,7 @@ def render_native(gaussians: Instantaneous, camera: Camera, near_m: float, *, me
             "float32 on the CPU",
             "use the reference backend",
         )
-    geometry = (camera, near_m, median, *gaussians[:4])
+    geometry = (camera, guards, median, *gaussians[:4])
     if intensities.shape[1] == 1:
         intensity, *others = _Render.apply(*geometry, intensities.squeeze(-1))
         return Rendering(intensity[..., None], *others)

@@ -2,7 +2,7 @@
 
 Letters: N Gaussians, M splats that are seen, H rows, W columns, C channels, P pixels of a block of rows.
 EWA splatting (Zwicker et al., "EWA volume splatting", 2001; Kerbl et al., "3D Gaussian splatting", 2023) with gsplat's
-guards: a near plane, a clamped Jacobian, 0.3 px^2 added to the covariance and the opacity scaled by
+guards: a near plane, a clamped Jacobian, a dilation (0.3 px^2) added to the covariance and the opacity scaled by
 sqrt(det / det_blurred) (gsplat's "antialiased"), alpha at most 0.99 and at least 1/255, and an end where the
 transmittance is below 1e-4.
 """
@@ -13,11 +13,10 @@ import torch
 from torch import Tensor
 
 from reconstruction.quaternions import matrices
-from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.rendering.result import GUARDS, Guards, Instantaneous, Rendering
 from rigs.camera import Camera
 
 LOG_SCALE_MIN, LOG_SCALE_MAX = -30.0, 15.0  # log m
-DILATION_PX2 = 0.3
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 TRANSMITTANCE_MIN = 1e-4
@@ -71,21 +70,22 @@ def in_camera(means: Tensor, camera: Camera) -> Tensor:
 
 
 def project(
-    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, camera: Camera, near_m: float
+    means: Tensor, quats_wxyz: Tensor, log_scales: Tensor, opacities: Tensor, camera: Camera, guards: Guards = GUARDS
 ) -> Splats:
     """Return the Gaussians that reach at least one pixel, in order of depth (equal depths keep their order).
 
     `means` [N, 3] m in the rig frame, `quats_wxyz` [N, 4] of any length, `log_scales` [N, 3] log m, `opacities` [N] 0
     to 1. The covariance is J W V W^T J^T as in Zwicker et al., with the guards of this module.
     """
-    in_front = (in_camera(means.detach(), camera)[:, 2] >= near_m).nonzero()[:, 0]
+    in_front = (in_camera(means.detach(), camera)[:, 2] >= guards.near_m).nonzero()[:, 0]
     in_cam = in_camera(means[in_front], camera)
     axes = projected_axes(in_cam, quats_wxyz[in_front], log_scales[in_front], camera)
     (a, b, c), (d, e, f) = axes[:, 0].unbind(-1), axes[:, 1].unbind(-1)
     det = (a * e - b * d) ** 2 + (a * f - c * d) ** 2 + (b * f - c * e) ** 2  # Cauchy-Binet: never negative
     xx, xy, yy = (axes[:, 0] ** 2).sum(-1), (axes[:, 0] * axes[:, 1]).sum(-1), (axes[:, 1] ** 2).sum(-1)
-    det_blurred = det + DILATION_PX2 * (xx + yy) + DILATION_PX2**2
-    xx, yy = xx + DILATION_PX2, yy + DILATION_PX2
+    dilation = guards.dilation_px2
+    det_blurred = det + dilation * (xx + yy) + dilation**2
+    xx, yy = xx + dilation, yy + dilation
     kept = det > 0
     opacity = opacities[in_front] * torch.where(kept, torch.where(kept, det, 1) / det_blurred, 0).sqrt()
     p = (yy / det_blurred / 2).sqrt()
@@ -138,13 +138,15 @@ def median_depths(splats: Splats, pixels: Tensor) -> Tensor:
     return torch.where(falls, splats.depths, 0).sum(-1).where(falls.any(-1), torch.nan)
 
 
-def render_reference(gaussians: Instantaneous, camera: Camera, near_m: float, *, median: bool = False) -> Rendering:
+def render_reference(
+    gaussians: Instantaneous, camera: Camera, guards: Guards = GUARDS, *, median: bool = False
+) -> Rendering:
     """Render N Gaussians in C channels, in the float type and on the device of their means.
 
     Differentiable in all five tensors. `median` asks for the median depth too.
     """
     means, *_, intensities = gaussians
-    splats = project(*gaussians[:4], camera, near_m)
+    splats = project(*gaussians[:4], camera, guards)
     rows = max(1, PAIRS_AT_ONCE // max(1, len(splats.source) * camera.width))
     x = torch.arange(camera.width, dtype=means.dtype, device=means.device) + 0.5
     blocks, medians = [], []

@@ -10,12 +10,11 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.rendering.gsplat_backend import render_gsplat
 from reconstruction.rendering.native import render_native
 from reconstruction.rendering.reference import render_reference
-from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.rendering.result import GUARDS, Guards, Instantaneous, Rendering
 from rigs.camera import Camera
 
 Backend = Literal["native", "reference", "gsplat"]
 RENDERERS = {"native": render_native, "reference": render_reference, "gsplat": render_gsplat}
-NEAR_M = 0.01  # depth of the near plane in m
 NAMES = Instantaneous._fields
 
 
@@ -43,16 +42,17 @@ def render(
     camera: Camera,
     *,
     backend: Backend = "native",
-    near_m: float = NEAR_M,
+    near_m: float = GUARDS.near_m,
+    dilation_px2: float = GUARDS.dilation_px2,
     background: Tensor | float | None = None,
     median: bool = False,
 ) -> Rendering:
     """Render N Gaussians, the five tensors of an `Instantaneous`; differentiable in all of them.
 
     `backend`: native (float32 on the CPU), reference (float32 or float64, anywhere), gsplat (float32 on a CUDA device).
-    `near_m`: the least depth that is seen, m. `background`: the intensity behind everything, one number or [H, W, C],
-    black if None. `median` asks for the median depth too, which gsplat does not have. Raises ReconstructionError for
-    shapes that do not fit, NaN or infinity, or a lens that distorts.
+    `near_m` and `dilation_px2` are those of `result.Guards`. `background`: the intensity behind everything, one number
+    or [H, W, C], black if None. `median` asks for the median depth too, which gsplat does not have. Raises
+    ReconstructionError for shapes that do not fit, NaN or infinity, or a lens that distorts.
     """
     now = Instantaneous(*gaussians)
     _check(now)
@@ -60,7 +60,9 @@ def render(
         raise ReconstructionError("found lens distortion", "a pinhole", "render its view and bend it", where=camera.id)
     if not near_m > 0:
         raise ReconstructionError(f"found the near plane at {near_m} m", "a positive depth")
-    seen = RENDERERS[backend](now, camera, near_m, median=median)
+    if not (math.isfinite(dilation_px2) and dilation_px2 > 0):
+        raise ReconstructionError(f"found a dilation of {dilation_px2} px^2", "a positive number")
+    seen = RENDERERS[backend](now, camera, Guards(near_m, dilation_px2), median=median)
     if background is None:
         return seen
     return seen._replace(intensity=seen.intensity + (1 - seen.alpha)[..., None] * background)

@@ -15,6 +15,20 @@ class Instantaneous(NamedTuple):
     intensities: Tensor  # [N, C] spikes per tick
 
 
+class Guards(NamedTuple):
+    """The limits that a renderer holds projections to.
+
+    `near_m`: the least depth that is seen, m. `dilation_px2`: what is added to a projected covariance, px^2, so that no
+    Gaussian is lost between pixels.
+    """
+
+    near_m: float = 0.01
+    dilation_px2: float = 0.3
+
+
+GUARDS = Guards()
+
+
 class Rendering(NamedTuple):
     """The view of N Gaussians by a camera of H rows and W columns; the mean depth of a pixel is `depth / alpha`.
 

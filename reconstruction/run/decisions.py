@@ -43,7 +43,7 @@ class Plan:
     `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`: names, none of them `auto`.
     `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels. The most
     Gaussians there may be are split into `still_gaussians` and `moving_gaussians`. `window`: planes of a short image,
-    an odd number.
+    an odd number. `doublings`: shares of the training at which pictures double in width and height, in order.
     """
 
     views: tuple[str, ...]
@@ -57,6 +57,7 @@ class Plan:
     refine: bool = False
     pixels: str = EVEN
     window: int = PLANES
+    doublings: tuple[float, ...] = ()
 
     def amended(self, amendment: Amendment) -> Plan:
         """Return the plan with the amendment's decision in place of the one about the same thing, and its changes."""
@@ -70,6 +71,7 @@ class Plan:
         supervision = RENAMED.get(document["supervision"], document["supervision"])
         known: dict[str, Any] = {f.name: document[f.name] for f in fields(cls) if f.name in document}
         known |= {"views": tuple(document["views"]), "supervision": supervision}
+        known |= {"doublings": tuple(document.get("doublings", ()))}
         known["decisions"] = tuple(Decision(**d) for d in document["decisions"])
         return cls(**known)
 

@@ -27,6 +27,8 @@ TWIN_PLANES = 32  # first planes of two streams, which tell whether they are one
 LIGHT_VIEWS = 4  # views that are enough to see the light of the whole scene
 LEAST_WINDOW = 7  # planes of a short image
 WINDOW_S, WINDOW_SPIKES = 1e-3, 0.35  # most seconds of a short image, and spikes that it should hold
+COARSE_PX = 100_000  # least pixels of a picture that was made smaller
+COARSE_UNTIL = 0.75  # share of the training after which pictures are whole
 A_PIXEL = 2  # most Gaussians for each pixel of a view
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
 UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
@@ -60,8 +62,10 @@ def make_plan(
     init = _choose_init(config, rig, work, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
     window = _choose_window(config, images, rig, streams, masks, decisions)
+    doublings = _choose_sizes(work, method, decisions)
     chosen = tuple(decisions)
-    return Plan(views, model, images, supervision, moving, still, chosen, init, refine, pixels, window), masks, light
+    plan = Plan(views, model, images, supervision, moving, still, chosen, init, refine, pixels, window, doublings)
+    return plan, masks, light
 
 
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
@@ -136,6 +140,19 @@ def _choose_window(
         Decision("windows", f"{window} planes", f"an image of movers spans {span}", "--window", facts=facts)
     )
     return window
+
+
+def _choose_sizes(work: Work, method: Method, decisions: list[Decision]) -> tuple[float, ...]:
+    """Return the shares of the training at which pictures double in width and height; none where they are small."""
+    halvings = 0
+    while not method.rays and work.pixels / 4 ** (halvings + 1) >= COARSE_PX:
+        halvings += 1
+    if halvings:
+        spared_s, size = work.halving_s(COARSE_UNTIL), f"{2**halvings} times smaller"
+        choice = f"{size} at first, whole after {COARSE_UNTIL:.0%} of the training"
+        reason = "a step costs what it draws, and smaller pictures teach as much until little is left to learn"
+        decisions.append(Decision("picture sizes", choice, reason, "none", spared_s, facts={"halvings": halvings}))
+    return tuple(COARSE_UNTIL * (i + 1) / halvings for i in range(halvings))
 
 
 def _odd(planes: float) -> int:

@@ -13,7 +13,7 @@ moving), kernels of level v3. They say which work is dear, not how long another 
 Images and sweeps grow with the pixels of a view, steps in part with the pixels and in part with the Gaussians.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from reconstruction.images.catalogue import price_s
 
@@ -85,6 +85,11 @@ class Work:
     def second_instants_s(self, share: float) -> float:
         """Return the seconds of a second instant rendered in a share of the steps."""
         return share * self.instants_s() / 2
+
+    def halving_s(self, share: float) -> float:
+        """Return the seconds that a share of the steps spares with pictures of half the width and height."""
+        quarter = replace(self, pixels=self.pixels // 4)
+        return share * self.likely_steps() * (self.step_s() - quarter.step_s())
 
     def splats_s(self) -> float:
         """Return the seconds of as many Gaussians again through all steps."""

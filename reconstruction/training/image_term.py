@@ -51,9 +51,8 @@ class ImageTerm:
         """Return the render at `plane` and its target image [H, W]."""
         span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
         rendered = self.over(cloud, view, view.camera, span)
-        target = torch.from_numpy(view.source.at(plane)).to(rendered.intensity.dtype)
-        way = view.source.straightening
-        return (rendered, target) if way is None else alike_beyond(torch.from_numpy(way.covered), rendered, target)
+        target = view.picture(plane).to(rendered.intensity.dtype)
+        return (rendered, target) if view.covered is None else alike_beyond(view.covered, rendered, target)
 
     def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
         """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
@@ -61,13 +60,14 @@ class ImageTerm:
         renders = []
         for node, weight in zip(*quadrature(nodes if cloud.changes else 1), strict=True):
             instant_s = self.clock.instant_s(first + length * node - 0.5)
-            renders.append((weight, render(view.seen(cloud, instant_s), camera, backend=self.backend)))
+            options = {"backend": self.backend, "dilation_px2": view.dilation_px2}
+            renders.append((weight, render(view.seen(cloud, instant_s), camera, **options)))
         return mean_of(renders)
 
     def held(self, view: TrainingView, rendered: Rendering, target: Tensor) -> Tensor:
         """Return the loss of one render against its target image [H, W] and the depths that the view knows."""
-        way, (light, depth, alpha) = view.source.straightening, (rendered.intensity[..., 0], *rendered[1:3])
-        shared = 1 / way.covered.mean().item() if way else 1.0  # a mean over what was seen
+        light, depth, alpha = rendered.intensity[..., 0], *rendered[1:3]
+        shared = 1.0 if view.covered is None else 1 / view.covered.float().mean().item()  # a mean over what was seen
         parts = PictureLoss(self.white, self.ssim, self.solid, self.hold)
         aim = Target(target, view.empty, view.inverse_depth if self.hold else None, shared)
         loss, mean_square = picture_loss((light, depth, alpha), aim, parts)

@@ -46,9 +46,9 @@ class TrainerSettings:
     `supervision`: a name of `supervisions()`, or RAYS. `training`: the way of the method. `white`: data range in spikes
     per tick. `tick_stride`: planes between the instants at which images are compared. `image_planes`: planes that a
     target image is the mean of. `refines`: whether poses, gains and lags of the views are learnt too. `times`: whether
-    lags alone are looked for, where they are not learnt. `ends_early`:
-    whether a training that no longer gains ends before its budget. `backend`: native for float32; the reference trains
-    in any float type.
+    lags alone are looked for, where they are not learnt. `ends_early`: whether a training that no longer gains ends
+    before its budget. `doublings`: shares of the training at which pictures become twice as wide and high, in order;
+    they are whole after the last. `backend`: native for float32; the reference trains in any float type.
     """
 
     supervision: str
@@ -59,6 +59,7 @@ class TrainerSettings:
     refines: bool = False
     times: bool = False
     ends_early: bool = False
+    doublings: tuple[float, ...] = ()
     backend: Backend = "native"
 
 
@@ -102,7 +103,8 @@ class Trainer:
         due = self.spikes if self.steps % way.spikes.every == way.spikes.every - 1 else None
         view = int(self.rng.integers(len(self.views)))
         self.optimizer.zero_grad(set_to_none=True)
-        loss = (due or self.image)(self.cloud, self.views[view], self.rng)
+        halvings = 0 if due else sum(done < share for share in self.settings.doublings)
+        loss = (due or self.image)(self.cloud, _halved(self.views[view], halvings), self.rng)
         penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty
@@ -114,7 +116,7 @@ class Trainer:
         if self.steps % LIVING_EVERY == 0:
             self._refuse_dead()
         found = float(loss.detach())
-        if self.ending and due is None and done >= way.canonical_until:
+        if self.ending and due is None and halvings == 0 and done >= way.canonical_until:
             self.ending.see(view, found, self.steps, done)
         return found
 
@@ -173,6 +175,12 @@ class Trainer:
                 self.optimizer.state[tensor] = {"step": steps, **moments[name]}
         if self.ending:
             self.ending = Ending(len(views))
+
+
+def _halved(view: TrainingView, times: int) -> TrainingView:
+    for _ in range(times):
+        view = view.halved
+    return view
 
 
 def _terms(

@@ -7,7 +7,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.rendering import gsplat_backend
 from reconstruction.rendering.reference import render_reference
 from reconstruction.rendering.render import NAMES, render
-from reconstruction.rendering.result import Instantaneous
+from reconstruction.rendering.result import Guards, Instantaneous
 from rigs.camera import Camera
 from rigs.transform import Transform
 
@@ -26,14 +26,14 @@ def cloud_of(n: int = 200) -> tuple[torch.Tensor, ...]:
     return 0.8 * draw(n, 3), draw(n, 4), -2.5 + 0.6 * draw(n, 3), 0.9 * draw(n).sigmoid(), draw(n, 1).exp()
 
 
-def as_gsplat(means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane, **options):
+def as_gsplat(means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane, eps2d, **options):
     """The reference behind gsplat's signature."""
-    assert options == {"eps2d": 0.3, "packed": False, "render_mode": "RGB+D", "rasterize_mode": "antialiased"}
+    assert options == {"packed": False, "render_mode": "RGB+D", "rasterize_mode": "antialiased"}
     pose, K = viewmats[0].double(), Ks[0].double()
     (fx, _, cx), (_, fy, cy) = K[:2].tolist()
     camera = Camera("cam11", width, height, fx, fy, cx, cy, Transform(pose[:3, :3].numpy(), pose[:3, 3].numpy()))
     gaussians = Instantaneous(means, quats, scales.log(), opacities, colors)
-    intensity, depth, alpha, radii, _ = render_reference(gaussians, camera, near_plane)
+    intensity, depth, alpha, radii, _ = render_reference(gaussians, camera, Guards(near_plane, eps2d))
     colours = torch.cat([intensity, depth[..., None]], -1)[None]
     return colours, alpha[None, ..., None], {"radii": radii[None, :, None].expand(-1, -1, 2)}
 

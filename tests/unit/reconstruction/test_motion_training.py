@@ -29,6 +29,7 @@ from reconstruction.rendering.render import render
 from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
+from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import LIVING_EVERY, Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -142,6 +143,29 @@ def test_a_motion_is_learnt_from_standing_still(kind, view, monkeypatch):
         trainer.step(0.2)
     now, then = (trainer.cloud.at(u * CLIP.last_s).means[-2:, 0].detach() for u in (0.9, 0.1))
     assert float((now - then).max()) > 0.15  # of 0.48
+
+
+def test_pictures_are_small_until_the_last_doubling(view, monkeypatch):
+    settings, sizes = (
+        TrainerSettings("pixels", Training(canonical_until=0.0), ends_early=True, doublings=(0.25, 0.5)),
+        [],
+    )
+    trainer = Trainer(cloud("polynomial"), [view], settings, CLOCK, seed=1)
+
+    def seen(loss, view, rendered, target):
+        sizes.append(tuple(target.shape))
+        return held(loss, view, rendered, target)
+
+    held = ImageTerm.held
+    monkeypatch.setattr(ImageTerm, "held", seen)
+    before = trainer.cloud.still.intensities.detach().clone()
+    for done in (0.0, 0.24, 0.25, 0.49, 0.5, 0.99):
+        assert np.isfinite(trainer.step(done))
+    quarter, half = (HEIGHT // 4, WIDTH // 4), (HEIGHT // 2, WIDTH // 2)
+    assert sizes == [quarter, quarter, half, half, (HEIGHT, WIDTH), (HEIGHT, WIDTH)]
+    assert not torch.equal(before, trainer.cloud.still.intensities)
+    assert trainer.ending is not None
+    assert sum(trainer.ending.counts) == 2  # losses of small pictures are others
 
 
 @pytest.mark.parametrize("alive", [True, False])

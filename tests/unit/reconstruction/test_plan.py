@@ -12,7 +12,8 @@ from reconstruction.errors import BadRunError
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.run.configuration import CHOICES, ReconstructionConfig
 from reconstruction.run.decisions import Plan
-from reconstruction.run.plan import make_plan
+from reconstruction.run.plan import _choose_sizes, make_plan
+from reconstruction.run.prices import Work
 from rigs.errors import RigError
 from rigs.toml import catalog_rig
 
@@ -248,6 +249,20 @@ def test_the_cap_of_gaussians_is_the_operators_or_follows_the_pixels():
     assert asked.still_gaussians == 77
     plan, _, _ = make_plan(ReconstructionConfig(), RIG.scaled(400, 250), streams())
     assert plan.still_gaussians == METHODS["static"].gaussians
+
+
+@pytest.mark.parametrize(
+    ("size", "doublings"), [((400, 250), ()), ((640, 480), ()), ((1000, 1000), (0.75,)), ((2000, 1000), (0.375, 0.75))]
+)
+def test_large_pictures_are_small_at_first(size, doublings):
+    decisions = []
+    work = Work(size[0] * size[1], 400, 8, 48_000, 60.0, None)
+    assert _choose_sizes(work, METHODS["bases"], decisions) == doublings
+    assert len(decisions) == bool(doublings)
+    assert _choose_sizes(work, METHODS["spikenerf"], []) == ()
+    if doublings:
+        assert decisions[0].saves_s == pytest.approx(0.75 * work.halving_s(1.0))
+        assert 0 < decisions[0].saves_s < 60
 
 
 def test_the_lists_of_choices_are_those_of_the_contract():

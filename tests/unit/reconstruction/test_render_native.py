@@ -11,7 +11,7 @@ from acquisition.native import code_path, code_paths
 from reconstruction.errors import ReconstructionError
 from reconstruction.rendering.native import work_of
 from reconstruction.rendering.reference import TRANSMITTANCE_MIN, alphas_of, project, transmittance_before
-from reconstruction.rendering.render import NAMES, NEAR_M, render
+from reconstruction.rendering.render import NAMES, render
 from reconstruction.rendering.result import Instantaneous, Rendering
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -60,6 +60,11 @@ def assert_alike(gaussians, camera, **options) -> None:
 @pytest.mark.parametrize(("width", "height"), SIZES)
 def test_values_and_gradients_agree_at_sizes_that_are_not_whole_tiles(width, height):
     assert_alike(cloud_of(200), camera_of(width, height))
+
+
+@pytest.mark.parametrize("dilation_px2", [1e-6, 0.14, 20.0])
+def test_values_and_gradients_agree_whatever_is_added_to_splats(dilation_px2):
+    assert_alike(cloud_of(120, 1, -3.5), camera_of(40, 28), dilation_px2=dilation_px2)
 
 
 @pytest.mark.parametrize("log_scale", [-4.0, -3.0, -1.5, 0.0])
@@ -130,8 +135,8 @@ def test_no_channel_is_refused():
 @pytest.mark.parametrize("log_scale", [-3.0, -1.0])
 def test_the_work_is_counted_as_the_reference_would(log_scale):
     cloud, camera = cloud_of(80, 6, log_scale), camera_of(37, 22)
-    work = work_of(Instantaneous(*cloud), camera, NEAR_M)
-    splats = project(*(t.double() for t in cloud[:4]), camera, NEAR_M)
+    work = work_of(Instantaneous(*cloud), camera)
+    splats = project(*(t.double() for t in cloud[:4]), camera)
     y, x = torch.meshgrid(torch.arange(22) + 0.5, torch.arange(37) + 0.5, indexing="ij")
     alphas = alphas_of(splats, torch.stack([x, y], -1).reshape(-1, 2).double())
     live = transmittance_before(alphas)[:, :-1] >= TRANSMITTANCE_MIN

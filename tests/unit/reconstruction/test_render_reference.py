@@ -9,7 +9,7 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.quaternions import matrices
 from reconstruction.rendering.reference import project, render_reference
-from reconstruction.rendering.render import NEAR_M, render
+from reconstruction.rendering.render import render
 from reconstruction.rendering.result import Instantaneous
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -122,9 +122,9 @@ def test_the_order_of_the_gaussians_does_not_matter():
 
 def test_blocks_of_rows_make_no_difference(monkeypatch):
     gaussians, camera = cloud_of(30), camera_of()
-    whole = render_reference(Instantaneous(*gaussians), camera, NEAR_M, median=True)
+    whole = render_reference(Instantaneous(*gaussians), camera, median=True)
     monkeypatch.setattr("reconstruction.rendering.reference.PAIRS_AT_ONCE", 30 * 48 * 7)
-    blocks = render_reference(Instantaneous(*gaussians), camera, NEAR_M, median=True)
+    blocks = render_reference(Instantaneous(*gaussians), camera, median=True)
     for first, second in zip(whole, blocks, strict=True):
         torch.testing.assert_close(first, second, equal_nan=True)
 
@@ -178,9 +178,9 @@ def test_gradients_are_those_of_the_values():
     # Wide and faint: no pixel comes near the cut at 1/255, where the image jumps.
     inputs = (means, quats, log_scales + 3, 0.3 + 0.3 * opacities, intensities)
     leaves = tuple(t.clone().requires_grad_() for t in inputs)
-    assert len(project(*inputs[:4], camera, NEAR_M).source) == 4
+    assert len(project(*inputs[:4], camera).source) == 4
     assert torch.autograd.gradcheck(
-        lambda *g: render_reference(Instantaneous(*g), camera, NEAR_M)[:3], leaves, eps=1e-7, atol=1e-5
+        lambda *g: render_reference(Instantaneous(*g), camera)[:3], leaves, eps=1e-7, atol=1e-5
     )
 
 
@@ -194,6 +194,9 @@ def test_what_cannot_be_rendered_is_refused():
         render(gaussians, camera)
     with pytest.raises(ReconstructionError, match="near plane"):
         render(gaussians, camera, backend="reference", near_m=0.0)
+    for dilation in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ReconstructionError, match="dilation"):
+            render(gaussians, camera, backend="reference", dilation_px2=dilation)
     bent = Camera("cam02", 48, 40, 50.0, 48.0, 24.0, 20.0, Transform.identity(), (0.1, 0, 0, 0))
     with pytest.raises(ReconstructionError, match=r"cam02.*distortion"):
         render(gaussians, bent, backend="reference")
