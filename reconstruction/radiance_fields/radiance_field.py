@@ -46,7 +46,6 @@ class RadianceField:
     light: Tensor = field(default_factory=lambda: torch.ones(1))
     unit: ClassVar[str] = "cells"
     kind: ClassVar[str] = "field"  # the name in a checkpoint
-    networks: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         parts = [grid_of(self.still, 0, self.frustum.shape, (0, 0, 0))]
@@ -57,6 +56,11 @@ class RadianceField:
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
+
+    @property
+    def networks(self) -> bool:
+        """Tell that a step has large operations of torch: grids are read along rays."""
+        return True
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
         """Yield every learnt tensor with its name."""
