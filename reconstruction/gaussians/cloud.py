@@ -24,7 +24,7 @@ class GaussianCloud:
     rates: ClassVar[Mapping[str, Rate]] = {
         "means": Rate(1e-3, "scene"),
         "quats_wxyz": Rate(1e-2),
-        "log_scales": Rate(4e-2),
+        "log_scales": Rate(8e-2),
         "opacity_logits": Rate(6e-2),
         "intensities": Rate(8e-3, "light"),
     }

@@ -14,6 +14,7 @@ from reconstruction.losses.variation import variation_loss
 from reconstruction.rendering.render import Backend, render
 from reconstruction.rendering.result import Rendering
 from reconstruction.training.closeness import Closeness
+from reconstruction.training.draws import Draws
 from reconstruction.training.exposure import Exposure, mean_of
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -41,10 +42,10 @@ class ImageTerm:
     hold: float = 0.0
     exposure: Exposure | None = None
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
-        """Return the loss at a random plane."""
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, draws: Draws) -> Tensor:
+        """Return the loss at the next plane."""
         instants = target_planes(cloud, view, self.stride)
-        plane = int(instants[rng.integers(len(instants))])
+        plane = int(instants[draws.place(len(instants))])
         return self.held(view, *self.pair(cloud, view, plane))
 
     def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
@@ -88,11 +89,11 @@ class ImageVariationTerm:
     instants: int = 3
     gap: int = 24
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
-        """Return the loss of instants that begin at a random plane."""
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, draws: Draws) -> Tensor:
+        """Return the loss of instants that begin at the next plane."""
         instants = target_planes(cloud, view, self.image.stride)
         gap = max(1, min(self.gap // self.image.stride, (len(instants) - 1) // (self.instants - 1)))
-        first = int(rng.integers(max(1, len(instants) - gap * (self.instants - 1))))
+        first = draws.place(max(1, len(instants) - gap * (self.instants - 1)))
         at = [int(instants[min(first + i * gap, len(instants) - 1)]) for i in range(self.instants)]
         pairs = [self.image.pair(cloud, view, plane) for plane in at]
         pixels = torch.stack([self.image.held(view, r, t) for r, t in pairs]).mean()

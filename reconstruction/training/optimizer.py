@@ -8,6 +8,7 @@ from reconstruction.scene_model import SceneModel
 from reconstruction.training.adam import BETAS, EPS, Adam
 
 FINAL_LENGTH, FINAL = 0.05, 1 / 3  # share of its first rate that a tensor of lengths, and any other, ends with
+SETTLING = 120  # steps at first rates that the last rate of a long training is worth
 
 
 def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> torch.optim.Optimizer:
@@ -18,20 +19,30 @@ def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> torch.optim.O
             continue
         tensor.requires_grad_(True)
         rate = rates[name]
-        start, end = rate.start * units[rate.unit], FINAL_LENGTH if rate.unit == "scene" else FINAL
-        flags = {"field": rate.deforms, "moves": not name.startswith("still")}
-        groups.append({"params": [tensor], "lr": start, "start": start, "end": end, **flags})
+        start = rate.start * units[rate.unit]
+        flags = {"field": rate.deforms, "moves": not name.startswith("still"), "length": rate.unit == "scene"}
+        groups.append({"params": [tensor], "lr": start, "start": start, **flags})
     if all(tensor.dtype == torch.float32 for group in groups for tensor in group["params"]):
         return Adam(groups)
     return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 
 
-def anneal(optimizer: torch.optim.Optimizer, done: float, stage: float, canonical_until: float) -> None:
-    """Set the rates at `done` (0 to 1) of the training, and those of movers at their own `stage`.
+def anneal(optimizer: torch.optim.Optimizer, done: float, stage: float, steps: int, canonical_until: float) -> None:
+    """Set the rates at `done` (0 to 1) of the training, after `steps`, and those of movers at their own `stage`.
 
     A deformation does not learn before `canonical_until` of the training.
     """
+    whole = final(steps / done) if done > 0 else FINAL
     for group in optimizer.param_groups:
         begun = not group["field"] or done >= canonical_until
         share = min(max(stage if group["moves"] else done, 0.0), 1.0)
-        group["lr"] = group["start"] * group["end"] ** share if begun else 0.0
+        end = whole if stage == done or not group["moves"] else FINAL  # stages of movers are short
+        group["lr"] = group["start"] * (FINAL_LENGTH if group["length"] else end) ** share if begun else 0.0
+
+
+def final(steps: float) -> float:
+    """Return the share of its first rate that a tensor ends with in a training of so many steps.
+
+    What a short training lacks at its end is distance; what a long one has too much of is noise.
+    """
+    return min(FINAL, SETTLING / max(steps, 1.0))

@@ -19,6 +19,7 @@ from reconstruction.losses.counts import robust_loss
 from reconstruction.radiance_fields.march import STEP, march
 from reconstruction.radiance_fields.radiance_field import RadianceField
 from reconstruction.training.closeness import Closeness
+from reconstruction.training.draws import Draws
 from reconstruction.training.image_term import quadrature
 from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
@@ -48,12 +49,12 @@ class RayTerm:
     smooth: float = 0.1
     sampled: int = 16384
 
-    def __call__(self, field: RadianceField, view: TrainingView, rng: np.random.Generator) -> Tensor:
+    def __call__(self, field: RadianceField, view: TrainingView, draws: Draws) -> Tensor:
         """Return the loss of one window."""
-        planes = len(view.source.stream)
+        rng, planes = draws.rng, len(view.source.stream)
         low, high = (math.log(min(x, planes)) for x in (self.shortest, self.longest))
         window = round(math.exp(rng.uniform(low, high)))
-        first = int(rng.integers(planes - window + 1))
+        first = draws.place(planes - window + 1)
         pixels = self._drawn(view, first + window, rng)
         light, alpha = self._integral(field, view, pixels, (first, window), rng)
         spikes, rates = self._explained(light, view, pixels, (first, window))

@@ -14,6 +14,7 @@ from torch import Tensor
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.losses.counts import cumulative_loss
 from reconstruction.methods.definition import SpikeSampling
+from reconstruction.training.draws import Draws
 from reconstruction.training.image_term import ImageTerm, learnt_planes
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -37,13 +38,13 @@ class SpikeTerm:
     loss: RateLoss | None
     sampling: SpikeSampling = field(default_factory=SpikeSampling)
 
-    def __call__(self, cloud: DynamicCloud, view: TrainingView, rng: np.random.Generator) -> Tensor:
+    def __call__(self, cloud: DynamicCloud, view: TrainingView, draws: Draws) -> Tensor:
         """Return the loss of one window."""
-        part = part_with_mover(view, self.sampling.size_px, rng)
+        part = part_with_mover(view, self.sampling.size_px, draws.rng)
         begin, end = learnt_planes(cloud, view)
         low, high = (math.log(min(x, end - begin)) for x in self.sampling.planes)
-        window = round(math.exp(rng.uniform(low, high)))
-        first = begin + int(rng.integers(end - begin - window + 1))
+        window = round(math.exp(draws.rng.uniform(low, high)))
+        first = begin + draws.place(end - begin - window + 1)
         nodes = min(MOST_NODES, math.ceil(window / PLANES_A_NODE))
         parts = 1 if self.loss else nodes
         length = window // parts

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from acquisition.members import members
 
 if TYPE_CHECKING:
-    import numpy as np
     from torch import Tensor
 
     from reconstruction.gaussians.dynamic import DynamicCloud
     from reconstruction.methods.definition import SpikeSampling
+    from reconstruction.training.draws import Draws
     from reconstruction.training.image_term import ImageTerm
     from reconstruction.training.view import TrainingView
 
@@ -24,8 +24,8 @@ M = TypeVar("M", contravariant=True)
 class Term(Protocol[M]):
     """Draws instants of a view and compares what a model shows there with what was recorded."""
 
-    def __call__(self, model: M, view: TrainingView, rng: np.random.Generator, /) -> Tensor:
-        """Return the loss of one step, a scalar; `rng` draws the instants."""
+    def __call__(self, model: M, view: TrainingView, draws: Draws, /) -> Tensor:
+        """Return the loss of one step, a scalar, at the instants that `draws` gives."""
         ...
 
 

@@ -1,7 +1,6 @@
-"""Fits a model to what the training cameras recorded, at random instants of random views."""
+"""Fits a model to what the training cameras recorded, one view at one instant a step."""
 
 import copy
-import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -21,6 +20,7 @@ from reconstruction.rendering.render import Backend
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.closeness import Closeness
+from reconstruction.training.draws import Draws
 from reconstruction.training.ending import Ending
 from reconstruction.training.exposure import Exposure
 from reconstruction.training.freeing import freed, freed_states
@@ -71,7 +71,7 @@ class Trainer:
     ):
         self.cloud = cloud
         self.settings = settings
-        self.rng = np.random.default_rng(seed)
+        self.draws = Draws(len(views), seed)
         self.steps = 0
         self.ending = Ending(len(views)) if settings.ends_early else None
         self.closeness = Closeness(settings.white)
@@ -95,16 +95,16 @@ class Trainer:
     def step(self, done: float) -> float:
         """Do one step and return its loss; `done` in [0, 1] is the share of the training before it."""
         way = self.settings.training
-        anneal(self.optimizer, done, self.cloud.advance(done), way.canonical_until)
+        anneal(self.optimizer, done, self.cloud.advance(done), self.steps, way.canonical_until)
         if self.exposure:
             self.exposure.look(self.cloud, [view.camera for view in self.views], done)
         if self.lags:
             self.lags.look(self.cloud, self.views, done)
         due = self.spikes if self.steps % way.spikes.every == way.spikes.every - 1 else None
-        view = int(self.rng.integers(len(self.views)))
+        view = self.draws.view()
         self.optimizer.zero_grad(set_to_none=True)
         halvings = 0 if due else sum(done < share for share in self.settings.doublings)
-        loss = (due or self.image)(self.cloud, _halved(self.views[view], halvings), self.rng)
+        loss = (due or self.image)(self.cloud, _halved(self.views[view], halvings), self.draws)
         penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty
@@ -138,7 +138,7 @@ class Trainer:
         return {
             "cloud": self.cloud.state(),
             "optimizer": self.optimizer.state_dict(),
-            "rng": json.dumps(self.rng.bit_generator.state),
+            "draws": self.draws.state(),
             "steps": self.steps,
             "ending": self.ending.state() if self.ending else None,
             "passed_px": self.exposure.passed_px if self.exposure else None,
@@ -151,7 +151,8 @@ class Trainer:
         self.cloud = model_from_state(state["cloud"])
         self.optimizer = optimizer_of(self.cloud, self.units)
         self.optimizer.load_state_dict(state["optimizer"])
-        self.rng.bit_generator.state = json.loads(state["rng"])
+        if "draws" in state:  # not in the checkpoint of an earlier revision
+            self.draws.restore(state["draws"])
         self.steps = state["steps"]
         if self.ending and state.get("ending"):
             self.ending = Ending(**copy.deepcopy(state["ending"]))

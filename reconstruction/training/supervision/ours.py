@@ -35,7 +35,7 @@ def _image_variation_term(image: ImageTerm, _: SpikeSampling) -> Term[DynamicClo
 def _both_terms(image: ImageTerm, sampling: SpikeSampling) -> Term[DynamicCloud]:
     """Return the sum of two terms, each at instants of its own."""
     first, second = _image_variation_term(image, sampling), _count_term(image, sampling, "counts")
-    return lambda cloud, view, rng: first(cloud, view, rng) + second(cloud, view, rng)
+    return lambda cloud, view, draws: first(cloud, view, draws) + second(cloud, view, draws)
 
 
 BOTH = Supervision("both", _both_terms)

@@ -24,6 +24,7 @@ from reconstruction.methods.definition import SpikeSampling
 from reconstruction.rendering.result import Rendering
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.changed_pixels import changed_pixels
+from reconstruction.training.draws import Draws
 from reconstruction.training.image_term import ImageTerm, alike_beyond
 from reconstruction.training.spike_term import SpikeTerm, part_with_mover
 from reconstruction.training.view import TrainingView
@@ -128,8 +129,8 @@ def test_counts_are_compared_by_the_noise_they_have(sources):
     none = still.select(torch.zeros(0, dtype=torch.long))
     cloud = DynamicCloud(still, none, PolynomialMotion.at_rest(torch.zeros(0), 1.0), CLIP)
     term = SpikeTerm(ImageTerm(RigClock(RATE_HZ), 0.6), loss, SpikeSampling(size_px=(24, 16)))
-    assert torch.isfinite(term(cloud, view, np.random.default_rng(0)))
-    (rate, noise), part = seen[0], part_with_mover(view, (24, 16), np.random.default_rng(0))
+    assert torch.isfinite(term(cloud, view, Draws(1, 0)))
+    (rate, noise), part = seen[0], part_with_mover(view, (24, 16), Draws(1, 0).rng)
     assert rate.shape == noise.shape == (int((~source.useless(20)[part.within]).sum()),)
     assert 0.45 < noise.min() < noise.max() <= 1.01
     recorded = TrainingView(CAMERA.pinhole(), source.recorded)

@@ -22,6 +22,7 @@ from reconstruction.rendering.render import render
 from reconstruction.run.configuration import SUPERVISIONS
 from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.training import image_term, spike_term
+from reconstruction.training.draws import Draws
 from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.image_term import ImageTerm, ImageVariationTerm
 from reconstruction.training.spike_term import SpikeTerm
@@ -92,8 +93,8 @@ def test_the_moving_truth_explains_its_spikes_better_than_one_that_stands(norm):
     losses = {}
     with torch.no_grad():
         for name, model in (("true", truth), ("wrong", wrong)):
-            rng = np.random.default_rng(0)
-            losses[name] = float(torch.stack([term(model, view, rng) for _ in range(12)]).mean())
+            draws = Draws(1, 0)
+            losses[name] = float(torch.stack([term(model, view, draws) for _ in range(12)]).mean())
     assert losses["true"] < 0.8 * losses["wrong"]
 
 
@@ -171,7 +172,7 @@ def test_what_never_changes_is_rendered_once_for_a_window(norm, monkeypatch):
     still = DynamicCloud(still.still, still.moving.select(torch.arange(0)), motionless, CLIP)
     term, renders = SpikeTerm(ImageTerm(CLOCK, 0.6), LOSSES[norm], SpikeSampling(planes=(32, 33), size_px=None)), []
     monkeypatch.setattr(image_term, "render", lambda *a, **k: renders.append(a) or render(*a, **k))
-    term(still, view, np.random.default_rng(0))
+    term(still, view, Draws(1, 0))
     assert len(renders) == (1 if norm == "counts" else 4)
 
 
@@ -180,7 +181,7 @@ def test_a_clip_shorter_than_any_window_is_used_whole():
     short = SpikeStream(view.source.stream.packed[:5], view.source.stream.layout, RATE_HZ)
     view = TrainingView(CAMERA, replace(view.source, stream=short))
     for term in (SpikeTerm(ImageTerm(CLOCK, 0.6), robust_loss), ImageVariationTerm(ImageTerm(CLOCK, 0.6))):
-        assert torch.isfinite(term(cloud(0.0), view, np.random.default_rng(0)))
+        assert torch.isfinite(term(cloud(0.0), view, Draws(1, 0)))
 
 
 def test_a_view_that_sees_no_mover_is_supervised_anywhere():
