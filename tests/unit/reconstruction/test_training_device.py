@@ -34,6 +34,7 @@ from server.work.wording import in_request_words
 from tests.unit.reconstruction.test_gsplat_backend import as_gsplat
 from tests.unit.reconstruction.test_motion_training import CAMERA, CLOCK, HEIGHT, KINDS, WIDTH, cloud, recorded_view
 
+MISSING = gsplat_backend.why_unavailable()
 ELSEWHERE = "meta"
 TAKEN = [name for name, one in SUPERVISIONS.items() if not one.refused]
 CROSSING = (Tensor.to, Tensor.copy_, Tensor.__getitem__, Tensor.__setitem__)  # may name tensors of two devices
@@ -203,6 +204,24 @@ def test_torch_trains_as_the_kernels_do(kind, view, monkeypatch):
     assert found[0] == pytest.approx(expected[0], rel=1e-4)
     # Adam takes a whole step by the sign of a gradient that is rounding alone; the worst so far was 0.7%.
     np.testing.assert_allclose(found, expected, rtol=2e-2)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(MISSING is not None, reason=str(MISSING))
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gpu_trains_as_the_kernels_do_and_resumes(kind, view, tmp_path):
+    settings = TrainerSettings("counts", Training(canonical_until=0.3, holds_depth=0.1), doublings=(0.4,))
+    expected = losses(Trainer(cloud(kind), [view], settings, CLOCK, seed=1))
+    there = replace(settings, backend="gsplat", device="cuda")
+    trainer, resumed = (Trainer(cloud(kind), [view], there, CLOCK, seed=1) for _ in range(2))
+    found = losses(trainer)
+    assert found[0] == pytest.approx(expected[0], rel=1e-3)
+    np.testing.assert_allclose(found, expected, rtol=5e-2)
+    assert places(trainer) == {"cuda"}
+    write_tensors(tmp_path / "state.pt", trainer.state())
+    resumed.restore(load_checkpoint(tmp_path / "state.pt"))
+    assert resumed.step(1.0) == pytest.approx(trainer.step(1.0), rel=1e-2)
+    assert places(resumed) == {"cuda"}
 
 
 def test_states_are_written_as_tensors_of_the_cpu(elsewhere):
