@@ -44,16 +44,16 @@ class Refinement:
         """Return the cloud moved so that the uncorrected camera sees what the corrected one does."""
         now = cloud.at(instant_s)
         device, camera = now.means.device, self.cameras[view]
-        turn, shift, log_gain, lag = (getattr(self, name)[view].to(device) for name in RATES)
+        turn = _rotation(self.turns[view].to(device))
         own = torch.from_numpy(camera.cam_from_rig.rotation).float().to(device)
-        whole = own.T @ _rotation(turn) @ own
+        whole = own.T @ turn @ own
         center = torch.from_numpy(camera.center).float().to(device)
-        means = now.means + self._late(cloud, instant_s) * lag
-        means = center + (means - center - self.extent_m * shift) @ whole.T
+        means = now.means + self._late(cloud, instant_s) * self.lags[view].to(device)
+        means = center + (means - center - self.extent_m * self.shifts[view].to(device)) @ whole.T
         return now._replace(
             means=means,
-            quats_wxyz=_turned(own.T @ turn / 2, now.quats_wxyz),
-            intensities=now.intensities * log_gain.exp(),
+            quats_wxyz=_turned(own.T @ self.turns[view].to(device) / 2, now.quats_wxyz),
+            intensities=now.intensities * self.log_gains[view].to(device).exp(),
         )
 
     def _late(self, cloud: DynamicCloud, instant_s: float) -> Tensor:
