@@ -110,7 +110,7 @@ def parts_of(work: Path, recording: Path | None, steps: int, budget_s: float, ne
     if network_steps:
         clips, out = work / "clips", work / "network"
         make = ("-m", NETWORKS, "clips", "--count", "60", "--out", str(clips))
-        learn = ("-m", NETWORKS, "network", "published", "--device", "cuda", "--batch", "16", "--clips", str(clips))
+        learn = ("-m", NETWORKS, "network", "small", "--device", "cuda", "--batch", "16", "--clips", str(clips))
         length_of = ("--steps", f"{network_steps}", "--score-every", f"{network_steps}", "--out", str(out))
         parts.append(Part("clips", 180, make, nothing, clips))
         parts.append(Part("network", 300, (*learn, *length_of), partial(learnt, out), out))
