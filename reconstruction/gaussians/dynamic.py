@@ -112,9 +112,11 @@ class DynamicCloud:
         for key, tensor in self.motion.tensors():
             yield f"motion.{key}", tensor
 
-    def to(self, dtype: torch.dtype) -> DynamicCloud:
-        """Return the same cloud in another float type."""
-        tensors = {k: t.to(dtype) if t.is_floating_point() else t for k, t in self.state()["tensors"].items()}
+    def to(self, kind: torch.dtype | torch.device) -> DynamicCloud:
+        """Return the same cloud in another float type, or on another device; its light stays on the processor."""
+        floats = isinstance(kind, torch.dtype)
+        stored = self.state()["tensors"].items()
+        tensors = {k: t if floats and not t.is_floating_point() else t.to(kind) for k, t in stored}
         return DynamicCloud.from_state({**self.state(), "tensors": tensors})
 
     def state(self) -> dict[str, Any]:

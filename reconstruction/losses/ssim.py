@@ -19,7 +19,8 @@ def similarity_constants(data_range: float) -> tuple[float, float]:
 
 def windowed_means(images: Tensor) -> Tensor:
     """Return the Gaussian-weighted means [B, H, W] around each pixel of images [B, H, W]."""
-    offsets = torch.arange(-REACH_PX, REACH_PX + 1, dtype=images.dtype, device=images.device)
+    wide = images.double() if images.is_cuda else images  # cuDNN may keep 10 bits of float32; variances need more
+    offsets = torch.arange(-REACH_PX, REACH_PX + 1, dtype=wide.dtype, device=wide.device)
     weights = torch.exp(-0.5 * (offsets / SIGMA_PX) ** 2)
     window = weights / weights.sum()
 
@@ -27,7 +28,7 @@ def windowed_means(images: Tensor) -> Tensor:
         x = torch.nn.functional.conv2d(x[:, None], window[None, None, None, :], padding=(0, REACH_PX))
         return torch.nn.functional.conv2d(x, window[None, None, :, None], padding=(REACH_PX, 0))[:, 0]
 
-    return filtered(images) / filtered(torch.ones_like(images[:1]))
+    return (filtered(wide) / filtered(torch.ones_like(wide[:1]))).to(images.dtype)
 
 
 def ssim_map(image: Tensor, target: Tensor, data_range: float) -> Tensor:

@@ -10,7 +10,7 @@ from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.artefacts import posed
 from reconstruction.pipeline.budget import Budget, StoppedError
-from reconstruction.run.configuration import STAGES, ReconstructionConfig
+from reconstruction.run.configuration import CUDA, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 
 
@@ -30,9 +30,11 @@ def reconstruct(
 
     `started` is the process's start on the monotonic clock. With `again` (a number that grows from time to time)
     `stage` and those after it are forgotten first, also in a finished run. Raises BadRunError for a finished run,
-    another configuration, or a stage whose predecessors are missing.
+    another configuration, a stage whose predecessors are missing, or a device that is not here.
     """
     began = time.monotonic() if started is None else started
+    if config.device == CUDA and stage != STAGES[-1]:
+        _expect_device()
     recording = Recording.open(recording_path)
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
@@ -50,6 +52,13 @@ def reconstruct(
             run.finish_stage(name, spent, last=name == STAGES[-1])
             began = now
     return run
+
+
+def _expect_device() -> None:
+    """Raise BadRunError where the training would find no device: at the beginning, not after minutes of other work."""
+    from reconstruction.rendering.gsplat_backend import expect_device
+
+    expect_device()
 
 
 def _due(run: RunFolder, stage: str | None, last: str) -> list[str]:

@@ -19,7 +19,9 @@ from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.points_stage import moving_planes
 from reconstruction.pipeline.watch import Watch
+from reconstruction.rendering import gsplat_backend
 from reconstruction.rendering.render import Backend
+from reconstruction.run.configuration import CUDA
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.document import EarlyEnd, Elements
 from reconstruction.run.folder import RunFolder
@@ -118,12 +120,16 @@ def _settle_motion(run: RunFolder, recording: Recording, views: list[TrainingVie
 
 
 def trainer_of(
-    run: RunFolder, recording: Recording, backend: Backend = "native", dtype: torch.dtype = torch.float32
+    run: RunFolder, recording: Recording, backend: Backend | None = None, dtype: torch.dtype = torch.float32
 ) -> Trainer:
-    """Return the trainer as a run starts it, its motion settled; float64 takes the reference as its backend."""
+    """Return the trainer as a run starts it, its motion settled; float64 takes the reference as its backend.
+
+    Without a backend it is that of the device that the run was asked to train on.
+    """
     views, seeds = _beginning(run, recording)
     _settle_motion(run, recording, views, seeds)
     plan, method = run.plan, METHODS[run.plan.model]
+    own, device = ("gsplat", gsplat_backend.DEVICE) if run.config.device == CUDA else ("native", "cpu")
     cloud = method.start(seeds)
     light = artefacts.read_light(run)
     if light.flickers:
@@ -139,7 +145,8 @@ def trainer_of(
         times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays and plan.images not in GIVEN,
         ends_early=method.training.ends_early and run.config.steps is None,
         doublings=plan.doublings,
-        backend=backend,
+        backend=backend or own,
+        device=device,
     )
     if dtype != torch.float32:
         cloud = cloud.to(dtype)
@@ -199,7 +206,7 @@ def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
     if trainer.refinement:
         artefacts.write_rig(run.path / artefacts.REFINED_RIG, trainer.refinement.refined(recording.rig))
         run.document.refinement = trainer.refinement.report()
-    run.document.steps = trainer.steps
+    run.document.steps, run.document.backend = trainer.steps, trainer.settings.backend
     run.document.elements = Elements(cloud.unit.lower(), len(cloud.still), len(cloud.moving))
 
 

@@ -84,7 +84,7 @@ class Watch:
         for i, moving in masks.items():
             retargeted = views[i].source.retargeted(moving, partial(short_images, self.run.plan))
             known = views[i].inverse_depth
-            known = None if known is None else known * torch.from_numpy(~moving)
+            known = None if known is None else known * torch.from_numpy(~moving).to(known.device)
             views[i] = replace(views[i], source=retargeted, inverse_depth=known)
         return views
 

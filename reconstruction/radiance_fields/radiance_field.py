@@ -100,10 +100,10 @@ class RadianceField:
         depth = self.frustum.depths(rays, seen.middle)
         return View(*(image.view(camera.height, camera.width).numpy() for image in (seen.light, depth)))
 
-    def to(self, dtype: torch.dtype) -> RadianceField:
-        """Return the field itself, in its only float type; raises ReconstructionError for another."""
-        if dtype != torch.float32:
-            raise ReconstructionError(f"found a radiance field asked for as {dtype}", "float32")
+    def to(self, kind: torch.dtype | torch.device) -> RadianceField:
+        """Return the field itself, in its only form; raises ReconstructionError for another."""
+        if kind not in (torch.float32, torch.device("cpu")):
+            raise ReconstructionError(f"found a radiance field asked for as {kind}", "float32 on the CPU")
         return self
 
     def rates(self) -> Mapping[str, Rate]:

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from reconstruction.errors import ReconstructionError
+from reconstruction.errors import BadRunError, ReconstructionError
 from reconstruction.quaternions import unit
 from reconstruction.rendering.reference import LOG_SCALE_MAX, LOG_SCALE_MIN
 from reconstruction.rendering.result import GUARDS, Guards, Instantaneous, Rendering
@@ -29,6 +29,13 @@ def why_unavailable() -> str | None:
     if not torch.cuda.is_available():
         return "torch sees no CUDA device"
     return None
+
+
+def expect_device() -> None:
+    """Raise BadRunError, which says what was found, where gsplat cannot render on this machine."""
+    missing = why_unavailable()
+    if missing:
+        raise BadRunError(f"found no GPU to train on ({missing})", "gsplat and a CUDA device", "take --device cpu")
 
 
 @functools.cache

@@ -18,6 +18,7 @@ STAGES = ("plan", "poses", "images", "points", "train", "report")
 SUPERVISIONS = supervisions()
 MAPS, EVEN = "maps", "even"  # what is taken of single pixels: what a calibration found, or that all are alike
 PIXELS = (MAPS, EVEN)
+CUDA = "cuda"  # the device on which gsplat renders; nothing ever ran on one, so that auto is the processor
 CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "model": ("auto", *METHODS),
@@ -27,6 +28,7 @@ CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "refine": ("auto", "on", "off"),
         "pixels": ("auto", *PIXELS),
         "gains": ("auto", "on", "off"),
+        "device": ("auto", "cpu", CUDA),
     }
 )
 RENAMED = {"variation": "image-variation"}  # supervisions of run folders written before the first had another meaning
@@ -40,7 +42,8 @@ class ReconstructionConfig:
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
     lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `gains`: whether each camera has a
     gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
-    `window`: planes of the short images of movers (None: as the plan says). Raises BadRunError naming the field.
+    `window`: planes of the short images of movers (None: as the plan says). `device`: where the training is done; all
+    other stages take the processor. Raises BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -59,6 +62,7 @@ class ReconstructionConfig:
     gains: str = "auto"
     dust3r_checkpoint: str | None = None
     window: int | None = None
+    device: str = "auto"
 
     def __post_init__(self) -> None:
         for name, names in CHOICES.items():
@@ -67,6 +71,9 @@ class ReconstructionConfig:
         chosen = SUPERVISIONS.get(self.supervision)
         if chosen and chosen.refused:
             raise BadRunError(f"found supervision {chosen.name!r}: {chosen.refused}", do=chosen.instead)
+        if self.device == CUDA and self.model != "auto" and METHODS[self.model].rays:
+            found, do = f"found --device {CUDA} with --model {self.model}", "take --device cpu"
+            raise BadRunError(found, "a model of Gaussians: rays are marched on the processor alone", do)
         if (self.budget_s is None) == (self.steps is None):
             raise BadRunError("found both or neither of a budget in seconds and a number of steps", "one of them")
         if self.budget_s is not None and not self.budget_s > 0:

@@ -89,7 +89,7 @@ def look_again(views: Sequence[TrainingView]) -> dict[int, Mask]:
 
 def unsettled(means: Tensor, cameras: Sequence[Camera], changed: Mapping[int, Mask]) -> Tensor:
     """Return the mask [N] of `means` [N, 3] (m, rig frame) that lie in changed pixels in most views they fall into."""
-    points = means.detach().numpy().astype(np.float64)
+    points = means.detach().cpu().numpy().astype(np.float64)
     seen, hit = np.zeros(len(points), int), np.zeros(len(points), int)
     for i, camera in enumerate(cameras):
         pixels, inside = camera.project(points)

@@ -70,8 +70,8 @@ def passed_px(cloud: SceneModel, cameras: Sequence[Camera], span_s: float) -> fl
     for middle_s in np.linspace(clip.first_s, clip.last_s, LOOKS + 2)[1:-1]:
         with torch.no_grad():
             (before, early), (after, late) = (cloud.movers(middle_s + s * span_s) for s in (-0.5, 0.5))
-        there = (torch.minimum(early, late) > LEAST_OPACITY).numpy()
-        points = [means.numpy()[there].astype(np.float64) for means in (before, after)]
+        there = (torch.minimum(early, late) > LEAST_OPACITY).cpu().numpy()
+        points = [means.cpu().numpy()[there].astype(np.float64) for means in (before, after)]
         found += [_shifts_px(camera, *points) for camera in cameras]
     return float(np.quantile(np.concatenate(found), FASTEST))
 

@@ -55,7 +55,7 @@ def _set_moving(tensors: Mapping[str, Tensor], which: Tensor, fresh: Mapping[str
         elif part == "moving":
             carried[name] = torch.cat([tensor, tensors[f"still.{key}"][which]])
         elif key in fresh and (key not in BENDS or len(tensor)):
-            rows = torch.full((count, *tensor.shape[1:]), fresh[key], dtype=tensor.dtype)
+            rows = tensor.new_full((count, *tensor.shape[1:]), fresh[key])
             carried[name] = torch.cat([tensor, rows])
         else:
             carried[name] = tensor

@@ -94,7 +94,7 @@ class Lags:
     def _light(self, cloud: DynamicCloud, view: TrainingView, plane: float) -> NDArray[np.float32]:
         with torch.no_grad():
             seen = view.seen(cloud, self.clock.instant_s(plane))
-            return render(seen, view.camera, backend=self.backend).intensity[..., 0].float().numpy()
+            return render(seen, view.camera, backend=self.backend).intensity[..., 0].float().cpu().numpy()
 
     def state(self) -> dict:
         """Return plain numbers, for a checkpoint."""

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import torch
 
+from reconstruction.native import fits
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.adam import BETAS, EPS, Adam
 
@@ -22,7 +23,7 @@ def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> torch.optim.O
         start = rate.start * units[rate.unit]
         flags = {"field": rate.deforms, "moves": not name.startswith("still"), "length": rate.unit == "scene"}
         groups.append({"params": [tensor], "lr": start, "start": start, **flags})
-    if all(tensor.dtype == torch.float32 for group in groups for tensor in group["params"]):
+    if all(fits(tensor) for group in groups for tensor in group["params"]):
         return Adam(groups)
     return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 

@@ -43,22 +43,23 @@ class Refinement:
     def seen(self, cloud: DynamicCloud, instant_s: float, view: int) -> Instantaneous:
         """Return the cloud moved so that the uncorrected camera sees what the corrected one does."""
         now = cloud.at(instant_s)
-        camera, turn = self.cameras[view], _rotation(self.turns[view])
-        own = torch.from_numpy(camera.cam_from_rig.rotation).float()
+        device, camera = now.means.device, self.cameras[view]
+        turn = _rotation(self.turns[view].to(device))
+        own = torch.from_numpy(camera.cam_from_rig.rotation).float().to(device)
         whole = own.T @ turn @ own
-        center = torch.from_numpy(camera.center).float()
-        means = now.means + self._late(cloud, instant_s) * self.lags[view]
-        means = center + (means - center - self.extent_m * self.shifts[view]) @ whole.T
+        center = torch.from_numpy(camera.center).float().to(device)
+        means = now.means + self._late(cloud, instant_s) * self.lags[view].to(device)
+        means = center + (means - center - self.extent_m * self.shifts[view].to(device)) @ whole.T
         return now._replace(
             means=means,
-            quats_wxyz=_turned(own.T @ self.turns[view] / 2, now.quats_wxyz),
-            intensities=now.intensities * self.log_gains[view].exp(),
+            quats_wxyz=_turned(own.T @ self.turns[view].to(device) / 2, now.quats_wxyz),
+            intensities=now.intensities * self.log_gains[view].to(device).exp(),
         )
 
     def _late(self, cloud: DynamicCloud, instant_s: float) -> Tensor:
         """Return how far everything moves in a tick [N, 3], m."""
         if not len(cloud.moving):
-            return torch.zeros(1, 3)
+            return torch.zeros(1, 3, device=cloud.still.means.device)
         with torch.no_grad():
             later, earlier = (cloud.at(instant_s + sign * self.tick_s / 2).means for sign in (1, -1))
             return later - earlier

@@ -52,9 +52,10 @@ class SpikeTerm:
         starts = [first + i * length for i in range(parts)]
         renders = [self.image.over(cloud, view, part.camera, (start, length, nodes // parts)) for start in starts]
         light = torch.stack([r.intensity[..., 0] for r in renders])[:, good]
-        counts = torch.from_numpy(np.stack([part.counts(view, start, start + length) for start in starts]))[:, good]
+        counted = np.stack([part.counts(view, start, start + length) for start in starts])
+        counts = torch.from_numpy(counted)[:, good].to(light.device)
         known = part.noise(view)
-        noise = 1.0 if known is None else known[good]
+        noise = 1.0 if known is None else known[good].to(light.device)
         if self.loss:
             spikes = self.loss(light[0], counts[0] / length, length, noise).mean()
         else:

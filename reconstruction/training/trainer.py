@@ -48,7 +48,8 @@ class TrainerSettings:
     target image is the mean of. `refines`: whether poses, gains and lags of the views are learnt too. `times`: whether
     lags alone are looked for, where they are not learnt. `ends_early`: whether a training that no longer gains ends
     before its budget. `doublings`: shares of the training at which pictures become twice as wide and high, in order;
-    they are whole after the last. `backend`: native for float32; the reference trains in any float type.
+    they are whole after the last. `backend`: native for float32; the reference trains in any float type;
+    gsplat on a CUDA `device`, where the model, its optimiser and what it is compared with then lie.
     """
 
     supervision: str
@@ -61,6 +62,7 @@ class TrainerSettings:
     ends_early: bool = False
     doublings: tuple[float, ...] = ()
     backend: Backend = "native"
+    device: str = "cpu"
 
 
 class Trainer:
@@ -69,7 +71,7 @@ class Trainer:
     def __init__(
         self, cloud: SceneModel, views: Sequence[TrainingView], settings: TrainerSettings, clock: RigClock, seed: int
     ):
-        self.cloud = cloud
+        self.cloud = _on(settings.device, cloud)
         self.settings = settings
         self.draws = Draws(len(views), seed)
         self.steps = 0
@@ -77,15 +79,16 @@ class Trainer:
         self.closeness = Closeness(settings.white)
         self.exposure = Exposure(settings.image_planes, clock) if settings.training.deblurs else None
         self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
-        self.extent_m = extent_m(cloud, [view.camera for view in views])
+        self.extent_m = extent_m(self.cloud, [view.camera for view in views])
         self.units = {"none": 1.0, "scene": self.extent_m, "light": dimming(settings.white)}
-        self.optimizer = optimizer_of(cloud, self.units)
+        self.optimizer = optimizer_of(self.cloud, self.units)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
         self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
         self.lags = Lags(len(views), clock, settings.backend) if settings.times and not settings.refines else None
         self.views = self._corrected(views)
 
     def _corrected(self, views: Sequence[TrainingView]) -> Sequence[TrainingView]:
+        views = [view.on(self.settings.device) for view in views]
         if self.lags:
             return [replace(v, corrected=partial(self.lags.seen, view=i)) for i, v in enumerate(views)]
         if not self.refinement:
@@ -148,7 +151,7 @@ class Trainer:
 
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
-        self.cloud = model_from_state(state["cloud"])
+        self.cloud = _on(self.settings.device, model_from_state(state["cloud"]))
         self.optimizer = optimizer_of(self.cloud, self.units)
         self.optimizer.load_state_dict(state["optimizer"])
         if "draws" in state:  # not in the checkpoint of an earlier revision
@@ -176,6 +179,10 @@ class Trainer:
                 self.optimizer.state[tensor] = {"step": steps, **moments[name]}
         if self.ending:
             self.ending = Ending(len(views))
+
+
+def _on(device: str, cloud: SceneModel) -> SceneModel:
+    return cloud if device == "cpu" else cloud.to(torch.device(device))
 
 
 def _halved(view: TrainingView, times: int) -> TrainingView:
@@ -214,7 +221,7 @@ def extent_m(cloud: SceneModel, cameras: Sequence[Camera]) -> float:
     Points beyond the usual depths do not count, unless there are no others.
     """
     centers = torch.tensor(np.stack([c.center for c in cameras]), dtype=torch.float32)
-    points = cloud.positions(cloud.clip.middle_s).detach()
+    points = cloud.positions(cloud.clip.middle_s).detach().cpu()
     near = (points - centers.mean(dim=0)).norm(dim=1) < USUAL * depth_range_m(cameras)[1]
     points = points[near] if near.any() else points
     return float((points.mean(dim=0) - centers).norm(dim=1).mean())

@@ -22,7 +22,7 @@ class TrainingView:
     `corrected`: the cloud at an instant (s) as its refined pose, gain and lag show it (None: they stand as they are).
     `inverse_depth` [H, W]: of the pixels whose depth is known before the training, 1/m, else 0. `empty` [H, W]: 1 where
     nothing is, else 0; None where something is everywhere. `halvings`: how often pixels were merged, 2x2 each time,
-    since the source's.
+    since the source's. `device`: where its pictures and masks lie, as the renders that they are compared with.
     """
 
     camera: Camera
@@ -31,6 +31,14 @@ class TrainingView:
     inverse_depth: Tensor | None = None
     empty: Tensor | None = None
     halvings: int = 0
+    device: str = "cpu"
+
+    def on(self, device: str) -> TrainingView:
+        """Return the same view with its pictures and masks on `device`; itself where they are there."""
+        if device == self.device:
+            return self
+        known, empty = (None if t is None else t.to(device) for t in (self.inverse_depth, self.empty))
+        return replace(self, device=device, inverse_depth=known, empty=empty)
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """Return the Gaussians to render for this camera at an instant (s, rig clock)."""
@@ -38,7 +46,7 @@ class TrainingView:
 
     def picture(self, plane: int) -> Tensor:
         """Return the image [H, W] that it should see at `plane`, spikes per tick."""
-        image = torch.from_numpy(self.source.at(plane))
+        image = torch.from_numpy(self.source.at(plane)).to(self.device)
         for _ in range(self.halvings):
             image = halved(image)
         return image
@@ -49,7 +57,7 @@ class TrainingView:
         way = self.source.straightening
         if way is None:
             return None
-        share = torch.from_numpy(way.covered).float()
+        share = torch.from_numpy(way.covered).float().to(self.device)
         for _ in range(self.halvings):
             share = halved(share)
         return share == 1

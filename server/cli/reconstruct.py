@@ -25,6 +25,7 @@ _MORE = {  # of the help of a choice
     "pixels": "; maps are those of calibrate --pixels",
     "gains": "; a gain and a lag of each camera, where the recording tells them",
     "refine": "; learn poses, gains and lags beside the Gaussians",
+    "device": "; where the training is done. auto is cpu, since cuda, which is by gsplat, never ran",
 }
 _choices = (
     click.option(f"--{name}", default="auto", help=f"One of: {', '.join(names)}{_MORE.get(name, '')}.")
@@ -44,13 +45,6 @@ _choices = (
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint [default: {DEFAULT_BUDGET_S:g}].")
 @click.option("--steps", type=int, help="Training steps instead of a budget; repeatable to the bit.")
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option(
-    "--device",
-    type=click.Choice(["auto", "cpu"]),
-    default="auto",
-    expose_value=False,
-    help="auto is cpu, the only one so far.",
-)
 @click.option("--stage", type=click.Choice(STAGES), help="Run only this stage.")
 @click.option(
     "--again", type=int, metavar="N", help="With --stage: forget it and the later ones first; N grows with each repeat."

@@ -87,6 +87,7 @@ class ReconstructRequest(OfCapture):
     refine: Annotated[str, _choice("refine")] = "auto"
     pixels: Annotated[str, _choice("pixels")] = "auto"
     gains: Annotated[str, _choice("gains")] = "auto"
+    device: Annotated[str, _choice("device")] = "auto"
     holdout: CameraId | None = None
     views: Annotated[list[CameraId] | None, Field(min_length=2, max_length=100)] = None
     tick_stride: Annotated[int | None, Field(ge=1, le=10_000)] = None

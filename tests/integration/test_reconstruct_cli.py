@@ -8,6 +8,7 @@ import pytest
 
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack, unpack
+from reconstruction.rendering.gsplat_backend import why_unavailable
 
 
 def spike4dgs(*arguments):
@@ -81,6 +82,14 @@ def test_reconstruct_refuses_what_is_no_recording(tmp_path):
     assert refused(spike4dgs("render", tmp_path, "--cameras", "t.json", "--out", tmp_path / "o"), "run.json")
     assert refused(spike4dgs("evaluate", tmp_path / "nothing"), "run.json")
     assert refused(spike4dgs("levitate"), "levitate")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.skipif(why_unavailable() is None, reason="gsplat and a CUDA device are here")
+def test_a_gpu_that_is_not_here_is_refused_before_anything_else(tmp_path):
+    result = spike4dgs("reconstruct", tmp_path / "rec", "--device", "cuda", "--out", tmp_path / "run")
+    assert refused(result, f"found no GPU to train on ({why_unavailable()})", "expected gsplat and a CUDA device")
+    assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "run").exists()
 
 

@@ -1,6 +1,7 @@
 // The words of the page: one for each option, type of job and status, wherever it is shown.
 export const OPTIONS = {
   model: 'Motion model', images: 'Images', init: 'Poses and points', supervision: 'Spike loss', refine: 'Refine poses', pixels: 'Pixels', gains: 'Gains and lags',
+  device: 'Device to train on',
   holdout: 'Camera to score on', views: 'Cameras to train on', tick_stride: 'Planes between instants',
   budget_s: 'Time budget (s)', steps: 'Steps', seed: 'Seed', name: 'Name', priority: 'Priority (lower is sooner)',
   board: 'Board', method: 'Method', ticks: 'Planes A:B:STEP', format: 'Format', at_s: 'Instant (s)', frames: 'Frames',

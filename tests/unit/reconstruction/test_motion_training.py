@@ -78,6 +78,10 @@ def cloud(kind: str, speed: float = 0.0) -> DynamicCloud:
 
 @pytest.fixture(scope="module")
 def view() -> TrainingView:
+    return recorded_view()
+
+
+def recorded_view() -> TrainingView:
     """Record blobs that cross 60 cm with an ideal sensor."""
     truth = cloud("polynomial", 0.6)
     with torch.no_grad():

@@ -231,6 +231,9 @@ def test_a_plan_without_prices_is_read():
         ({"budget_s": float("nan")}, "found the budget nan"),
         ({"budget_s": None, "steps": 0}, "found 0 steps"),
         ({"holdout": "cam11", "views": ("cam11",)}, "both held out and among"),
+        ({"device": "tpu"}, "found device 'tpu', expected one of auto, cpu, cuda"),
+        ({"device": "cuda", "model": "spikenerf"}, "found --device cuda with --model spikenerf, expected a model of"),
+        ({"device": "cuda", "model": "dy-spikenerf"}, "--model dy-spikenerf.*; take --device cpu"),
     ],
 )
 def test_impossible_configurations_are_refused(options, message):

@@ -33,6 +33,14 @@ def test_another_configuration_is_refused(tmp_path):
         start(tmp_path, ReconstructionConfig(steps=6, budget_s=None))
 
 
+def test_a_run_of_before_there_was_a_device_resumes(tmp_path):
+    file = start(tmp_path).path / "run.json"
+    document = json.loads(file.read_text())
+    assert document["configuration"].pop("device") == "auto"
+    file.write_text(json.dumps(document))
+    assert start(tmp_path).config == CONFIG
+
+
 def test_a_finished_run_is_not_overwritten(tmp_path):
     run = start(tmp_path)
     run.document.status = "finished"

@@ -36,7 +36,7 @@ def test_arguments_of_a_reconstruction() -> None:
     assert found == [
         *("reconstruct", "rec", "--out", "run", "--stage", "train", "--again", "2"),
         *("--model", "linear", "--images", "auto", "--init", "auto", "--supervision", "auto", "--refine", "auto"),
-        *("--pixels", "auto", "--gains", "auto"),
+        *("--pixels", "auto", "--gains", "auto", "--device", "auto"),
         *("--holdout", "cam11", "--steps", "7", "--seed", "0", "--views", "cam00,cam02"),
     ]
     assert "--again" not in reconstruct_arguments(request, "report", Path("rec"), Path("run"), restart)
