@@ -28,7 +28,7 @@ STEPS_SHARE = 0.1  # share of the bench that times single steps
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured: runs as contenders and budgets in seconds, in turns; sizes of steps; turns of each.
+    """The amount that is measured: runs as contenders and budgets in seconds, in turns; sizes of steps; turns of each.
 
     `loaded`: the size of the steps beside a busy process.
     """

@@ -102,7 +102,7 @@ def run_to_end(contender: Contender, recording: Path, out: Path, budget_s: float
 
 
 class Usage(NamedTuple):
-    """What a process took: processor seconds, and the most memory it held, in MB."""
+    """The processor seconds that a process took, and the most memory it held, in MB."""
 
     cpu_s: float
     peak_mb: float

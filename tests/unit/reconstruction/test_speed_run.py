@@ -20,7 +20,8 @@ assert sys.argv[1:3] == ["reconstruct", "some recording"] and sys.argv[-5:-3] ==
 held = bytearray(200_000_000)
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 out.mkdir()
-run = {"revision": "older", "seconds": {"train": 1.0, "report": 0.25}, "steps": 7, "gaussians": {"still": 3, "moving": 2}}
+run = {"revision": "older", "seconds": {"train": 1.0, "report": 0.25}, "steps": 7}
+run["gaussians"] = {"still": 3, "moving": 2}
 (out / "run.json").write_text(json.dumps(run))
 (out / "metrics.json").write_text(json.dumps({"psnr_db": 30.0, "abs_rel": 0.1, "ssim": 0.9}))
 import time; time.sleep(0.4)
