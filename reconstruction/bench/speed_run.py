@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from acquisition.bench_document import Stolen
-from reconstruction.bench import step_times
 from reconstruction.bench.conventions import HOLDOUT
 from reconstruction.errors import BadRunError, ReconstructionError
 
@@ -27,6 +26,7 @@ SCORES = ("psnr_db", "dynamic_psnr_db", "abs_rel")
 SLEEPING = {"OMP_WAIT_POLICY": "passive"}
 FOREIGN = ("PYTHONPATH", "PYTHONHOME")  # variables that would lead an installed command to other code
 ALONE = "-P"  # of Python: neither the folder of a script nor the caller's shadows what is installed
+STEPPER = Path(__file__).with_name("step_times.py")  # run by the Python of either revision
 LOOK_S = 0.05  # seconds between two looks at a running process
 BUSY = ("-c", "while True: pass")
 
@@ -193,7 +193,7 @@ class Steppers:
 
 
 def _stepper(contender: Contender) -> subprocess.Popen[str]:
-    command = [contender.python, ALONE, step_times.__file__]
+    command = [contender.python, ALONE, STEPPER]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=contender.environment())
 
