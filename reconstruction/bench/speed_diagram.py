@@ -6,7 +6,16 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from reconstruction.bench.figures import COLOURS, caption, db_scale, log_axes, new_figure, relative_error, write_figure
+from reconstruction.bench.figures import (
+    COLOURS,
+    SIZE,
+    caption,
+    db_scale,
+    log_axes,
+    new_figure,
+    relative_error,
+    write_figure,
+)
 from reconstruction.bench.speed_run import NEW, OLD
 from reconstruction.bench.speed_summary import clips_of, ends
 
@@ -25,7 +34,9 @@ def plot_speed(path: Path, document: dict) -> None:
         return
     across = min(COLUMNS, len(clips))
     down = math.ceil(len(clips) / across)
-    figure = new_figure("Error against run time: ends of runs", (PANEL[0] * across, 0.8 + PANEL[1] * down))
+    figure = new_figure(
+        "Error against run time: ends of runs", (max(SIZE[0], PANEL[0] * across), 0.8 + PANEL[1] * down)
+    )
     panels = figure.subplots(down, across, squeeze=False).flat
     for number, (axes, clip) in enumerate(zip(panels, clips, strict=False)):
         _panel(axes, ends(rows, clip))

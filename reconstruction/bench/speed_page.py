@@ -1,6 +1,8 @@
 """Writes the page of the speed bench: ends of runs, gains, times to a level, stages, and single steps."""
 
 from collections.abc import Callable, Sequence
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 from acquisition.durable import write_durably
@@ -85,12 +87,18 @@ def _gains(document: dict) -> str:
 
 
 def _times(document: dict) -> str:
+    """Return the least budgets that end at each level, or at each of several levels with the same answer."""
     rows, lines = document["rows"], []
     for clip in clips_of(rows):
         for (score, _), what in zip(LEVELS, ("whole", "movers"), strict=True):
-            for level in levels_db(ends(rows, clip), score):
-                found = [level_seconds(ends(rows, clip, which), score, level) for which in (OLD, NEW)]
-                lines.append([clip, what, str(level), *("-" if s is None else f"{s:g}" for s in found)])
+            reached = [
+                (level, [level_seconds(ends(rows, clip, which), score, level) for which in (OLD, NEW)])
+                for level in levels_db(ends(rows, clip), score)
+            ]
+            for found, alike in groupby(reached, key=itemgetter(1)):
+                first, *others = (str(level) for level, _ in alike)
+                levels = f"{first} to {others[-1]}" if others else first
+                lines.append([clip, what, levels, *("-" if s is None else f"{s:g}" for s in found)])
     return _table(("scene", "pixels", "level / dB", "old: least budget / s", "new: least budget / s"), lines)
 
 

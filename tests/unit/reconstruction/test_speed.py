@@ -138,7 +138,8 @@ def test_the_page_has_every_table_and_names_both_revisions(tmp_path):
     assert "revision NEW against OLD, a processor" in text
     assert "| a | new@20 | 31.70 | 26.50 | 0.0120 | 20.5 | 100 | 48,000 | 500 | 0.000 |" in text
     assert "| least | new@20 - old@60 | -0.50 | -0.50 |  |" in text
-    assert "| a | whole | 32 | - | 60 |" in text
+    assert "| a | whole | 29 to 31 | 60 | 20 |\n| a | whole | 32 to 33 | - | 60 |" in text
+    assert "| a | whole | 28 | 20 | 20 |" in text
     assert "| a | 60 | points | 8.00 | 4.00 | 2.00 |" in text
     assert f"| {SMALL.label} | 2 | 30.0 | 12.0 | 2.50 | 2.00 | 0.50 | 0.20 |" in text
     assert "| new | 20.0 | 30.0 | 1.50 |" in text
