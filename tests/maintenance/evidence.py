@@ -23,6 +23,7 @@ from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import held_out_used, write_tables
 from reconstruction.bench.score_run import METRICS
+from reconstruction.bench.speed_page import write_page as write_speed_page
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training.curve import plot_curves
 
@@ -95,6 +96,8 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
     for name, document in documents.items():
         if name == "paper":
             write_tables(folder / "paper.md", document, PROTOCOL)
+        elif name == "speed":
+            write_speed_page(folder / "speed.md", document)
         else:
             write_durably(folder / f"{name}.md", page(name, document).encode())
 

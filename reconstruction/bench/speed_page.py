@@ -1,0 +1,151 @@
+"""Writes the page of the speed bench: ends of runs, gains, times to a level, stages, and single steps."""
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+
+from acquisition.durable import write_durably
+from reconstruction.bench.paper.tables import markdown
+from reconstruction.bench.speed_run import NEW, OLD
+from reconstruction.bench.speed_summary import (
+    LEVELS,
+    LOADED,
+    STAGE,
+    STEPS,
+    clips_of,
+    end_name,
+    ends,
+    level_seconds,
+    levels_db,
+    longest_pair,
+    stages_of,
+)
+
+ABOUT = (
+    "Both revisions in turns, in one sitting on one machine. A run is a process of its own; a point is the end of a "
+    "run with that budget. Seconds are wall seconds from the start of the process to its last checkpoint. Idle threads "
+    "sleep, as where the service runs a stage. `stolen`: share of the processors' time that other guests took."
+)
+END_FORMS = (
+    ("psnr_db", "PSNR / dB", ".2f"),
+    ("dynamic_psnr_db", "movers / dB", ".2f"),
+    ("abs_rel", "Abs Rel", ".4f"),
+    ("seconds", "seconds", ".1f"),
+    ("steps", "steps", ",.0f"),
+    ("gaussians", "Gaussians", ",.0f"),
+    ("peak_mb", "memory / MB", ",.0f"),
+    ("stolen", "stolen", ".3f"),
+)
+GAIN_FORMS = (("psnr_db", "+.2f"), ("dynamic_psnr_db", "+.2f"), ("abs_rel", "+.4f"))
+
+
+def write_page(path: Path, document: dict) -> None:
+    """Write the page of a document of the speed bench."""
+    write_durably(path, page(document).encode())
+
+
+def page(document: dict) -> str:
+    """Return the page of a document of the speed bench."""
+    device, rows = document["device"], document["rows"]
+    old = sorted({row["revision"] for row in rows if row["which"] == OLD})
+    against = f" against {', '.join(old)}" if old else ""
+    head = f"`spike4dgs bench speed`, revision {document['revision']}{against}, {device['processor']}, "
+    head += f"{device['threads']} threads; drawn from [speed.json](speed.json)."
+    parts = ["# Speed", head, ABOUT]
+    for title, table in TABLES.items():
+        found = table(document)
+        parts += [f"## {title}", found] if found else []
+    if document["omissions"]:
+        parts += ["## Omissions", "\n".join(f"- {line}" for line in document["omissions"])]
+    return "\n\n".join(parts) + "\n"
+
+
+def _ends(document: dict) -> str:
+    rows = document["rows"]
+    lines = [
+        [clip, end_name(row), *(format(row[key], form) if key in row else "" for key, _, form in END_FORMS)]
+        for clip in clips_of(rows)
+        for row in ends(rows, clip)
+    ]
+    return _table(("scene", "run", *(label for _, label, _ in END_FORMS)), lines)
+
+
+def _gains(document: dict) -> str:
+    """Return new less old: a gain in dB, a loss in depth where Abs Rel is positive."""
+    found: dict[tuple[str, str], dict[str, float]] = {}
+    for key, value in document["summary"].items():
+        clip, _, rest = key.partition(".")
+        pair, _, score = rest.rpartition(".")
+        if f"-{OLD}@" in pair:
+            found.setdefault((clip, pair.replace(f"-{OLD}", f" - {OLD}")), {})[score] = value
+    lines = [
+        [*names, *(format(scores[key], form) if key in scores else "" for key, form in GAIN_FORMS)]
+        for names, scores in found.items()
+    ]
+    return _table(("scene", "new - old", "PSNR / dB", "movers / dB", "Abs Rel"), lines)
+
+
+def _times(document: dict) -> str:
+    """Return the least budgets that end at each level, or at each of several levels with the same answer."""
+    rows, lines = document["rows"], []
+    for clip in clips_of(rows):
+        for (score, _), what in zip(LEVELS, ("whole", "movers"), strict=True):
+            reached = [
+                (level, [level_seconds(ends(rows, clip, which), score, level) for which in (OLD, NEW)])
+                for level in levels_db(ends(rows, clip), score)
+            ]
+            for found, alike in groupby(reached, key=itemgetter(1)):
+                first, *others = (str(level) for level, _ in alike)
+                levels = f"{first} to {others[-1]}" if others else first
+                lines.append([clip, what, levels, *("-" if s is None else f"{s:g}" for s in found)])
+    return _table(("scene", "pixels", "level / dB", "old: least budget / s", "new: least budget / s"), lines)
+
+
+def _stages(document: dict) -> str:
+    lines = []
+    for clip in clips_of(document["rows"]):
+        pair = longest_pair(ends(document["rows"], clip))
+        for stage in stages_of(pair) if pair else ():
+            before, now = (row[f"{STAGE}{stage}"] for row in pair or ())
+            ratio = f"{before / now:.2f}" if now else ""
+            lines.append(
+                [clip, f"{pair[0]['budget_s']:g}" if pair else "", stage, f"{before:.2f}", f"{now:.2f}", ratio]
+            )
+    return _table(("scene", "budget / s", "stage", "old / s", "new / s", "old / new"), lines)
+
+
+def _steps(document: dict) -> str:
+    summary, lines = document["summary"], []
+    for row in (r for r in document["rows"] if r["part"] == STEPS and r["which"] == NEW):
+        start = f"{STEPS}.{row['size']}"
+        keys = [f"{start}.threads{row['threads']}.{k}" for k in ("old_ms", "new_ms", "x_old", "median_x_old")]
+        shares = [f"{start}.{which}_serial_share" for which in (OLD, NEW)] if row["threads"] > 1 else ["", ""]
+        forms = (".1f", ".1f", ".2f", ".2f", ".2f", ".2f")
+        values = [format(summary[k], f) if k in summary else "" for k, f in zip([*keys, *shares], forms, strict=True)]
+        lines.append([row["size"], str(row["threads"]), *values])
+    columns = ("Gaussians and picture", "threads", "old / ms", "new / ms", "old / new", "of the medians")
+    return _table((*columns, "old: serial share", "new: serial share"), lines)
+
+
+def _loaded(document: dict) -> str:
+    summary, lines = document["summary"], []
+    for which in (OLD, NEW):
+        if f"{LOADED}.{which}.slowdown" in summary:
+            quiet, loaded, times = (summary[f"{LOADED}.{which}.{k}"] for k in ("quiet_ms", "loaded_ms", "slowdown"))
+            lines.append([which, f"{quiet:.1f}", f"{loaded:.1f}", f"{times:.2f}"])
+    return _table(("revision", "quiet / ms", "beside a busy thread / ms", "times as long"), lines)
+
+
+def _table(columns: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    return markdown(columns, lines) if lines else ""
+
+
+TABLES: dict[str, Callable[[dict], str]] = {
+    "Ends of runs": _ends,
+    "Gains": _gains,
+    "Seconds to a level": _times,
+    "Stages": _stages,
+    "Single steps": _steps,
+    "Beside a busy process": _loaded,
+}
