@@ -12,7 +12,7 @@ from acquisition.durable import made_aside
 from acquisition.progress import Progress
 from reconstruction.native import shared_out
 from reconstruction.report.display import Pixels, depth_span_m, grey
-from reconstruction.report.pictures import depth_colours
+from reconstruction.report.pictures import depth_colours, of_moderate_size
 from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -21,7 +21,6 @@ from rigs.transform import Transform
 RATE_HZ = 24  # pictures a second
 VIDEO = {"preset": "veryfast", "crf": "18", "movflags": "+faststart"}  # half of the default preset's time, as good
 FRAMES = 120  # of the fly-through
-MOST_PX = 400_000  # pixels of the fly-through's picture, and of its depth; larger ones are halved
 SHARE = 0.8  # share of the array's half width, so that the circle lies inside what the cameras saw
 
 
@@ -43,11 +42,9 @@ def write_orbit(
 ) -> None:
     """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle.
 
-    Pictures are as large as those of `centre`, or halved until they have MOST_PX or less.
+    Pictures are as large as those of `centre`, or of moderate size.
     """
-    clip = cloud.clip
-    while centre.width * centre.height > MOST_PX:
-        centre = centre.halved()
+    clip, centre = cloud.clip, of_moderate_size(centre)
     near, far = depth_span_m(cloud.look(centre, clip.middle_s).depth)
     distance = 2 / (1 / near + 1 / far)
 

@@ -13,7 +13,7 @@ import pytest
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.export.splats import splats_at
-from reconstruction.report import video
+from reconstruction.report import pictures
 from reconstruction.report.display import grey
 from reconstruction.report.pictures import depth_colours
 from rigs.exchange.colmap import load_model
@@ -111,7 +111,7 @@ def test_a_video_without_a_camera_is_the_orbit_with_its_depth(scene_with, tmp_pa
 
 
 def test_large_pictures_of_an_orbit_are_halved(scene_with, tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "MOST_PX", 64 * 41 - 1)
+    monkeypatch.setattr(pictures, "MOST_PX", 64 * 41 - 1)
     export_scene(scene_with("linear"), "video", tmp_path / "orbit.mp4", Choices(frames=2))
     assert [picture.shape for picture in frames_of(tmp_path / "orbit.mp4")] == [(20, 64)] * 2
 
