@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 Int, Long, Float, Double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
 Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type that goes with `addresses`
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def kernel(name: str, *argument_types: Any, returns: Any = None) -> Kernel:
