@@ -57,7 +57,7 @@ def shared_out(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterato
     """Yield what `work` makes of each item, in their order, as many at a time as torch has threads.
 
     Each is made by one thread, its kernels and torch's operations included: no core waits for another at the end of
-    every loop. Items are taken a few ahead of what is yielded.
+    every loop. A few items are taken ahead, and no more.
     """
     import torch
 

@@ -69,9 +69,7 @@ def train_stage(
         budget.spent_s = saved["elapsed_s"]
         budget.started = budget.clock()
     saver = _Saver(run, trainer, budget, watch)
-    preview = Preview(run, recording.rig, trainer.settings.white, budget.clock)
-    preview.draw(trainer.cloud, trainer.steps)
-    progress(trainer.done(budget.done(trainer.steps)), f"step {trainer.steps}, the first picture is drawn")
+    preview = _shown(run, recording, trainer, budget, progress)
 
     def on_step(done: float, loss: float) -> None:
         watch.look(done, saver.checkpoint)
@@ -99,6 +97,14 @@ def train_stage(
             f"this is the beginning, not a result; give it {3 * began_s:.0f} s or more"
         )
     _record(run, recording, trainer)
+
+
+def _shown(run: RunFolder, recording: Recording, trainer: Trainer, budget: Budget, progress: Progress) -> Preview:
+    """Draw how the training begins, say so, and return what goes on drawing."""
+    preview = Preview(run, recording.rig, trainer.settings.white, budget.clock)
+    preview.draw(trainer.cloud, trainer.steps)
+    progress(trainer.done(budget.done(trainer.steps)), f"step {trainer.steps}, its first picture is drawn")
+    return preview
 
 
 def _settle_motion(run: RunFolder, recording: Recording, views: list[TrainingView], seeds: Seeds) -> None:

@@ -34,7 +34,7 @@ class Page(Items[Item], Generic[Item]):
 
 
 class Preview(BaseModel):
-    """The newest picture of what a reconstruction has learnt; `at` is when it was drawn, in seconds since 1970.
+    """The newest picture that a training has drawn of its scene; `at` is when it was drawn, in seconds since 1970.
 
     It is rendered as `camera` would see the scene, after `steps` steps of training. None of that camera's spikes are
     in it where it is held out.

@@ -67,7 +67,7 @@ class PictureService:
             return self._drawn(recording.path, camera_id, plane, white)
 
     def preview(self, job_id: str) -> Picture:
-        """Return the newest picture of what a job has learnt; raises NotFoundError where it has none."""
+        """Return the newest picture that a training has drawn of its scene; raises NotFoundError where it has none."""
         entry = self._store.entries.get("job", job_id)
         try:
             return Picture.of((self._store.folder.run(entry.id) / "preview.png").read_bytes())

@@ -37,7 +37,7 @@ def write_results(run: Path) -> None:
 
 
 def write_preview(run: Path, steps: int) -> None:
-    """What a training has learnt after so many steps: a ball that is elsewhere each time."""
+    """Picture of a training after so many steps: a ball that is elsewhere each time."""
     write_durably(run / "preview.png", cv2.imencode(".png", frame(steps / 700))[1].tobytes())
     write_json(run / "preview.json", {"camera": "cam11", "steps": steps})
 
