@@ -14,9 +14,9 @@ from reconstruction.run.folder import PREVIEW, RunFolder
 from reconstruction.scene_model import SceneModel
 from rigs.rig import Rig
 
-SECOND_S = 1.0  # seconds from the first picture to the second, by which most of the error is gone
-GROWTH = 0.5  # share of the training so far that passes until the next picture
-COST = 100  # times what a picture took that pass until the next one
+SOON_S = 1.0  # seconds between the first pictures; most of the error is gone by the second
+GROWTH = 0.5  # share of the training so far that passes until the next picture, later on
+FREE_S, SHARE = 0.1, 0.01  # seconds of drawing at any time, and share of the training's seconds beyond them
 
 
 class Preview:
@@ -29,12 +29,13 @@ class Preview:
         own = rig.camera(run.config.holdout) if run.config.holdout else rig.cameras[len(rig.cameras) // 2]
         self.run, self.white, self.clock = run, white, clock
         self.camera = of_moderate_size(own)
-        self.began: float | None = None  # when the first picture was drawn
-        self.due = 0.0
+        self.began = clock()
+        self.due, self.spent_s = self.began, 0.0
 
     def keep(self, model: SceneModel, steps: int) -> None:
         """Draw what `model` shows after so many steps, where a picture is due."""
-        if self.began is None or self.clock() >= self.due:
+        now = self.clock()
+        if now >= self.due and self.spent_s <= FREE_S + SHARE * (now - self.began):
             self.draw(model, steps)
 
     def draw(self, model: SceneModel, steps: int) -> None:
@@ -46,7 +47,5 @@ class Preview:
         write_durably(picture, encode_png(grey(view.intensity, self.white)))
         write_json(told, {"camera": self.camera.id, "steps": steps})
         now = self.clock()
-        if self.began is None:
-            self.began, self.due = now, now + SECOND_S
-        else:
-            self.due = now + max(GROWTH * (now - self.began), COST * (now - before))
+        self.spent_s += now - before
+        self.due = now + max(SOON_S, GROWTH * (now - self.began))
