@@ -176,7 +176,8 @@ function thumbnail(item) {
 // What a training has learnt so far: in the thumbnail's place until there is one, and of its size from the beginning.
 function learnt(item) {
   const { preview: found, id } = item, address = `/v1${path(item, '/preview')}`;
-  if (item.type !== 'reconstruct' || !(found || item.status === 'running')) return null;
+  const kept = item.status === 'done' ? byId(`preview-${id}`) : found; // until the thumbnails are learnt
+  if (item.type !== 'reconstruct' || !(kept || item.status === 'running')) return null;
   const figure = (shown, caption) => element('figure', { id: `preview-${id}`, className: 'learnt' }, shown, element('figcaption', { className: 'quiet' }, caption));
   if (!found) return figure(element('p', { className: 'quiet empty' }, 'A first rendering comes as training begins'), '');
   const alt = `What ${id} has learnt by step ${found.steps}, as ${found.camera} would see it`;

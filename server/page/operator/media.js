@@ -20,7 +20,7 @@ export async function setSource(image, path) {
 
 // A picture that is renewed under one name: each `version` takes the place of the one before when it is there.
 export function renewed(id, path, version, alt) {
-  const made = element('img', { id, alt, decoding: 'async' });
+  const made = element('img', { id, alt, loading: token() ? 'eager' : 'lazy', decoding: 'async' });
   const seen = byId(id) ?? made; // merging leaves the sources of the one on the page as they are
   setSource(seen, `${path}?of=${version}`).catch(() => {});
   Object.assign(made.dataset, { source: path, path: seen.dataset.path });
