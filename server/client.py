@@ -123,6 +123,6 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
         """Return a small picture of the reconstruction."""
         return self._send("GET", f"/jobs/{job_id}/thumbnail").content
 
-    def preview(self, job_id: str) -> bytes:
+    def job_preview(self, job_id: str) -> bytes:
         """Return what a reconstruction has learnt so far, as PNG: rendered as `Job.preview` says."""
         return self._send("GET", f"/jobs/{job_id}/preview").content

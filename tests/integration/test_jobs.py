@@ -307,7 +307,7 @@ def test_the_archive_and_the_thumbnail(client: ServiceClient, capture: Capture, 
 def test_a_preview_is_what_the_training_drew_last(client: ServiceClient, data: Path, done: str) -> None:
     assert client.job(done).preview is None
     with pytest.raises(RefusedError, match="no preview"):
-        client.preview(done)
+        client.job_preview(done)
     run = data / "jobs" / done / "run"
     (run / "preview.png").write_bytes(b"\x89PNG first")
     (run / "preview.json").write_text('{"camera": "cam11", "steps": 40}')
@@ -318,7 +318,7 @@ def test_a_preview_is_what_the_training_drew_last(client: ServiceClient, data: P
     assert (told.camera, told.steps) == ("cam11", 40)
     assert told.at == pytest.approx((run / "preview.json").stat().st_mtime)
     assert next(job for job in client.jobs() if job.id == done).preview == told
-    assert client.preview(done) == b"\x89PNG first"
+    assert client.job_preview(done) == b"\x89PNG first"
     found = client._http.get(f"/v1/jobs/{done}/preview?of=1")
     assert (found.headers["Content-Type"], found.headers["Cache-Control"]) == ("image/png", "no-cache")
     known = {"If-None-Match": found.headers["ETag"]}
