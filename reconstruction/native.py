@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any
+from contextvars import ContextVar, copy_context
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from acquisition.native import Address, Kernel
 
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
 
 Int, Long, Float, Double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
 Addresses = ctypes.POINTER(ctypes.c_void_p)  # argument type that goes with `addresses`
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def kernel(name: str, *argument_types: Any, returns: Any = None) -> Kernel:
@@ -47,6 +51,32 @@ def kernels_alone() -> Iterator[None]:
     finally:
         torch.set_num_threads(before)
         _team.reset(token)
+
+
+def shared_out(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Yield what `work` makes of each item, in their order, as many at a time as torch has threads.
+
+    Each is made by one thread, its kernels and torch's operations included: no core waits for another at the end of
+    every loop. A few items are taken ahead, and no more.
+    """
+    import torch
+
+    team, under_way = threads(), deque[Future[Result]]()
+
+    def alone(item: Item) -> Result:
+        _team.set(1)  # of the item's own context
+        return work(item)
+
+    with kernels_alone(), ThreadPoolExecutor(team, "shared", torch.set_num_threads, (1,)) as pool:
+        try:
+            for item in items:
+                under_way.append(pool.submit(copy_context().run, alone, item))
+                if len(under_way) > team:
+                    yield under_way.popleft().result()
+            while under_way:
+                yield under_way.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def addresses(*tensors: Tensor | None) -> ctypes.Array:

@@ -122,3 +122,7 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
     def thumbnail(self, job_id: str) -> bytes:
         """Return a small picture of the reconstruction."""
         return self._send("GET", f"/jobs/{job_id}/thumbnail").content
+
+    def job_preview(self, job_id: str) -> bytes:
+        """Return what a reconstruction has learnt so far, as PNG: rendered as `Job.preview` says."""
+        return self._send("GET", f"/jobs/{job_id}/preview").content

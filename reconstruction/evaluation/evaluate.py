@@ -15,8 +15,10 @@ from reconstruction.images.composite import CompositeSource
 from reconstruction.images.pixels import read_pixels
 from reconstruction.images.response import Response
 from reconstruction.initialization.gains import DARKEST
+from reconstruction.initialization.sweep import depth_range_m, neighbours
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
+from reconstruction.native import shared_out
 from reconstruction.rendering.bent import seen_through
 from reconstruction.scene_model import SceneModel, View
 from reconstruction.truth import Truth, TruthFrame, spread
@@ -26,6 +28,7 @@ from rigs.straight import straightening, view_of
 
 INSTANTS = 8  # truth instants that a run is scored on
 Posed = tuple[Camera, CompositeSource]
+Image = NDArray[np.float32]
 COUNT_WINDOW = 32  # planes that a count error is taken over
 PLACING_WINDOWS = 4  # windows of spikes that a camera is placed by
 
@@ -69,37 +72,49 @@ def score_against_truth(
     cloud: SceneModel, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
 ) -> dict[str, float]:
     """Return means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
-    clock, frames = held_out.recording.rig.clock, _frames(held_out, truth, instants)
-    views = (cloud.look(held_out.camera, clock.instant_s(frame.plane - truth.lag_ticks)) for frame in frames)
-    return _mean([score_view(view, frame, truth.white) for view, frame in zip(views, frames, strict=True)])
+    clock = held_out.recording.rig.clock
+
+    def scored(plane: int) -> dict[str, float]:
+        frame = _frame(held_out, truth, plane)
+        view = cloud.look(held_out.camera, clock.instant_s(plane - truth.lag_ticks))
+        return score_view(view, frame, truth.white)
+
+    return _mean(list(shared_out(scored, _planes(held_out, truth, instants))))
 
 
 def score_floors(
     held_out: HeldOut, truth: Truth, sources: Mapping[str, Posed], progress: Progress = silent
 ) -> dict[str, float]:
     """Return the same metrics of both floors, named nearest_view.* and depth_blend.*, on the same instants."""
-    frames = _frames(held_out, truth, INSTANTS)
-    scores: dict[str, list[dict[str, float]]] = {"nearest_view": [], "depth_blend": []}
-    for i, frame in enumerate(frames):
-        views = [(camera, source.at(frame.plane)) for camera, source in sources.values()]
-        blend = seen_through(held_out.camera, lambda pinhole: depth_blend(pinhole, views))  # noqa: B023
-        nearest = seen_through(held_out.camera, lambda pinhole: nearest_view(pinhole, views))  # noqa: B023
-        scored = score_view(nearest, frame, truth.white)
-        scores["nearest_view"].append({k: v for k, v in scored.items() if "delta" not in k})  # it knows no depth
-        scores["depth_blend"].append(score_view(blend, frame, truth.white))
-        progress((i + 1) / len(frames), f"floors at instant {i + 1} of {len(frames)}")
-    return {f"{name}.{key}": value for name, rows in scores.items() for key, value in _mean(rows).items()}
+    cameras, planes = [camera for camera, _ in sources.values()], _planes(held_out, truth, INSTANTS)
+    near, span_m = [list(sources.values())[i] for i in neighbours(held_out.camera, cameras)], depth_range_m(cameras)
+
+    def scored(instant: tuple[int, Sequence[tuple[Camera, Image]]]) -> tuple[dict[str, float], dict[str, float]]:
+        frame, views = _frame(held_out, truth, instant[0]), instant[1]
+        nearest = seen_through(held_out.camera, lambda pinhole: nearest_view(pinhole, views))
+        blend = seen_through(held_out.camera, lambda pinhole: depth_blend(pinhole, views, span_m))
+        plain = {k: v for k, v in score_view(nearest, frame, truth.white).items() if "delta" not in k}
+        return plain, score_view(blend, frame, truth.white)  # the nearest view knows no depth
+
+    views = ((plane, [(camera, source.at(plane)) for camera, source in near]) for plane in planes)
+    rows = []
+    for row in shared_out(scored, views):
+        rows.append(row)
+        progress(len(rows) / len(planes), f"floors at instant {len(rows)} of {len(planes)}")
+    named = zip(("nearest_view", "depth_blend"), zip(*rows, strict=True), strict=True)
+    return {f"{name}.{key}": value for name, scores in named for key, value in _mean(scores).items()}
 
 
 def score_against_counts(cloud: SceneModel, held_out: HeldOut) -> dict[str, float]:
     """Return errors of spike counts over 32-plane windows of the held-out camera, in spikes, where no truth exists."""
     clock = held_out.recording.rig.clock
     window, firsts = held_out.windows()
-    errors = []
-    for first in spread(firsts, INSTANTS):
+
+    def gap(first: int) -> Image:
         expected = cloud.look(held_out.camera, clock.instant_s(first + (window - 1) / 2)).intensity * window
-        errors.append(expected - held_out.rate(first, first + window) * window)
-    gaps = np.stack(errors)
+        return expected - held_out.rate(first, first + window) * window
+
+    gaps = np.stack(list(shared_out(gap, spread(firsts, INSTANTS))))
     return {"counts.mae": float(np.abs(gaps).mean()), "counts.rmse": float(np.sqrt((gaps**2).mean()))}
 
 
@@ -161,13 +176,17 @@ def score_view(view: View, frame: TruthFrame, white: float) -> dict[str, float]:
     return scores
 
 
-def _frames(held_out: HeldOut, truth: Truth, instants: int) -> list[TruthFrame]:
-    camera_id = held_out.camera.id
-    frames = [truth.frame(camera_id, plane) for plane in spread(truth.planes(camera_id), instants)]
-    expected = (held_out.camera.height, held_out.camera.width)
-    if frames[0].intensity.shape != expected:
-        raise BadRunError(f"found truth of shape {frames[0].intensity.shape}", f"{expected} as {camera_id} records")
-    return frames
+def _planes(held_out: HeldOut, truth: Truth, instants: int) -> list[int]:
+    return spread(truth.planes(held_out.camera.id), instants)
+
+
+def _frame(held_out: HeldOut, truth: Truth, plane: int) -> TruthFrame:
+    """Return the truth at a plane; raises BadRunError for one of another size than the camera records."""
+    camera = held_out.camera
+    frame, expected = truth.frame(camera.id, plane), (camera.height, camera.width)
+    if frame.intensity.shape != expected:
+        raise BadRunError(f"found truth of shape {frame.intensity.shape}", f"{expected} as {camera.id} records")
+    return frame
 
 
 def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND, UNEVEN, and RESPONSE for the views that are;
 points STILL, MOVERS, DEPTH, GAINS, EMPTY for the views that are, and BODIES for the model `bases`; train checkpoint.pt,
-snapshots/ and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4, thumbnails/,
-viewer.json, viewer.bin.
+snapshots/, preview.* and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4,
+thumbnails/, viewer.json, viewer.bin.
 """
 
 from __future__ import annotations

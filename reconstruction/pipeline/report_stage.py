@@ -1,5 +1,7 @@
 """Scores a run on its held-out camera, and writes everything that a person looks at."""
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 
 from acquisition.durable import write_durably, write_json
@@ -18,6 +20,7 @@ from reconstruction.evaluation.evaluate import (
 from reconstruction.export.viewer import write_viewer
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.metrics.poses import pose_errors
+from reconstruction.native import shared_out
 from reconstruction.pipeline.artefacts import (
     gains_differ,
     posed,
@@ -27,10 +30,9 @@ from reconstruction.pipeline.artefacts import (
     write_held_out,
 )
 from reconstruction.pipeline.trained_scene import scene_of
-from reconstruction.report.curve import curve_png
 from reconstruction.report.display import depth_span_m, grey
 from reconstruction.report.html import embed, report_html
-from reconstruction.report.pictures import depth_colours, difference, encode_png, write_png
+from reconstruction.report.pictures import depth_colours, difference, encode_png
 from reconstruction.report.table import score_table
 from reconstruction.report.video import write_orbit
 from reconstruction.run.folder import RunFolder
@@ -86,9 +88,12 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     metrics = _metrics(trained, known, part(progress, 0, 0.4))
     write_json(run.path / "metrics.json", metrics)
     progress(0.4, "error against run time")
-    narrow_curve = _write_curve(trained, metrics)
+    rows = _score_snapshots(trained)
     rig, orbit = trained.recording.rig, run.path / "orbit.mp4"
-    write_orbit(orbit, trained.cloud, rig, trained.camera, trained.white, part(progress, 0.5, 0.9))
+    with ThreadPoolExecutor(1) as aside:  # plots are drawn while kernels have the other cores
+        curve = aside.submit(_write_curve, trained, rows, metrics)
+        write_orbit(orbit, trained.cloud, rig, trained.camera, trained.white, part(progress, 0.5, 0.9))
+        narrow_curve = curve.result()
     if isinstance(trained.cloud, DynamicCloud):
         write_viewer(run.path, scene_of(run, trained.recording, trained.cloud))
     _write_page(trained, metrics, narrow_curve)
@@ -162,16 +167,24 @@ def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
     return scores
 
 
-def _write_curve(trained: Trained, metrics: dict) -> bytes:
-    """Write the curve and its rows; return its picture for a telephone, empty where no camera was held out."""
-    run, truth, rows = trained.run, trained.truth, []
+def _score_snapshots(trained: Trained) -> list[dict]:
+    """Write the rows of the curve, one a snapshot, and return them."""
+    run, rows = trained.run, []
     for path in run.snapshots():
         state = load_checkpoint(path)
         scores = trained.scores(model_from_state(state["cloud"]), CURVE_INSTANTS)
         rows.append({"seconds": round(state["seconds"], 3), "steps": state["steps"], **scores})
     write_json(run.path / "error_vs_time.json", {"held_out": run.config.holdout, "rows": rows})
+    return rows
+
+
+def _write_curve(trained: Trained, rows: Sequence[dict], metrics: dict) -> bytes:
+    """Write the picture of the curve; return the one for a telephone, empty where no camera was held out."""
     if trained.held_out is None:
         return b""
+    from reconstruction.report.curve import curve_png  # whose import takes half a second
+
+    run, truth = trained.run, trained.truth
     metric = "psnr_db" if truth else "counts.rmse"
     floors = {n: metrics[f"{n}.psnr_db"] for n in ("nearest_view", "depth_blend")} if truth else {}
     caption = f"{run.config.holdout}, held out; {len(rows)} states of one run, scored after it"
@@ -210,8 +223,8 @@ def _pictures(trained: Trained) -> list[list[dict]]:
     camera = trained.held_out.camera if trained.held_out else recording.rig.cameras[0]
     planes = truth.planes(camera.id) if truth else list(range(recording.planes))
     (run.path / "thumbnails").mkdir(exist_ok=True)
-    rows = []
-    for plane in spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]:
+
+    def drawn(plane: int) -> list[dict]:
         view = trained.cloud.look(camera, recording.rig.clock.instant_s(plane))
         near, far = depth_span_m(view.depth)
         shown = {"render": grey(view.intensity, white), "depth": depth_colours(view.depth, near, far)}
@@ -224,6 +237,8 @@ def _pictures(trained: Trained) -> list[list[dict]]:
                 f"depth, {near:.2f} to {far:.2f} m": shown["depth"],
                 "true depth": depth_colours(frame.depth, near, far),
             }
-        write_png(run.path / "thumbnails" / f"render_{plane:06d}.png", grey(view.intensity, white))
-        rows.append([{"source": embed(encode_png(p)), "caption": f"{k}, plane {plane}"} for k, p in shown.items()])
-    return rows
+        files = {name: encode_png(pixels) for name, pixels in shown.items()}
+        write_durably(run.path / "thumbnails" / f"render_{plane:06d}.png", files["render"])
+        return [{"source": embed(file), "caption": f"{name}, plane {plane}"} for name, file in files.items()]
+
+    return list(shared_out(drawn, spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]))

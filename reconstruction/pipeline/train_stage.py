@@ -18,6 +18,7 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.points_stage import moving_planes
+from reconstruction.pipeline.preview import Preview
 from reconstruction.pipeline.watch import Watch
 from reconstruction.rendering import gsplat_backend
 from reconstruction.rendering.render import Backend
@@ -70,10 +71,12 @@ def train_stage(
         budget.spent_s = saved["elapsed_s"]
         budget.started = budget.clock()
     saver = _Saver(run, trainer, budget, watch)
+    preview = _shown(run, recording, trainer, budget, progress)
 
     def on_step(done: float, loss: float) -> None:
         watch.look(done, saver.checkpoint)
         saver.keep(done)
+        preview.keep(trainer.cloud, trainer.steps)
         if trainer.steps % 10 == 0 or done >= 1:
             figures = (
                 f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} {trainer.cloud.unit}"
@@ -85,6 +88,7 @@ def train_stage(
 
     train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
     saver.checkpoint()
+    preview.draw(trainer.cloud, trainer.steps)
     if trainer.ending and budget.done(trainer.steps) < 1:
         run.document.stopped_early = EarlyEnd(trainer.steps, trainer.ending.reason)
         progress(1.0, f"stopped early at step {trainer.steps}: {trainer.ending.reason}")
@@ -95,6 +99,14 @@ def train_stage(
             f"this is the beginning, not a result; give it {3 * began_s:.0f} s or more"
         )
     _record(run, recording, trainer)
+
+
+def _shown(run: RunFolder, recording: Recording, trainer: Trainer, budget: Budget, progress: Progress) -> Preview:
+    """Draw how the training begins, say so, and return what goes on drawing."""
+    preview = Preview(run, recording.rig, trainer.settings.white, budget.clock)
+    preview.draw(trainer.cloud, trainer.steps)
+    progress(trainer.done(budget.done(trainer.steps)), f"step {trainer.steps}, its first picture is drawn")
+    return preview
 
 
 def _settle_motion(run: RunFolder, recording: Recording, views: list[TrainingView], seeds: Seeds) -> None:

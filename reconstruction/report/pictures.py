@@ -9,6 +9,16 @@ from numpy.typing import NDArray
 from acquisition.durable import write_durably
 from reconstruction.errors import ReconstructionError
 from reconstruction.report.display import Pixels
+from rigs.camera import Camera
+
+MOST_PX = 400_000  # pixels of a picture that is looked at in passing
+
+
+def of_moderate_size(camera: Camera) -> Camera:
+    """Return the camera, halved until it has MOST_PX pixels or less."""
+    while camera.width * camera.height > MOST_PX:
+        camera = camera.halved()
+    return camera
 
 
 def difference(image: NDArray[np.float32], truth: NDArray[np.float32], white: float) -> Pixels:

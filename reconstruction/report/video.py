@@ -10,8 +10,9 @@ import numpy as np
 
 from acquisition.durable import made_aside
 from acquisition.progress import Progress
+from reconstruction.native import shared_out
 from reconstruction.report.display import Pixels, depth_span_m, grey
-from reconstruction.report.pictures import depth_colours
+from reconstruction.report.pictures import depth_colours, of_moderate_size
 from reconstruction.scene_model import SceneModel
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -39,15 +40,22 @@ def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRA
 def write_orbit(
     path: Path, cloud: SceneModel, rig: Rig, centre: Camera, white: float, progress: Progress, *, frames: int = FRAMES
 ) -> None:
-    """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle."""
-    clip = cloud.clip
+    """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle.
+
+    Pictures are as large as those of `centre`, or of moderate size.
+    """
+    clip, centre = cloud.clip, of_moderate_size(centre)
     near, far = depth_span_m(cloud.look(centre, clip.middle_s).depth)
     distance = 2 / (1 / near + 1 / far)
 
+    def picture(frame: tuple[int, Camera]) -> Pixels:
+        view = cloud.look(frame[1], clip.instant_s(frame[0] / max(1, frames - 1)))
+        return side_by_side(grey(view.intensity, white), depth_colours(view.depth, near, far))
+
     def pictures() -> Iterator[Pixels]:
-        for i, camera in enumerate(orbit_cameras(rig, centre, distance, frames)):
-            view = cloud.look(camera, clip.instant_s(i / max(1, frames - 1)))
-            yield side_by_side(grey(view.intensity, white), depth_colours(view.depth, near, far))
+        shown = shared_out(picture, enumerate(orbit_cameras(rig, centre, distance, frames)))
+        for i, pixels in enumerate(shown):
+            yield pixels
             progress((i + 1) / frames, f"orbit frame {i + 1} of {frames}")
 
     write_video(path, (4 * (centre.width // 2), centre.height), pictures())

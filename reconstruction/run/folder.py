@@ -17,6 +17,8 @@ from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Decision, Plan
 from reconstruction.run.document import SCHEMA, RunDocument
 
+PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
+
 
 class RunFolder:
     """The folder `path` of one run and its `document`."""
@@ -115,7 +117,7 @@ class RunFolder:
                 by_stage.pop(stage, None)
         self.save()
         if "train" in stages:
-            for path in [self.checkpoint, *self.snapshots()]:
+            for path in [self.checkpoint, *self.snapshots(), *(self.path / name for name in PREVIEW)]:
                 path.unlink(missing_ok=True)
         self.document.attempt = attempt
         self.save()

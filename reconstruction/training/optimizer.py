@@ -10,9 +10,10 @@ from reconstruction.training.adam import BETAS, EPS, Adam
 
 FINAL_LENGTH, FINAL = 0.05, 1 / 3  # share of its first rate that a tensor of lengths, and any other, ends with
 SETTLING = 120  # steps at first rates that the last rate of a long training is worth
+Optimizer = Adam | torch.optim.Adam
 
 
-def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> torch.optim.Optimizer:
+def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> Optimizer:
     """Return Adam over the tensors that have a rate; `units` says what a rate of each unit is multiplied by."""
     groups, rates = [], model.rates()
     for name, tensor in model.tensors():
@@ -28,7 +29,7 @@ def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> torch.optim.O
     return torch.optim.Adam(groups, betas=BETAS, eps=EPS)
 
 
-def anneal(optimizer: torch.optim.Optimizer, done: float, stage: float, steps: int, canonical_until: float) -> None:
+def anneal(optimizer: Optimizer, done: float, stage: float, steps: int, canonical_until: float) -> None:
     """Set the rates at `done` (0 to 1) of the training, after `steps`, and those of movers at their own `stage`.
 
     A deformation does not learn before `canonical_until` of the training.

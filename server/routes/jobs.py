@@ -139,6 +139,18 @@ def get_thumbnail(job_id: str, request: Request, services: TheServices, if_none_
     return _file(*found, request, if_none_match)
 
 
+@router.get("/jobs/{job_id}/preview", responses=parameters.PNG, response_class=Response)
+def get_job_preview(
+    job_id: str, services: TheServices, if_none_match: IfNoneMatch = None, of: parameters.Word = None
+) -> Response:
+    """Show what a reconstruction has learnt so far, as its held-out or middle camera would see it, as a PNG.
+
+    The job's `preview` says after how many steps it was drawn, and when. `of` is any word that makes the address a new
+    one.
+    """
+    return parameters.png(if_none_match, services.pictures.preview(job_id))
+
+
 @router.get("/jobs/{job_id}/pictures")
 def describe_pictures(job_id: str, services: TheServices) -> CameraPictures:
     """Say which pictures of its cameras a finished reconstruction can be compared with, and how they are made."""

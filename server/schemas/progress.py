@@ -33,11 +33,23 @@ class Page(Items[Item], Generic[Item]):
     next: str | None = None
 
 
+class Preview(BaseModel):
+    """The newest picture that a training has drawn of its scene; `at` is when it was drawn, in seconds since 1970.
+
+    It is rendered as `camera` would see the scene, after `steps` steps of training. None of that camera's spikes are
+    in it where it is held out.
+    """
+
+    camera: str
+    steps: int
+    at: float
+
+
 class Progress(BaseModel):
     """The progress of a capture or job: `fraction` of the current `stage`, and the seconds each stage has taken.
 
     `warnings` are what a person should know before trusting the result. `bad_input`: the error is about what was asked
-    for or recorded, so the same would fail again.
+    for or recorded, so the same would fail again. `preview`: what `GET jobs/JID/preview` shows, once it shows anything.
     """
 
     stage: str | None = None
@@ -47,6 +59,7 @@ class Progress(BaseModel):
     error: str | None = None
     bad_input: bool = False
     warnings: list[str] = []
+    preview: Preview | None = None
 
 
 class StatusChange(BaseModel):

@@ -1,4 +1,7 @@
-"""Pictures that the cameras of a finished reconstruction took, made of their spikes when they are asked for."""
+"""Pictures of a reconstruction: what its training has learnt so far, and what its cameras took.
+
+The former the training draws itself, the latter are made of spikes when they are asked for.
+"""
 
 import functools
 import io
@@ -62,6 +65,14 @@ class PictureService:
             raise UnknownReferenceError(f"found the plane {plane}", f"one of 0 to {recording.planes - 1}")
         with self._one_at_a_time, readable(capture_id, recording.path):
             return self._drawn(recording.path, camera_id, plane, white)
+
+    def preview(self, job_id: str) -> Picture:
+        """Return the newest picture that a training has drawn of its scene; raises NotFoundError where it has none."""
+        entry = self._store.entries.get("job", job_id)
+        try:
+            return Picture.of((self._store.folder.run(entry.id) / "preview.png").read_bytes())
+        except FileNotFoundError as error:
+            raise NotFoundError(f"found no preview of {job_id}", "a reconstruction whose training has begun") from error
 
     def _source(self, job_id: str) -> tuple[str, float, Recording]:
         """Return the capture that a finished job's scene was made of, the scene's white, and the recording."""

@@ -1,12 +1,13 @@
 """Writes a stage's progress into the service's tables, at most twice a second, and never lets it stop the stage."""
 
 import errno
+import json
 import os
 import time
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from server.schemas.progress import Progress
+from server.schemas.progress import Preview, Progress
 from server.store.database import is_full, is_outage
 from server.store.store import Store
 from server.work.wording import in_request_words
@@ -65,5 +66,13 @@ class Reporter:
         self._next = now + _WRITE_EVERY_S
         seconds = self._earlier.get(self._stage, 0.0) + now - self._began  # earlier attempts count
         by_stage = self._earlier | {self._stage: round(seconds, 2)}
-        kept = {"seconds": by_stage, "warnings": self._warnings}
+        kept = {"seconds": by_stage, "warnings": self._warnings, "preview": self._preview()}
         self._store.events.progress(self._entry_id, self._latest.model_copy(update=kept).model_dump())
+
+    def _preview(self) -> Preview | None:
+        """Return what there is to say of the picture that a training draws of itself; None before there is one."""
+        told = self._store.folder.run(self._entry_id) / "preview.json"
+        try:
+            return Preview(**json.loads(told.read_text()), at=told.stat().st_mtime)
+        except FileNotFoundError:
+            return None

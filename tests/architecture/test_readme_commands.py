@@ -222,6 +222,7 @@ def seeded(service, recording) -> dict[str, str]:
     made = {"report.html": "<title>report</title>", "viewer.json": '{"white": 1.0}'}
     for name, text in made.items():
         (run / name).write_text(text)
+    (run / "preview.png").write_bytes(b"\x89PNG")
     store.artefacts.catalogue(job.id, run, iter(made))
     return {"CID": capture.id, "JID": job.id}
 

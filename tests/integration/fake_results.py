@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from fake_scene import write_scene
 
+from acquisition.durable import write_durably, write_json
 from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
@@ -33,6 +34,12 @@ def write_results(run: Path) -> None:
         for i in range(50):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame(i / 50), format="bgr24")))
         container.mux(stream.encode())
+
+
+def write_preview(run: Path, steps: int) -> None:
+    """Picture of a training after so many steps: a ball that is elsewhere each time."""
+    write_durably(run / "preview.png", cv2.imencode(".png", frame(steps / 700))[1].tobytes())
+    write_json(run / "preview.json", {"camera": "cam11", "steps": steps})
 
 
 def frame(turn: float) -> np.ndarray:

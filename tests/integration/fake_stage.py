@@ -4,7 +4,8 @@ It also calibrates, by lengthening each lens by a tenth, and checks rigs. Import
 
 FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists, and
 refuses its input while DATA/jobs/refuse-STAGE does.
-With FAKE_RESULTS a reconstruction leaves what a page shows of one, and recordings can be read.
+With FAKE_RESULTS a reconstruction leaves what a page shows of one, and recordings can be read; its training draws what
+it has learnt every PREVIEW_EVERY steps.
 """
 
 import json
@@ -20,6 +21,7 @@ from typing import NoReturn
 from rigs.rig import Calibration
 from rigs.toml import catalog_rig, dump_rig, load_rig
 
+PREVIEW_EVERY = 100
 METRICS = {
     "psnr_db": 32.5,
     "ssim": 0.95,
@@ -107,6 +109,10 @@ def train(run: Path, steps: int, step_s: float) -> None:
     with (run / "attempts.txt").open("a") as attempts:
         attempts.write(f"{os.getpid()} {done}\n")
     while done < steps:
+        if done % PREVIEW_EVERY == 0 and "FAKE_RESULTS" in os.environ:
+            from fake_results import write_preview
+
+            write_preview(run, done)
         time.sleep(step_s)
         done += 1
         aside = checkpoint.with_suffix(".aside")

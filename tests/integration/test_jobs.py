@@ -304,6 +304,30 @@ def test_the_archive_and_the_thumbnail(client: ServiceClient, capture: Capture, 
         client.thumbnail(job.id)
 
 
+def test_a_preview_is_what_the_training_drew_last(client: ServiceClient, data: Path, done: str) -> None:
+    assert client.job(done).preview is None
+    with pytest.raises(RefusedError, match="no preview"):
+        client.job_preview(done)
+    run = data / "jobs" / done / "run"
+    (run / "preview.png").write_bytes(b"\x89PNG first")
+    (run / "preview.json").write_text('{"camera": "cam11", "steps": 40}')
+    client.restart(done, "report")
+    wait_for(lambda: client.job(done).status == "done")
+    told = client.job(done).preview
+    assert told is not None
+    assert (told.camera, told.steps) == ("cam11", 40)
+    assert told.at == pytest.approx((run / "preview.json").stat().st_mtime)
+    assert next(job for job in client.jobs() if job.id == done).preview == told
+    assert client.job_preview(done) == b"\x89PNG first"
+    found = client._http.get(f"/v1/jobs/{done}/preview?of=1")
+    assert (found.headers["Content-Type"], found.headers["Cache-Control"]) == ("image/png", "no-cache")
+    known = {"If-None-Match": found.headers["ETag"]}
+    assert client._http.get(f"/v1/jobs/{done}/preview", headers=known).status_code == 304
+    (run / "preview.png").write_bytes(b"\x89PNG second")
+    assert client._http.get(f"/v1/jobs/{done}/preview", headers=known).content == b"\x89PNG second"
+    assert "preview.png" not in {one.name for one in client.artefacts(done)}  # the thumbnails show what it became
+
+
 @pytest.mark.parametrize("kind", ["verify", "check-rig"])
 def test_an_answer_of_no_is_an_answer(client: ServiceClient, capture: Capture, kind: str) -> None:
     job = client.submit(JOB_TYPES[kind].model_validate({"type": kind, "capture": capture.id}))

@@ -35,11 +35,11 @@ def test_capture_to_report_by_clicks(service: Service, open_page: Callable[..., 
     expect(page.locator("#dialog")).to_have_count(0)
     job = page.locator(f"#job-{newest(service)}")
     expect(job.locator("progress")).to_be_visible(timeout=LONG_MS)
-    expect(job.locator("figcaption")).to_contain_text("Training images: training PSNR")
+    expect(job.locator(".curve figcaption")).to_contain_text("Training images: training PSNR")
     expect(job.locator(".status")).to_have_text("done")
     asked = service.client.job(newest(service)).request.model_dump()
     assert (asked["model"], asked["budget_s"], asked["holdout"], asked["views"]) == ("cubic", 90, "cam11", None)
-    expect(job.locator("figcaption")).to_have_text(
+    expect(job.locator(".curve figcaption")).to_have_text(
         "Held-out camera during training: held-out PSNR 32.65 dB after 32.0 s"
     )
     expect(job).to_contain_text("Final score on the held-out camera: held-out PSNR 32.50 dB, SSIM 0.950")
@@ -123,7 +123,7 @@ def test_cancel_resume_and_restart_by_keyboard(
     expect(page.locator("#dialog")).to_have_count(0)
     job_id = newest(service)
     job = page.locator(f"#job-{job_id}")
-    expect(job.locator("figcaption")).to_be_visible(timeout=LONG_MS)
+    expect(job.locator(".curve figcaption")).to_be_visible(timeout=LONG_MS)
     page.focus(f"#cancel-{job_id}")
     expect(page.locator(f"#cancel-{job_id}")).to_be_focused()
     page.wait_for_timeout(1500)  # the list is asked for anew meanwhile
@@ -291,5 +291,5 @@ def test_events_move_the_page(service: Service, done: str, open_page: Callable[.
         page.route("**/v1/events", lambda route: route.fulfill(content_type="text/event-stream", body=stream))
 
     card = open_page(prepare=prepare).locator(f"#job-{done}")
-    expect(card.locator("figcaption")).to_have_text("Training images: training PSNR 23 dB after 3.0 s")
+    expect(card.locator(".curve figcaption")).to_have_text("Training images: training PSNR 23 dB after 3.0 s")
     assert seen.faults == []

@@ -12,6 +12,7 @@ from maintenance.waiting import wait_for
 
 from server.schemas.calibrations import CalibrationRequest
 from server.schemas.captures import Capture
+from server.schemas.job_types import ReconstructRequest
 
 pytestmark = BROWSER
 LOADED = "() => [...document.querySelectorAll('#cells img')].filter((one) => one.naturalWidth > 100).length === 9"
@@ -218,3 +219,29 @@ def test_a_new_look_is_shown_where_there_is_a_token(looked: Service, open_page: 
     )
     drawn(page, "#rig-lab3x3 figure img")
     assert page.locator("#rig-lab3x3 figure img").get_attribute("src").startswith("blob:")
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_a_training_shows_what_it_has_learnt(
+    service: Service, capture: Capture, open_page: Callable[..., Any], seen: Seen, width: int
+) -> None:
+    page = open_page(width=width)
+    job = service.client.submit(ReconstructRequest(capture=capture.id, holdout="cam11")).id
+    box, picture = page.locator(f"#preview-{job}"), page.locator(f"#preview-img-{job}")
+    box.wait_for()
+    begun = [box.bounding_box()[side] for side in ("width", "height")]
+    drawn(page, f"#preview-img-{job}")
+    expect(box).to_have_text(re.compile(r"^Rendered as cam11, step \d+, \d s ago$"))
+    first = picture.get_attribute("src")
+    assert re.fullmatch(rf"What {job} has learnt by step \d+, as cam11 would see it", picture.get_attribute("alt"))
+    assert [box.bounding_box()[side] for side in ("width", "height")] == begun  # nothing has been moved aside
+    wait_for(lambda: picture.get_attribute("src") != first)
+    expect(box).to_contain_text(re.compile("step [12]00,"))
+    page.click(f"#preview-{job} a.open-large")
+    wait_for(lambda: page.locator("#large-picture").evaluate("one => one.naturalWidth") == 160)
+    page.keyboard.press("Escape")
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    expect(page.locator(f"#job-{job} .status")).to_have_text("done")
+    expect(box).to_have_count(0)
+    drawn(page, f"#job-{job} .outcome img")
+    assert seen.faults == []

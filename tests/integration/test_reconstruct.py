@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -15,9 +16,11 @@ from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
+from reconstruction.pipeline.artefacts import read_white
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.pipeline.trained_scene import trained_scene
+from reconstruction.report.display import grey
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
@@ -62,6 +65,14 @@ def test_the_curve_rises_with_time(run):
     assert rows[-1]["steps"] == 60
     assert [r["seconds"] for r in rows] == sorted(r["seconds"] for r in rows)
     assert rows[-1]["psnr_db"] > rows[0]["psnr_db"]
+
+
+def test_the_training_has_shown_what_it_learnt(run):
+    assert json.loads((run.path / "preview.json").read_text()) == {"camera": CONFIG.holdout, "steps": 60}
+    cloud, recording = load_cloud(run.checkpoint), Recording.open(run.recording)
+    seen = cloud.look(recording.rig.camera(CONFIG.holdout), cloud.clip.middle_s).intensity
+    shown = cv2.imread(str(run.path / "preview.png"), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(shown.astype(int) - grey(seen, read_white(run))).max() <= 1
 
 
 def test_the_report_stands_alone(run):

@@ -103,3 +103,9 @@ export function ago(age_s) {
   const [unit_s, unit] = AGES.find(([least_s]) => age_s >= least_s) ?? [];
   return unit ? AGO.format(-Math.floor(age_s / unit_s), unit) : 'just now';
 }
+
+// How long ago a time in seconds since 1970 was, to the second where it is less than a minute.
+export function since(at_s) {
+  const age_s = Math.max(0, Date.now() / 1000 - at_s);
+  return age_s < 60 ? `${Math.round(age_s)} s ago` : ago(age_s);
+}

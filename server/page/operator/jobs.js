@@ -4,9 +4,9 @@ import { actions, asking, button, link, patiently, removal } from './act.js';
 import { again } from './again.js';
 import { answer } from './answer.js';
 import { curve } from './curve.js';
-import { bar, byId, card, element, failure, fold, quiet, seconds, size, title, when } from './dom.js';
+import { bar, byId, card, element, failure, fold, quiet, seconds, since, size, title, when } from './dom.js';
 import { labelling, note } from './labels.js';
-import { artefact, download, enlarging, video } from './media.js';
+import { artefact, download, enlarging, renewed, video } from './media.js';
 import { heading } from './naming.js';
 import { outlook } from './outlook.js';
 import { ended, of } from './results.js';
@@ -173,6 +173,18 @@ function thumbnail(item) {
   return enlarging(artefact(item.id, first), `What ${item.id} made`, '', () => openPictures(item.name ?? item.id, all.map((name) => ({ path: artefact(item.id, name), label: name }))));
 }
 
+// What a training has learnt so far: in the thumbnail's place until there is one, and of its size from the beginning.
+function learnt(item) {
+  const { preview: found, id } = item, address = `/v1${path(item, '/preview')}`;
+  const kept = item.status === 'done' ? byId(`preview-${id}`) : found; // until the thumbnails are learnt
+  if (item.type !== 'reconstruct' || !(kept || item.status === 'running')) return null;
+  const figure = (shown, caption) => element('figure', { id: `preview-${id}`, className: 'learnt' }, shown, element('figcaption', { className: 'quiet' }, caption));
+  if (!found) return figure(element('p', { className: 'quiet empty' }, 'A first rendering comes as training begins'), '');
+  const alt = `What ${id} has learnt by step ${found.steps}, as ${found.camera} would see it`;
+  const large = () => openPictures(item.name ?? id, [{ path: `${address}?of=${found.at}`, label: alt }]);
+  return figure(enlarging(address, alt, '', large, renewed(`preview-img-${id}`, address, found.at, alt)), `Rendered as ${found.camera}, step ${found.steps}, ${since(found.at)}`);
+}
+
 export function job(item, context) {
   return card(`job-${item.id}`,
     title(heading(item, context.nameOf), item.status, item.status, box('jobs', item)),
@@ -182,7 +194,7 @@ export function job(item, context) {
     failure(inWords(item.error)),
     stages(item, context),
     progress(item),
-    element('div', { className: 'outcome' }, thumbnail(item), curveOf(item)),
+    element('div', { className: 'outcome' }, thumbnail(item) ?? learnt(item), curveOf(item)),
     warnings(item),
     scores(item),
     verdict(item),

@@ -1,6 +1,6 @@
 // Pictures, videos and downloads, with or without a token.
 import { address, token } from './api.js';
-import { element } from './dom.js';
+import { byId, element } from './dom.js';
 
 // Name the source of a picture or video. With a token it comes later, and goes to the element that shows it by then.
 function sourced(made, path) {
@@ -18,14 +18,24 @@ export async function setSource(image, path) {
   if (image.dataset.path === path) image.src = url;
 }
 
+// A picture that is renewed under one name: each `version` takes the place of the one before when it is there.
+export function renewed(id, path, version, alt) {
+  const made = element('img', { id, alt, loading: token() ? 'eager' : 'lazy', decoding: 'async' });
+  const seen = byId(id) ?? made; // merging leaves the sources of the one on the page as they are
+  setSource(seen, `${path}?of=${version}`).catch(() => {});
+  Object.assign(made.dataset, { source: path, path: seen.dataset.path });
+  seen.dataset.source = path;
+  return made;
+}
+
 // A picture that opens large; in another tab, as a link does.
-export function enlarging(path, alt, className, open) {
+export function enlarging(path, alt, className, open, shown = picture(path, alt, className)) {
   const onclick = (event) => {
     if (event.ctrlKey || event.metaKey || event.shiftKey) return;
     event.preventDefault();
     open();
   };
-  return element('a', { href: path, className: 'open-large', title: 'Open large', onclick }, picture(path, alt, className));
+  return element('a', { href: path, className: 'open-large', title: 'Open large', onclick }, shown);
 }
 
 export const picture = (path, alt, className = '') => sourced(

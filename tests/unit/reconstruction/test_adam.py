@@ -1,6 +1,8 @@
 """Adam: native against torch's in float64, and its state over a kill."""
 
 import copy
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -67,6 +69,52 @@ def test_torch_reads_its_state():
     other.load_state_dict(optimizer.state_dict())
     assert float(other.state[leaves[1]]["step"]) == 12
     assert (other.state[leaves[1]]["exp_avg"] == optimizer.state[leaves[1]]["exp_avg"]).all()
+
+
+def test_it_reads_torchs_state():
+    leaves, optimizer = trained(torch_adam, torch.float32)
+    other = Adam([{"params": [leaf], "lr": 1.0} for leaf in leaves])
+    other.load_state_dict(optimizer.state_dict())
+    assert [group["lr"] for group in other.param_groups] == [1e-2, 2e-2, 3e-2, 4e-2]
+    assert int(other.state[leaves[1]]["step"]) == 12
+    for stored in (optimizer.state_dict(), other.state_dict()):
+        assert sorted(stored["state"]) == [0, 1, 2, 3]
+        assert [group["params"] for group in stored["param_groups"]] == [[0], [1], [2], [3]]
+
+
+@pytest.mark.parametrize("sizes", [(2, 2), (3,), (1, 2)])
+def test_the_state_of_other_groups_is_refused(sizes):
+    def groups(sizes):
+        return [{"params": [torch.ones(2, requires_grad=True) for _ in range(size)], "lr": 0.1} for size in sizes]
+
+    with pytest.raises(ValueError, match=r"groups|zip"):
+        Adam(groups((2, 1))).load_state_dict(Adam(groups(sizes)).state_dict())
+
+
+def test_gradients_are_forgotten_or_set_to_zero():
+    leaf, bare = torch.ones(3, requires_grad=True), torch.ones(2, requires_grad=True)
+    optimizer = Adam([{"params": [leaf, bare], "lr": 0.1}])
+    leaf.grad = torch.ones(3)
+    optimizer.zero_grad(set_to_none=False)
+    assert (leaf.grad == 0).all()
+    assert bare.grad is None
+    optimizer.zero_grad()
+    assert leaf.grad is None
+
+
+def test_torchs_compiler_is_not_imported():
+    program = """
+import sys, torch
+from reconstruction.training.adam import Adam
+leaf = torch.ones(3, requires_grad=True)
+optimizer = Adam([{"params": [leaf], "lr": 0.1}])
+(leaf ** 2).sum().backward()
+optimizer.step()
+optimizer.zero_grad()
+optimizer.load_state_dict(optimizer.state_dict())
+print("torch._dynamo" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout == "False\n"
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -1,11 +1,13 @@
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from reconstruction.errors import BadRunError
-from reconstruction.evaluation.floors import depth_blend, nearest_view
+from reconstruction.evaluation.floors import confirmed, depth_blend, nearest_view
+from reconstruction.initialization.sweep import SweepOptions
 from reconstruction.metrics.image import psnr_db
 from reconstruction.truth import Truth, spread
 from rigs.camera import Camera
@@ -46,6 +48,30 @@ def test_the_depth_blend_finds_the_wall_and_beats_the_nearest_view(wall):
     blend = depth_blend(wanted, views)
     assert psnr_db(blend.intensity, truth, 0.6) > psnr_db(nearest_view(wanted, views).intensity, truth, 0.6) + 8
     assert np.nanmedian(np.abs(blend.depth / depth - 1)) < 0.01
+
+
+@pytest.mark.parametrize("odd", [0, 1])
+def test_depth_is_swept_at_half_the_size_where_hypotheses_are_far_apart(wall, odd):
+    views, wanted, _ = wall
+    cut = [(replace(c, width=W - odd, height=H - odd), image[: H - odd, : W - odd]) for c, image in views]
+    coarse, fine = (confirmed(cut, SweepOptions(1.0, 8.0, planes)) for planes in (14, 128))  # 2.4 px apart, and 0.25
+    for camera, image in cut:
+        one, other = coarse.pop(0), fine.pop(0)
+        assert one.depth.shape == one.cost.shape == image.shape
+        even = one.depth[: H - 2 * odd, : W - 2 * odd]
+        assert np.array_equal(even[::2, ::2], even[1::2, 1::2], equal_nan=True)
+        assert np.isnan(one.depth[H - 2 * odd :]).all()
+        assert np.isfinite(even).mean() > 0.7
+        assert not np.array_equal(other.depth[:60:2, :90:2], other.depth[1:60:2, 1:90:2], equal_nan=True)
+        true = see(camera, np.zeros((256, 256), np.float32))[1][: H - odd, : W - odd]
+        assert np.nanmedian(np.abs(one.depth / true - 1)) < 0.02
+    assert depth_blend(wanted, views, (1.0, 8.0)).depth.shape == (H, W)
+
+
+def test_the_span_of_a_blend_is_searched_and_no_other(wall):
+    views, wanted, (_, depth) = wall
+    assert np.nanmedian(np.abs(depth_blend(wanted, views, (1.5, 3.0)).depth / depth - 1)) < 0.01
+    assert np.nanmax(depth_blend(wanted, views, (0.5, 1.5)).depth, initial=0) < 1.6
 
 
 def test_a_blend_of_flat_views_is_that_light(wall):

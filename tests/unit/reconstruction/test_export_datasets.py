@@ -13,6 +13,7 @@ import pytest
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.export.splats import splats_at
+from reconstruction.report import pictures
 from reconstruction.report.display import grey
 from reconstruction.report.pictures import depth_colours
 from rigs.exchange.colmap import load_model
@@ -107,6 +108,12 @@ def test_a_video_without_a_camera_is_the_orbit_with_its_depth(scene_with, tmp_pa
     shown = frames_of(tmp_path / "orbit.mp4")
     assert [picture.shape for picture in shown] == [(40, 128)] * 8
     assert np.abs(shown[0].astype(float) - shown[4]).mean() > 3
+
+
+def test_large_pictures_of_an_orbit_are_halved(scene_with, tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "MOST_PX", 64 * 41 - 1)
+    export_scene(scene_with("linear"), "video", tmp_path / "orbit.mp4", Choices(frames=2))
+    assert [picture.shape for picture in frames_of(tmp_path / "orbit.mp4")] == [(20, 64)] * 2
 
 
 def test_depth_maps_are_what_the_camera_sees_with_colours_on_one_scale(scene_with, tmp_path):
