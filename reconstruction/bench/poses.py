@@ -31,7 +31,7 @@ from reconstruction.initialization.initialisers import INITIALISERS, InitOptions
 from reconstruction.initialization.sfm import sfm
 from reconstruction.initialization.sweep import SweepOptions, depth_range_m
 from reconstruction.metrics.poses import pose_errors
-from reconstruction.pipeline.points_stage import swept_maps
+from reconstruction.initialization.pyramid import swept_maps
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 

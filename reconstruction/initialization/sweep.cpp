@@ -148,7 +148,8 @@ void choose(const Costs &cost, const Views &v, const Hypotheses &hypotheses, con
                 for (int x = 0; x < columns; ++x) {
                     const int d = index[x];
                     const int64_t i = int64_t(y) * width + left + x;
-                    depth[i] = float(1 / (w[d] + gap * offset_of(sums + x, width, d, planes)));
+                    const double own = hypotheses.around ? hypotheses.around[i] : 0.0;
+                    depth[i] = float(1 / (own + w[d] + gap * offset_of(sums + x, width, d, planes)));
                     cost_at_depth[i] = float(cost[y * row + int64_t(d) * width + left + x]) / levels.one;
                 }
             }
@@ -161,11 +162,11 @@ void choose(const Costs &cost, const Views &v, const Hypotheses &hypotheses, con
 // Writes depth [H, W] and the unsmoothed mean of the two best costs there [H, W]; see Views for the images.
 S4_API void plane_sweep(const float *reference, int32_t height, int32_t width, const float *sources, int32_t count,
                         int32_t source_height, int32_t source_width, const double *homographies, const double *epipoles,
-                        const double *inverse_depths, int32_t planes, int32_t radius, float floor, float penalty_step,
-                        float penalty_jump, float *depth, float *cost_at_depth) {
+                        const double *inverse_depths, int32_t planes, const float *around, int32_t radius, float floor,
+                        float penalty_step, float penalty_jump, float *depth, float *cost_at_depth) {
     const s4::Views views{reference,     height,       width,        sources, count,
                           source_height, source_width, homographies, epipoles};
-    const s4::Hypotheses hypotheses{inverse_depths, planes};
+    const s4::Hypotheses hypotheses{inverse_depths, planes, around};
     const s4::Levels levels(penalty_step, penalty_jump);
     const s4::Costs cost = s4::match(views, hypotheses, radius, floor, levels);
     s4::choose(cost, views, hypotheses, levels, depth, cost_at_depth);

@@ -19,6 +19,7 @@ struct Views {  // images: reference [H, W] and sources [S, Hs, Ws]; homographie
 struct Hypotheses {
     const double *inverse_depths;  // [D], equally spaced
     int planes;
+    const float *around;  // [H, W]: a pixel's hypotheses are these inverse depths on top of its own; null for none
 };
 
 struct Levels {  // a cost of 1, and the penalties, in steps; four paths of at most one + jump fit into 16 bits

@@ -24,7 +24,7 @@ NOISE = 0.01  # spikes per tick in a scene of ordinary light
 AGREEMENT_PX = 1.0  # inverse-depth steps by which a confirming depth may be off
 
 _IMAGES = (Address, Int, Int, Address, Int, Int, Int)
-_plane_sweep = kernel("plane_sweep", *_IMAGES, *[Address] * 3, Int, Int, Float, Float, Float, Address, Address)
+_plane_sweep = kernel("plane_sweep", *_IMAGES, *[Address] * 3, Int, Address, Int, *[Float] * 3, *[Address] * 2)
 _confirm_depths = kernel("confirm_depths", Address, Int, Int, *[Address] * 3, Int, Int, Double, Address)
 
 
@@ -77,15 +77,41 @@ def sweep_view(
 
     All images [H, W] are linear, in spikes per tick; those of the sources have one size.
     """
+    return _swept(reference, sources, options, options.inverse_depths, None)
+
+
+def sweep_around(
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    around: Image,
+    steps: NDArray[np.float64],
+) -> DepthMap:
+    """Return the depth of every pixel of the reference view near inverse depths `around` [H, W], unchecked.
+
+    Hypotheses are `steps` [K] beside it, in 1/m and equally spaced. A window is bent as `around` is.
+    """
+    inside = np.clip(around, options.inverse_depths[0] - steps[0], options.inverse_depths[-1] - steps[-1])
+    return _swept(reference, sources, options, steps, np.ascontiguousarray(inside, dtype=np.float32))
+
+
+def _swept(
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    hypotheses: NDArray[np.float64],
+    around: Image | None,
+) -> DepthMap:
     camera, image = reference
     stack = np.ascontiguousarray(np.stack([s for _, s in sources]), dtype=np.float32)
     homographies, epipoles = zip(*(plane_induced(camera, source) for source, _ in sources), strict=True)
-    arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (homographies, epipoles, options.inverse_depths)]
+    arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (homographies, epipoles, hypotheses)]
     height, width = image.shape
     depth, cost = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     flat = np.ascontiguousarray(image, dtype=np.float32)
-    numbers = (options.planes, options.radius_px, options.noise, options.penalty_step, options.penalty_jump)
-    _plane_sweep(flat, height, width, stack, *stack.shape, *arrays, *numbers, depth, cost)
+    numbers = (options.radius_px, options.noise, options.penalty_step, options.penalty_jump)
+    size = (height, width, stack, *stack.shape)
+    _plane_sweep(flat, *size, *arrays, len(hypotheses), around, *numbers, depth, cost)
     return DepthMap(camera, depth, cost)
 
 

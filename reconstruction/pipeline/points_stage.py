@@ -14,18 +14,9 @@ from reconstruction.images.noise import still_sigma
 from reconstruction.images.scarce import calm_side, calmed
 from reconstruction.initialization.beyond import empty, is_open, searched, with_sky
 from reconstruction.initialization.points import Points, sample_points
+from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.surfaces import with_planes
-from reconstruction.initialization.sweep import (
-    NOISE,
-    DepthMap,
-    Image,
-    SweepOptions,
-    consistent,
-    depth_range_m,
-    filled,
-    neighbours,
-    sweep_view,
-)
+from reconstruction.initialization.sweep import NOISE, DepthMap, Image, SweepOptions, depth_range_m, filled
 from reconstruction.initialization.texture import judge_poses, textured
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
@@ -74,16 +65,6 @@ def moving_planes(planes: int, model: str) -> list[int]:
     if canonical is not None:
         return [min(int(canonical * planes), planes - 1)]
     return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
-
-
-def swept_maps(cameras: Sequence[Camera], images: Sequence[Image], options: SweepOptions) -> list[DepthMap]:
-    """Return the depth of every view against its nearest neighbours, NaN where other views do not confirm it."""
-    maps = []
-    for i, camera in enumerate(cameras):
-        others = [(c, images[j]) for j, c in enumerate(cameras) if j != i]
-        near = [others[j] for j in neighbours(camera, [c for c, _ in others])]
-        maps.append(sweep_view((camera, images[i]), near, options))
-    return consistent(maps, options)
 
 
 def _still_points(
@@ -166,5 +147,6 @@ def _moving_points(
     images, masks = ([shrunk(a, c) for a, c in zip(some, half, strict=True)] for some in (whole, seen))
     near, far = depth_range_m(cameras)
     noise = NOISE * dimming(float(np.mean([source.white for source in sources.values()])))
-    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES, noise=noise))
-    return sample_points(maps, images, [mask > 0.5 for mask in masks], count, instant_s, rng)
+    wanted = [mask > 0.5 for mask in masks]
+    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES, noise=noise), wanted)
+    return sample_points(maps, images, wanted, count, instant_s, rng)
