@@ -36,26 +36,32 @@ def failing_pixels(stream: SpikeStream, light: Light, spans: int = SPANS) -> NDA
     own = counts[:, rows, columns].astype(np.float32)
     lowest, highest = (f.accumulate(own[::-1], axis=0)[::-1] for f in (np.minimum, np.maximum))  # from a span on
     for number in range(spans - LEAST_SPANS, 0, -1):  # the earliest jump is written last
-        likely = _likely(own, (lowest[number + 1], highest[number + 1]), gains, number)
-        around = _around(counts, rows[likely], columns[likely])
-        found = likely[_jumped(own[:, likely], around, gains, number)]
+        jumped = _jumping(own, (lowest[number + 1], highest[number + 1]), gains, number)
+        around = _around(counts, rows[jumped], columns[jumped])
+        found = jumped[_alone(own[:, jumped], around, gains, number)]
         fails[rows[found], columns[found]] = starts[number - 1]
     return fails
 
 
-def _likely(
+def _jumping(
     own: NDArray[np.float32], later: tuple[NDArray, NDArray], gains: NDArray[np.float32], number: int
 ) -> NDArray[np.int64]:
-    """Return the pixels whose counts [S, K] may leave for good in span `number`, and some beside them.
+    """Return the pixels that leave their counts [S, K] for good in span `number`.
 
-    `later` are their least and most counts [K] from then on.
+    `later` are their least and most counts [K] from then on, which rule most of them out.
     """
     least, most = later
     steady = np.flatnonzero(most - least <= STEADY)
-    old = slice(max(0, number - LEAST_SPANS), number)
-    before = _median(own[old][:, steady] / gains[old, None]) * gains[number + 1 :].mean()
+    old, new = _parts(number)
+    before = _median(own[old][:, steady] / gains[old, None]) * gains[new].mean()
     farthest = np.maximum(np.abs(least[steady] - before), np.abs(most[steady] - before))
-    return steady[farthest >= JUMP - ROUNDED]
+    likely = steady[farthest >= JUMP - ROUNDED]
+    return likely[_jump(own[None][:, :, likely], gains, old, new)[0] >= JUMP]
+
+
+def _parts(number: int) -> tuple[slice, slice]:
+    """Return the spans before span `number` that are looked at, and those after it."""
+    return slice(max(0, number - LEAST_SPANS), number), slice(number + 1, None)
 
 
 def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -74,23 +80,21 @@ def _around(counts: NDArray[np.uint32], rows: NDArray[np.int64], columns: NDArra
     return np.stack(found).astype(np.float32)
 
 
-def _jumped(
+def _alone(
     own: NDArray[np.float32], around: NDArray[np.float32], gains: NDArray[np.float32], number: int
-) -> NDArray[np.int64]:
-    """Return the pixels that leave their counts [S, K] for good in span `number`; `around` [8, S, K] are neighbours'.
+) -> NDArray[np.bool_]:
+    """Return which pixels [K] left their counts [S, K] in span `number` alone; `around` [8, S, K] are neighbours'.
 
     Flicker leaves a pixel alone that is hot or stuck.
     """
-    old, new = slice(max(0, number - LEAST_SPANS), number), slice(number + 1, None)
-    jump = _jump(own[None], gains, old, new)[0]
-    likely = np.flatnonzero(jump >= JUMP)
-    if not len(likely):
-        return likely
-    jump, after, others = jump[likely], own[new][:, likely], around[:, :, likely]
-    calm = _jump(others, gains, old, new).max(axis=0) <= FOLLOW * jump
-    restless = (np.ptp(others[:, new], axis=1).min(axis=0) >= RESTLESS) & (after.mean(axis=0) >= JUMP)
-    silent = (after.max(axis=0) == 0) & (others[:, new].mean(axis=1).min(axis=0) >= JUMP)
-    return likely[calm | restless | silent]
+    if not own.shape[1]:
+        return np.zeros(0, bool)
+    old, new = _parts(number)
+    jump, after = _jump(own[None], gains, old, new)[0], own[new]
+    calm = _jump(around, gains, old, new).max(axis=0) <= FOLLOW * jump
+    restless = (np.ptp(around[:, new], axis=1).min(axis=0) >= RESTLESS) & (after.mean(axis=0) >= JUMP)
+    silent = (after.max(axis=0) == 0) & (around[:, new].mean(axis=1).min(axis=0) >= JUMP)
+    return calm | restless | silent
 
 
 def _jump(counts: NDArray[np.float32], gains: NDArray[np.float32], old: slice, new: slice) -> NDArray[np.float32]:

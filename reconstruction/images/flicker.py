@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.parallel import each
 
 WINDOW = 4  # planes counted together
 BLOCK_PX = 8
@@ -49,7 +50,7 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     starts = range(0, planes - WINDOW + 1, WINDOW)
     if len(starts) < 3:
         return Light.steady(planes)
-    blocks = np.concatenate([_blocks(stream, starts) for stream in streams], axis=1)  # [windows, blocks]
+    blocks = np.concatenate(list(each(lambda stream: _blocks(stream, starts), streams)), axis=1)  # [windows, blocks]
     mostly = np.median(blocks, axis=0)
     seen = mostly >= LEAST_SPIKES
     if not seen.any():
@@ -69,8 +70,14 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
 
 def _blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
     """Count the spikes of each block over each window, to [windows, blocks]."""
-    height, width = stream.layout.height, stream.layout.width
-    rows, columns = (np.arange(n := max(1, size // BLOCK_PX)) * size // n for size in (height, width))
-    counts = (stream.counts(start, start + WINDOW) for start in starts)
-    sums = [np.add.reduceat(np.add.reduceat(c, rows, axis=0), columns, axis=1).ravel() for c in counts]
-    return np.stack(sums).astype(np.float32)
+    layout = stream.layout
+    rows, columns = (np.arange(n := max(1, size // BLOCK_PX)) * size // n for size in (layout.height, layout.width))
+    if layout.stored_width == layout.width == BLOCK_PX * len(columns):  # a block's row is a byte
+        rows_of_bytes = (layout.height, len(columns))
+        counts = (np.bitwise_count(stream.window(s, s + WINDOW)).sum(axis=0, dtype=np.uint8) for s in starts)
+        flip = slice(None, None, -1 if layout.row_order == "bottom" else 1)
+        sums = [np.add.reduceat(c.reshape(rows_of_bytes)[flip], rows, axis=0, dtype=np.uint32) for c in counts]
+    else:
+        counts = (stream.counts(start, start + WINDOW) for start in starts)
+        sums = [np.add.reduceat(np.add.reduceat(c, rows, axis=0), columns, axis=1) for c in counts]
+    return np.stack(sums).reshape(len(starts), -1).astype(np.float32)

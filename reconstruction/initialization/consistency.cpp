@@ -10,7 +10,6 @@ S4_API void confirm_depths(const float *depth, int32_t height, int32_t width, co
                            const double *pinhole, const float *other, int32_t other_height, int32_t other_width,
                            double tolerance, uint8_t *votes) {
     const double *m = other_from_pixel, *t = m + 9;
-#pragma omp parallel for schedule(static)
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; ++x) {
             const int64_t i = int64_t(y) * width + x;

@@ -18,11 +18,6 @@ struct Reference {  // [H, W] each; the window is clipped at the border
     std::vector<float> mean, inverse_area, inverse_spread;
 };
 
-struct Window {
-    int radius;
-    float floor;
-};
-
 struct Line {  // one row of a source as the reference sees it through a plane
     std::vector<float> value, seen;
 };
@@ -143,8 +138,7 @@ void across(const std::vector<float> &columns, int radius, std::vector<float> &t
         for (int x = 0; x < width; ++x) out[x] += from[x + k];
 }
 
-// Costs of one source in one row into the best two of each pixel. `floor` keeps noise on flat patches from looking
-// like texture.
+// Costs of one source in one row into the best two of each pixel.
 void score(const Source &source, const float *seen, const Reference &ref, int64_t row, float floor, int radius,
            Scratch &s) {
     across(source.sum, radius, s.sum);
@@ -234,20 +228,20 @@ void match_plane(const Views &v, const Reference &ref, const Hypotheses &hypothe
 
 }  // namespace
 
-Costs match(const Views &views, const Hypotheses &hypotheses, int radius, float floor, const Levels &levels) {
+Costs match(const Views &views, const Hypotheses &hypotheses, const Window &window, const Levels &levels, int threads) {
     const int planes = hypotheses.planes;
     const int64_t stride = int64_t(planes) * views.width;
     Costs cost(new uint16_t[views.height * stride]);
-    const Reference ref = prepare(views, radius, floor);
+    const Reference ref = prepare(views, window.radius, window.floor);
     // A few hypotheses are cut into strips of rows, so that there is work for every thread.
     const int strip = hypotheses.around ? kStripRows : views.height, strips = (views.height + strip - 1) / strip;
-#pragma omp parallel
+#pragma omp parallel num_threads(threads) if (threads > 1)
     {
-        Scratch scratch(views, radius);
+        Scratch scratch(views, window.radius);
 #pragma omp for schedule(dynamic)
         for (int task = 0; task < planes * strips; ++task) {
             const int d = task / strips, first = task % strips * strip, last = std::min(first + strip, views.height);
-            match_plane(views, ref, hypotheses, d, first, last, {radius, floor}, scratch, levels,
+            match_plane(views, ref, hypotheses, d, first, last, window, scratch, levels,
                         cost.get() + int64_t(d) * views.width, stride);
         }
     }

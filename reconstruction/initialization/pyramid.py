@@ -8,6 +8,7 @@ Source: Gu et al., "Cascade cost volume for high-resolution multi-view stereo", 
 depth); the bent windows follow Bleyer, Rhemann and Rother, "PatchMatch stereo", BMVC 2011.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ from reconstruction.initialization.sweep import (
     sweep_around,
     sweep_view,
 )
+from reconstruction.parallel import each
 from rigs.camera import Camera
 
 LEAST_PX = 20_000  # pixels of the smallest size
@@ -77,14 +79,17 @@ def swept_maps(
     Only what is `wanted` [H, W] of each view, and what is near it, is swept.
     """
     sizes = min(map(halvings, cameras))
-    views = [Pyramid.of(camera, image, sizes) for camera, image in zip(cameras, images, strict=True)]
-    maps = []
-    for i, camera in enumerate(cameras):
+    views = list(each(lambda one: Pyramid.of(*one, sizes), zip(cameras, images, strict=True)))
+    threads = max(1, len(os.sched_getaffinity(0)) // len(cameras))
+
+    def swept(i: int) -> DepthMap:
         others = [j for j in range(len(cameras)) if j != i]
-        near = [views[others[j]] for j in neighbours(camera, [cameras[j] for j in others])]
-        parts = [np.s_[0 : camera.height, 0 : camera.width]] if wanted is None else boxes(wanted[i], 2**sizes)
-        maps.append(_pasted(views[i], near, options, parts))
-    return consistent(maps, options)
+        near = [views[others[j]] for j in neighbours(cameras[i], [cameras[j] for j in others])]
+        height, width = images[i].shape
+        parts = [np.s_[0:height, 0:width]] if wanted is None else boxes(wanted[i], 2**sizes)
+        return _pasted(views[i], near, options, parts, threads)
+
+    return consistent(list(each(swept, range(len(cameras)))), options)
 
 
 def boxes(wanted: Mask, grid: int) -> list[Box]:
@@ -118,36 +123,36 @@ def cut(camera: Camera, box: Box) -> Camera:
     )
 
 
-def _pasted(view: Pyramid, sources: Sequence[Pyramid], options: SweepOptions, parts: Sequence[Box]) -> DepthMap:
+def _pasted(
+    view: Pyramid, sources: Sequence[Pyramid], options: SweepOptions, parts: Sequence[Box], threads: int
+) -> DepthMap:
     """Return the depth of the `parts` of a view, NaN elsewhere, unchecked."""
     camera, image = view.levels[0]
     depth, cost = np.full(image.shape, np.nan, np.float32), np.ones(image.shape, np.float32)
     for part in parts:
-        own = view if image[part].shape == image.shape else _part_of(view, part)
-        found = sweep_pyramid(own, sources, options)
+        whole = image[part].shape == image.shape
+        own = view if whole else Pyramid.of(cut(camera, part), image[part], len(view.levels) - 1)
+        found = sweep_pyramid(own, sources, options, threads=threads)
         depth[part], cost[part] = found.depth, found.cost
     return DepthMap(camera, depth, cost)
 
 
-def _part_of(view: Pyramid, part: Box) -> Pyramid:
-    camera, image = view.levels[0]
-    return Pyramid.of(cut(camera, part), image[part], len(view.levels) - 1)
-
-
-def sweep_pyramid(reference: Pyramid, sources: Sequence[Pyramid], options: SweepOptions) -> DepthMap:
+def sweep_pyramid(
+    reference: Pyramid, sources: Sequence[Pyramid], options: SweepOptions, *, threads: int | None = None
+) -> DepthMap:
     """Return the depth of every pixel of the reference view at its largest size, unchecked."""
-    sizes = len(reference.levels)
-    if sizes == 1:
-        return sweep_view(reference.levels[0], [s.levels[0] for s in sources], options)
+    seen = [[s.levels[level] for s in sources] for level in range(len(reference.levels))]
+    if len(seen) == 1:
+        return sweep_view(reference.levels[0], seen[0], options, threads=threads)
     narrow = replace(options, radius_px=max(1, options.radius_px - NARROWER_PX))
     coarse = replace(narrow, planes=max(-(-options.planes // COARSE[0]), min(options.planes, COARSE[1])))
-    found = sweep_view(reference.levels[-1], [s.levels[-1] for s in sources], coarse)
+    found = sweep_view(reference.levels[-1], seen[-1], coarse, threads=threads)
     step = float(np.diff(coarse.inverse_depths[:2])[0])
-    for number, level in enumerate(range(sizes - 2, -1, -1)):
+    for number, level in enumerate(range(len(seen) - 2, -1, -1)):
         around = enlarged(1 / found.depth, reference.levels[level][0], step)
         step /= FINER[min(number, 1)]
         steps = (np.arange(HYPOTHESES) - HYPOTHESES // 2) * step
-        found = sweep_around(reference.levels[level], [s.levels[level] for s in sources], narrow, around, steps)
+        found = sweep_around(reference.levels[level], seen[level], narrow, around, steps, threads=threads)
     return found
 
 
