@@ -50,7 +50,9 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     starts = range(0, planes - WINDOW + 1, WINDOW)
     if len(starts) < 3:
         return Light.steady(planes)
-    blocks = np.concatenate(list(each(lambda stream: _blocks(stream, starts), streams)), axis=1)  # [windows, blocks]
+    blocks = np.concatenate(
+        list(each(lambda stream: spikes_of_blocks(stream, starts), streams)), axis=1
+    )  # [windows, blocks]
     mostly = np.median(blocks, axis=0)
     seen = mostly >= LEAST_SPIKES
     if not seen.any():
@@ -68,7 +70,7 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     return light if light.flickers else Light.steady(planes)
 
 
-def _blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
+def spikes_of_blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
     """Count the spikes of each block over each window, to [windows, blocks]."""
     layout = stream.layout
     rows, columns = (np.arange(n := max(1, size // BLOCK_PX)) * size // n for size in (layout.height, layout.width))
