@@ -36,27 +36,28 @@ def failing_pixels(stream: SpikeStream, light: Light, spans: int = SPANS) -> NDA
     own = counts[:, rows, columns].astype(np.float32)
     lowest, highest = (f.accumulate(own[::-1], axis=0)[::-1] for f in (np.minimum, np.maximum))  # from a span on
     for number in range(spans - LEAST_SPANS, 0, -1):  # the earliest jump is written last
-        jumped = _jumping(own, (lowest[number + 1], highest[number + 1]), gains, number)
+        jumped, jump = _jumping(own, (lowest[number + 1], highest[number + 1]), gains, number)
         around = _around(counts, rows[jumped], columns[jumped])
-        found = jumped[_alone(own[:, jumped], around, gains, number)]
+        found = jumped[_alone(own[:, jumped], jump, around, gains, number)]
         fails[rows[found], columns[found]] = starts[number - 1]
     return fails
 
 
 def _jumping(
     own: NDArray[np.float32], later: tuple[NDArray, NDArray], gains: NDArray[np.float32], number: int
-) -> NDArray[np.int64]:
-    """Return the pixels that leave their counts [S, K] for good in span `number`.
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Return the pixels that leave their counts [S, K] for good in span `number`, and by how many spikes.
 
     `later` are their least and most counts [K] from then on, which rule most of them out.
     """
     least, most = later
     steady = np.flatnonzero(most - least <= STEADY)
     old, new = _parts(number)
-    before = _median(own[old][:, steady] / gains[old, None]) * gains[new].mean()
+    before = _median(own[None, old][:, :, steady] / gains[old, None])[0] * gains[new].mean()
     farthest = np.maximum(np.abs(least[steady] - before), np.abs(most[steady] - before))
     likely = steady[farthest >= JUMP - ROUNDED]
-    return likely[_jump(own[None][:, :, likely], gains, old, new)[0] >= JUMP]
+    jump = _jump(own[None][:, :, likely], gains, old, new)[0]
+    return likely[jump >= JUMP], jump[jump >= JUMP]
 
 
 def _parts(number: int) -> tuple[slice, slice]:
@@ -65,10 +66,10 @@ def _parts(number: int) -> tuple[slice, slice]:
 
 
 def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the median [K] of one, two or three values [n, K]."""
-    if len(values) < 3:
-        return values.mean(axis=0)
-    first, second, third = values
+    """Return the median [n, K] of one, two or three values [n, 1 to 3, K]."""
+    if values.shape[1] < 3:
+        return values.mean(axis=1)
+    first, second, third = np.moveaxis(values, 1, 0)
     return np.maximum(np.minimum(first, second), np.minimum(np.maximum(first, second), third))
 
 
@@ -81,23 +82,31 @@ def _around(counts: NDArray[np.uint32], rows: NDArray[np.int64], columns: NDArra
 
 
 def _alone(
-    own: NDArray[np.float32], around: NDArray[np.float32], gains: NDArray[np.float32], number: int
+    own: NDArray[np.float32],
+    jump: NDArray[np.float32],
+    around: NDArray[np.float32],
+    gains: NDArray[np.float32],
+    number: int,
 ) -> NDArray[np.bool_]:
-    """Return which pixels [K] left their counts [S, K] in span `number` alone; `around` [8, S, K] are neighbours'.
+    """Return which pixels that `jump` [K] from their counts [S, K] in span `number` do so alone.
 
-    Flicker leaves a pixel alone that is hot or stuck.
+    `around` [8, S, K] are the counts of their neighbours. Flicker leaves a pixel alone that is hot or stuck.
     """
     if not own.shape[1]:
         return np.zeros(0, bool)
     old, new = _parts(number)
-    jump, after = _jump(own[None], gains, old, new)[0], own[new]
-    calm = _jump(around, gains, old, new).max(axis=0) <= FOLLOW * jump
-    restless = (np.ptp(around[:, new], axis=1).min(axis=0) >= RESTLESS) & (after.mean(axis=0) >= JUMP)
-    silent = (after.max(axis=0) == 0) & (around[:, new].mean(axis=1).min(axis=0) >= JUMP)
+    after, later = own[new], around[:, new]
+    least, most = later.min(axis=1), later.max(axis=1)
+    before = _median(around[:, old] / gains[old, None]) * gains[new].mean()
+    nearest = np.maximum(least - before, before - most).max(axis=0)  # by which some neighbour jumps at least
+    calm = nearest <= FOLLOW * jump + ROUNDED
+    calm[calm] = _jump(around[:, :, calm], gains, old, new).max(axis=0) <= FOLLOW * jump[calm]
+    restless = ((most - least).min(axis=0) >= RESTLESS) & (after.mean(axis=0) >= JUMP)
+    silent = (after.max(axis=0) == 0) & (later.mean(axis=1).min(axis=0) >= JUMP)
     return calm | restless | silent
 
 
 def _jump(counts: NDArray[np.float32], gains: NDArray[np.float32], old: slice, new: slice) -> NDArray[np.float32]:
     """Return by how many spikes counts [n, S, K] change from the `old` spans to the `new` ones, [n, K]."""
-    before = np.median(counts[:, old] / gains[old, None], axis=1)
+    before = _median(counts[:, old] / gains[old, None])
     return np.abs(np.median(counts[:, new], axis=1) - before * gains[new].mean())
