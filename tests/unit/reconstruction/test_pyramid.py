@@ -2,7 +2,17 @@ import cv2
 import numpy as np
 import pytest
 
-from reconstruction.initialization.pyramid import CONTEXT_PX, Pyramid, boxes, cut, enlarged, halvings, swept_maps
+from reconstruction.initialization.pyramid import (
+    CONTEXT_PX,
+    RIM_PX,
+    Pyramid,
+    _calmed,
+    boxes,
+    cut,
+    enlarged,
+    halvings,
+    swept_maps,
+)
 from reconstruction.initialization.sweep import SweepOptions, consistent, depth_range_m, neighbours, sweep_view
 from rigs.camera import Camera
 from rigs.transform import Transform
@@ -148,10 +158,14 @@ def test_depths_are_smooth_within_a_surface_and_sharp_between_two():
     slope = np.linspace(0.5, 0.6, 60)[None] + np.zeros((40, 1))
     inverse = np.where(np.arange(60) < 30, slope, slope + 0.5)
     noisy = (inverse + 0.3 * step * rng.standard_normal(inverse.shape)).astype(np.float32)
-    found = enlarged(noisy, camera_at(0, 0, 120, 80), step)
+    found, behind = enlarged(_calmed(noisy, step), camera_at(0, 0, 120, 80), step)
     true = cv2.resize(inverse.astype(np.float32), (120, 80), interpolation=cv2.INTER_LINEAR)
     inside = np.ones(120, bool)
     inside[56:64] = False
     assert (found - true)[8:-8, inside][:, 8:-8].std() < 0.12 * step
     assert np.abs(found[:, 59] - found[:, 60]).min() > 0.45
     assert ((found < 0.57) | (found > 1.03)).all()
+    hidden = np.isfinite(behind)
+    assert hidden[:, 60 : 60 + 2 * RIM_PX].all()
+    assert hidden.sum() == 80 * 2 * RIM_PX
+    assert np.abs(behind[hidden] - 0.55).max() < 3 * step
