@@ -34,7 +34,7 @@ LEAST_PX = 20_000  # pixels of the smallest size
 COARSE = 2, 64  # by which hypotheses are fewer at the smallest size, and how many are left at least
 FINER = 4, 2  # by which steps are finer than those of the size before: at the second smallest, and from there on
 HYPOTHESES = 9  # tried around the depth of the size before
-NARROWER_PX = 1  # by which windows are smaller in radius: a wide one takes the depth of what stands beside
+NARROWER_PX = 1  # by which windows are smaller in radius: a wide one sees more that is not its own
 SURFACE_STEPS = 3.0  # steps of the size before, within which neighbours are of one surface
 SMOOTH_PX, REACH_PX = 4.0, 9  # deviation and width of the smoothing within a surface
 EDGE_STEPS = 2.0  # steps of the size before across three pixels, from which there is an edge between surfaces
@@ -182,10 +182,10 @@ def _calmed(inverse: Image, step: float) -> Image:
 
 
 def enlarged(calm: Image, camera: Camera, step: float) -> tuple[Image, Image]:
-    """Return inverse depths at the size of `camera`, and those of what lies behind, NaN where nothing near does.
+    """Return inverse depths at the size of `camera`, and those of a surface behind, NaN where none is near.
 
-    They are smooth within a surface and sharp between two, which differ by a few `step` (1/m). Windows give the rim of
-    what is behind the depth of what is before it.
+    They are smooth within a surface and sharp between two, which differ by a few `step` (1/m). Windows
+    give the rim of a farther surface the depth of the nearer one.
     """
     around = np.ones((3, 3), np.uint8)
     edge = (cv2.dilate(calm, around) - cv2.erode(calm, around) > EDGE_STEPS * step).astype(np.uint8)
