@@ -16,7 +16,8 @@ from acquisition.spikes.stream import SpikeStream
 from rigs.camera import Camera
 from rigs.clock import RigClock
 
-CHUNK = 32  # planes rendered at a time: 13 MB of light at 400x250
+CHUNK = 32  # most planes rendered at a time
+CHUNK_PX = 3_200_000  # most pixels of them: 13 MB of light, which the allocator keeps; more is mapped anew each time
 INSTANTS_HZ = 20000  # least rate at which a scene is rendered
 
 
@@ -69,7 +70,8 @@ class SceneSource:
         if self._view is None:  # not in the constructor: nine cameras are built at once, and threads run them
             self._view = self._scene.view(self._camera, self._samples, self._threads)
         each = math.ceil(INSTANTS_HZ / self._clock.tick_rate_hz)
-        last = min(self._rendered + max(1, CHUNK // each), self._ticks)
+        chunk = min(CHUNK, CHUNK_PX // (self._camera.width * self._camera.height))
+        last = min(self._rendered + max(1, chunk // each), self._ticks)
         parts = (np.arange(each) + 0.5) / each - 0.5 + self.own.lag_ticks
         instants_s = np.array([self._clock.instant_s(k + part) for k in range(self._rendered, last) for part in parts])
         light = self._view.light(instants_s)

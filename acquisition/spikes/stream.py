@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,3 +65,7 @@ class SpikeStream:
     def counts(self, first: int, last: int) -> NDArray[np.uint32]:
         """Count the spikes of each pixel [H, W] over planes [first, last)."""
         return packing.counts(self.window(first, last), self.layout)
+
+    def window_counts(self, windows: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:
+        """Count the spikes of each pixel [N, H, W] over the planes [first, last) of each of N windows."""
+        return packing.window_counts(self.packed, self.layout, np.array(windows, dtype=np.int64))

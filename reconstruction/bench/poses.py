@@ -28,10 +28,10 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.images.catalogue import method
 from reconstruction.initialization.geometry import Geometry
 from reconstruction.initialization.initialisers import INITIALISERS, InitOptions, msdi_alone
+from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.sfm import sfm
 from reconstruction.initialization.sweep import SweepOptions, depth_range_m
 from reconstruction.metrics.poses import pose_errors
-from reconstruction.pipeline.points_stage import swept_maps
 from rigs.rig import Rig, object_distance_m
 from rigs.similarity import align
 

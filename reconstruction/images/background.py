@@ -10,22 +10,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.native import Address
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.flicker import Light
 from reconstruction.images.mending import mended
 from reconstruction.images.response import Response
 from reconstruction.images.scarce import changing, is_scarce, steady_background
+from reconstruction.native import Double, Int, Long, kernel
 
 WINDOWS = 20  # equal parts of the clip
 SPREAD = 2.5  # spikes a part's count may lie from the median part and still be background
 MOSTLY = 0.4  # share of the parts that may show something else
 CUTS = (4, 16)  # equal windows the clip is cut into, once for slow and once for brief change
+SHOT = 0.05  # of the root of a count, by which counts of constant light spread more
 CHANGE = 3  # smallest spread of counts that constant light does not explain
 GROW_PX = 2  # a mover's edge is soft: its neighbours see it too
 FULL_WHITE = 0.3  # spikes per tick; in a dimmer scene differences of intensity are smaller
 GLOW = 3.0  # light of a pixel that glows, over that of its brightest neighbour
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 STUCK_GAP = 0.05  # spikes per tick a stuck pixel must differ from its neighbours to matter
+
+_changed_windows = kernel("changed_windows", Address, Int, Long, Address, Double, Double, Address)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,21 +55,20 @@ def moving_pixels(stream: SpikeStream, light: Light) -> NDArray[np.bool_]:
     seen = np.zeros((stream.layout.height, stream.layout.width), dtype=np.uint8)
     for windows in CUTS:
         if len(stream) // windows >= CHANGE:
-            counts, least = _steady_counts(stream, windows, light)
-            shot = np.sqrt(counts.mean(axis=0)) * 0.05
-            seen |= (np.ptp(counts, axis=0) >= CHANGE / least + shot).astype(np.uint8)
+            counts, gains = _windows(stream, windows, light)
+            _changed_windows(counts, windows, seen.size, gains, CHANGE / gains.min(), SHOT, seen)
     seen = cv2.medianBlur(seen, 3)  # a lone flickering pixel is the sensor's, not the scene's
     if is_scarce(stream):
         seen = np.maximum(seen, changing(stream, light).astype(np.uint8))
     return cv2.dilate(seen, np.ones((2 * GROW_PX + 1,) * 2, dtype=np.uint8)).astype(bool)
 
 
-def _steady_counts(stream: SpikeStream, windows: int, light: Light) -> tuple[NDArray[np.floating], float]:
-    """Count spikes over equal windows [windows, H, W], as in steady light; return the least gain of a window, too."""
+def _windows(stream: SpikeStream, windows: int, light: Light) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
+    """Count spikes over equal windows [windows, H, W]; return the gain of each window [windows], too."""
     length = len(stream) // windows
     spans = [(i * length, (i + 1) * length) for i in range(windows)]
-    gains = [light.over(*span) for span in spans]
-    return np.stack([stream.counts(*s) / np.float32(gain) for s, gain in zip(spans, gains, strict=True)]), min(gains)
+    gains = np.array([light.over(*span) for span in spans], dtype=np.float32)
+    return stream.window_counts(spans), gains.astype(np.float64)
 
 
 def background(
@@ -82,10 +86,12 @@ def background(
         steady, mostly = steady_background(stream, light)
         image, trusted = np.where(moving, steady, mean), ~moving | mostly
     elif length and moving.any():
-        counts, _ = _steady_counts(stream, WINDOWS, light)
+        near, elsewhere = cv2.dilate(moving.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0, np.zeros_like(mean)
+        found, gains = _windows(stream, WINDOWS, light)
+        counts = found[:, near] / gains[:, None]
         median = np.median(counts, axis=0).astype(np.float32)
-        elsewhere = (np.abs(counts - median) > SPREAD).mean(axis=0).astype(np.float32)
-        np.copyto(image, median / np.float32(length), where=moving)
+        elsewhere[near] = (np.abs(counts - median) > SPREAD).mean(axis=0)
+        image[moving] = (median / np.float32(length))[moving[near]]
         trusted = ~moving | (cv2.blur(elsewhere, (3, 3)) < MOSTLY)
     if response is not None:
         _before_failures(image, stream, moving, response, light)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.parallel import each
 
 WINDOW = 4  # planes counted together
 BLOCK_PX = 8
@@ -50,7 +50,9 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     starts = range(0, planes - WINDOW + 1, WINDOW)
     if len(starts) < 3:
         return Light.steady(planes)
-    blocks = np.concatenate([_blocks(stream, starts) for stream in streams], axis=1)  # [windows, blocks]
+    blocks = np.concatenate(
+        list(each(lambda stream: spikes_of_blocks(stream, starts), streams)), axis=1
+    )  # [windows, blocks]
     mostly = np.median(blocks, axis=0)
     seen = mostly >= LEAST_SPIKES
     if not seen.any():
@@ -68,9 +70,16 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     return light if light.flickers else Light.steady(planes)
 
 
-def _blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
+def spikes_of_blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
     """Count the spikes of each block over each window, to [windows, blocks]."""
-    size = (max(1, stream.layout.width // BLOCK_PX), max(1, stream.layout.height // BLOCK_PX))
-    area = stream.layout.width * stream.layout.height / (size[0] * size[1])
-    counts = (stream.counts(start, start + WINDOW).astype(np.float32) for start in starts)
-    return np.stack([cv2.resize(c, size, interpolation=cv2.INTER_AREA).ravel() * area for c in counts])
+    layout = stream.layout
+    rows, columns = (np.arange(n := max(1, size // BLOCK_PX)) * size // n for size in (layout.height, layout.width))
+    if layout.stored_width == layout.width == BLOCK_PX * len(columns):  # a block's row is a byte
+        rows_of_bytes = (layout.height, len(columns))
+        counts = (np.bitwise_count(stream.window(s, s + WINDOW)).sum(axis=0, dtype=np.uint8) for s in starts)
+        flip = slice(None, None, -1 if layout.row_order == "bottom" else 1)
+        sums = [np.add.reduceat(c.reshape(rows_of_bytes)[flip], rows, axis=0, dtype=np.uint32) for c in counts]
+    else:
+        counts = (stream.counts(start, start + WINDOW) for start in starts)
+        sums = [np.add.reduceat(np.add.reduceat(c, rows, axis=0), columns, axis=1) for c in counts]
+    return np.stack(sums).reshape(len(starts), -1).astype(np.float32)

@@ -7,6 +7,7 @@ tell is where in the square the change is, so the smallest squares that tell any
 """
 
 import math
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -53,7 +54,7 @@ def changing(stream: SpikeStream, light: Light) -> Mask:
         mean = counts.mean(axis=0)
         for side in SQUARES_PX:
             if float(mean.mean()) * side**2 >= POOLED:
-                most = np.maximum(most, _strays(counts, mean, gains, side).max(axis=0))
+                most = np.maximum(most, np.max(list(_strays(counts, mean, gains, side)), axis=0))
     _, regions = cv2.connectedComponents((most > BESIDE).astype(np.uint8))
     sure = np.unique(np.asarray(regions)[most > DEVIATIONS])
     return np.isin(regions, sure[sure > 0])
@@ -64,7 +65,7 @@ def steady_background(stream: SpikeStream, light: Light) -> tuple[Floats, Mask]:
     counts, gains = steady_counts(stream, min(PARTS, len(stream)), light)
     length, mean = len(stream) // len(counts), counts.mean(axis=0)
     side = next((s for s in SQUARES_PX if float(mean.mean()) * s**2 >= POOLED), SQUARES_PX[-1])
-    kept = _strays(counts, mean, gains, side, middle=True) < STRAY
+    kept = np.stack(list(_strays(counts, mean, gains, side, middle=True))) < STRAY
     kept |= ~kept.any(axis=0)
     image = (counts * kept).sum(axis=0) / (kept.sum(axis=0) * np.float32(length))
     return image.astype(np.float32), kept.mean(axis=0) > 1 - MOSTLY
@@ -89,12 +90,16 @@ def steady_counts(stream: SpikeStream, windows: int, light: Light) -> tuple[Floa
     return np.stack([stream.counts(*s) / gain for s, gain in zip(spans, gains, strict=True)]).astype(np.float32), gains
 
 
-def _strays(counts: Floats, mean: Floats, gains: Floats, side: int, *, middle: bool = False) -> Floats:
-    """Return how far each window's square [W, H, W] is from the mean one, or the median one, in deviations."""
+def _strays(counts: Floats, mean: Floats, gains: Floats, side: int, *, middle: bool = False) -> Iterator[Floats]:
+    """Yield how far each window's square [H, W] is from the mean one, or the median one, in deviations."""
     pooled = np.stack([_sum(c, side) for c in counts])
     usual = np.median(pooled, axis=0) if middle else pooled.mean(axis=0)
-    variance = np.stack([_sum(np.minimum(mean * g, ROUNDING) + FANO * mean * g, side) / g**2 for g in gains])
-    return (np.abs(pooled - usual) / np.sqrt(variance + FEW)).astype(np.float32)
+    deviations: dict[float, Floats] = {}  # by gain: in steady light, there is one
+    for square, gain in zip(pooled, gains, strict=True):
+        if float(gain) not in deviations:
+            variance = _sum(np.minimum(mean * gain, ROUNDING) + FANO * mean * gain, side) / gain**2
+            deviations[float(gain)] = np.sqrt(variance + FEW)
+        yield (np.abs(square - usual) / deviations[float(gain)]).astype(np.float32)
 
 
 def _sum(image: Floats, side: int) -> Floats:

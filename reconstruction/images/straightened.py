@@ -23,7 +23,10 @@ MOSTLY = 0.5  # least share of a pixel's light from where one surface is seen mo
 
 
 class StraightStream(SpikeStream):
-    """The spikes of a camera, counted over the pixels of its view; `planes` and `window` are the recorded ones."""
+    """The spikes of a camera, counted over the pixels of its view.
+
+    `planes`, `window` and `window_counts` are of the recorded pixels.
+    """
 
     def __init__(self, recorded: SpikeStream, straightening: Straightening, stuck: Mask):
         super().__init__(recorded.packed, recorded.layout, recorded.tick_rate_hz, recorded.partial_bytes)

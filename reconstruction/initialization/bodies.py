@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.initialization.points import Points, nearest
-from reconstruction.initialization.registration import ALIKE, nearest_of, register, sampled
+from reconstruction.initialization.registration import ALIKE, linked, nearest_of, register, sampled
 from rigs.transform import Transform
 
 LEAST_POINTS = 40  # points of a cluster that may become a body
@@ -175,19 +175,9 @@ def clusters(points: Points, which: NDArray[np.int64], gap_m: float) -> list[NDA
     """Return connected clusters of at least LEAST_POINTS among the points at indices `which`, largest first."""
     if len(which) < LEAST_POINTS:
         return []
-    at = points.positions[which].astype(np.float64)
-    linked = np.square(at[:, None] - at).sum(axis=-1) <= gap_m**2
-    left = np.ones(len(at), dtype=bool)
-    found = []
-    while left.any():
-        cluster = edge = np.flatnonzero(left)[:1]
-        left[edge] = False
-        while len(edge):
-            edge = np.flatnonzero(linked[edge].any(axis=0) & left)
-            left[edge] = False
-            cluster = np.concatenate([cluster, edge])
-        found.append(which[np.sort(cluster)])
-    return sorted((c for c in found if len(c) >= LEAST_POINTS), key=lambda c: -len(c))
+    numbers = linked(points.positions[which], gap_m)
+    found = [which[numbers == number] for number in np.flatnonzero(np.bincount(numbers) >= LEAST_POINTS)]
+    return sorted(found, key=lambda c: -len(c))
 
 
 def _begin(points: Points, instant: int, cluster: NDArray[np.int64]) -> Body:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.initialization.sweep import DepthMap, Image, neighbours
 from reconstruction.initialization.warping import sampled
+from reconstruction.parallel import each
 
 DARKEST = 0.02  # spikes per tick of a pixel whose ratio is looked at
 LEAST_PX = 400  # pixels that a pair of views must share
@@ -23,6 +24,7 @@ MEDIAN_SD = 1.25  # deviation of a median over that of a mean
 SURE = 4.0  # standard deviations by which gains must differ to be taken out
 LEAST_SPREAD = 4e-3  # of log gains that is worth it: half of a real sensor's spread of thresholds
 Mask = NDArray[np.bool_]
+Seen = tuple[DepthMap, Image, Mask]
 
 
 class Gains(NamedTuple):
@@ -49,17 +51,19 @@ def camera_gains(maps: Sequence[DepthMap], images: Sequence[Image], still: Seque
     `still` [H, W] are the pixels that show one surface all along.
     """
     count = len(maps)
-    rows, values, weights = [], [], []
+    pairs = []
     for i in range(count):
         others = [j for j in range(count) if j != i]
-        for j in [others[k] for k in neighbours(maps[i].camera, [maps[o].camera for o in others])]:
-            ratio, sd = _ratio(maps[i], images[i], still[i], maps[j], images[j])
-            if np.isfinite(sd):
-                row = np.zeros(count)
-                row[[i, j]] = 1.0, -1.0
-                rows.append(row)
-                values.append(ratio)
-                weights.append(1 / sd**2)
+        pairs += [(i, others[k]) for k in neighbours(maps[i].camera, [maps[o].camera for o in others])]
+    ratios = each(lambda pair: _ratio(*((maps[i], images[i], still[i]) for i in pair)), pairs)
+    rows, values, weights = [], [], []
+    for (i, j), (ratio, sd) in zip(pairs, ratios, strict=True):
+        if np.isfinite(sd):
+            row = np.zeros(count)
+            row[[i, j]] = 1.0, -1.0
+            rows.append(row)
+            values.append(ratio)
+            weights.append(1 / sd**2)
     return _solved(count, np.array(rows).reshape(-1, count), np.array(values), np.array(weights))
 
 
@@ -78,9 +82,10 @@ def _solved(count: int, rows: NDArray[np.float64], values: NDArray[np.float64], 
     return Gains(logs - logs.mean(), np.sqrt(np.maximum(np.diag(inverse), 0) * excess))
 
 
-def _ratio(one: DepthMap, image: Image, still: Mask, other: DepthMap, others: Image) -> tuple[float, float]:
+def _ratio(one: Seen, another: Seen) -> tuple[float, float]:
     """Return the median log ratio of one view's light to the other's, and its deviation; infinite for too few."""
-    there, visible = sampled(one.camera, one.depth, others, other)
+    (here, image, still), (other, others, _) = one, another
+    there, visible = sampled(here.camera, here.depth, others, other)
     pixels = visible & still & (np.minimum(image, there) > DARKEST) & (np.maximum(image, there) < np.inf)
     found = int(pixels.sum())
     if found < LEAST_PX:

@@ -12,6 +12,7 @@ namespace {
 
 using Pair = float __attribute__((vector_size(8)));  // two neighbours of a row
 constexpr float kUnseen = 1;  // the cost where a source sees nothing
+constexpr int kStripRows = 64;
 
 struct Reference {  // [H, W] each; the window is clipped at the border
     std::vector<float> mean, inverse_area, inverse_spread;
@@ -38,20 +39,26 @@ struct Scratch {
     }
 };
 
-// Where row y of the reference falls in a source, by the plane at inverse depth w: x_s ~ K_s (R + t n^T w) K_r^-1 x_r.
-void locate(const Views &views, int source, double w, int y, Scratch &s, Line &line) {
+// Where row y of the reference falls in a source, by the plane at inverse depth w, on top of `around` [W] for each pixel:
+// x_s ~ K_s (R + t n^T w) K_r^-1 x_r.
+template <bool bent>
+void locate(const Views &views, int source, double w, const float *around, int y, Scratch &s, Line &line) {
     const double *h = views.homographies + 9 * source, *e = views.epipoles + 3 * source;
     const double v = y + 0.5;
     const float a0 = float(h[1] * v + h[2] + e[0] * w), b0 = float(h[4] * v + h[5] + e[1] * w);
     const float c0 = float(h[7] * v + h[8] + e[2] * w), a1 = float(h[0]), b1 = float(h[3]), c1 = float(h[6]);
+    const float ea = float(e[0]), eb = float(e[1]), ec = float(e[2]);
     const float right = float(views.source_width - 1), bottom = float(views.source_height - 1);
     const int stride = views.source_width, width = views.width;
     float *fx = s.fx.data(), *fy = s.fy.data(), *seen = line.seen.data();
     int32_t *at = s.at.data();
 #pragma omp simd
     for (int x = 0; x < width; ++x) {
-        const float u = float(x) + 0.5f, c = c0 + c1 * u, ahead = c > 1e-6f ? c : 1, scale = 1 / ahead;
-        const float sx = (a0 + a1 * u) * scale - 0.5f, sy = (b0 + b1 * u) * scale - 0.5f;
+        const float u = float(x) + 0.5f;
+        float a = a0 + a1 * u, b = b0 + b1 * u, c = c0 + c1 * u;
+        if constexpr (bent) a += ea * around[x], b += eb * around[x], c += ec * around[x];
+        const float ahead = c > 1e-6f ? c : 1, scale = 1 / ahead;
+        const float sx = a * scale - 0.5f, sy = b * scale - 0.5f;
         float inside = c > 1e-6f ? 1 : 0;  // one comparison at a time, so that no branch keeps the loop from vectors
         inside = sx >= 0 ? inside : 0;
         inside = sy >= 0 ? inside : 0;
@@ -121,13 +128,17 @@ void across(const std::vector<float> &columns, int radius, std::vector<float> &t
         for (int x = 0; x < width; ++x) out[x] = run<7>(from + x);
         return;
     }
+    if (radius == 2) {
+#pragma omp simd
+        for (int x = 0; x < width; ++x) out[x] = run<5>(from + x);
+        return;
+    }
     std::fill(to.begin(), to.end(), 0.f);
     for (int k = 0; k <= 2 * radius; ++k)
         for (int x = 0; x < width; ++x) out[x] += from[x + k];
 }
 
-// Costs of one source in one row into the best two of each pixel. `floor` keeps noise on flat patches from looking
-// like texture.
+// Costs of one source in one row into the best two of each pixel.
 void score(const Source &source, const float *seen, const Reference &ref, int64_t row, float floor, int radius,
            Scratch &s) {
     across(source.sum, radius, s.sum);
@@ -180,29 +191,35 @@ Reference prepare(const Views &v, int radius, float floor) {
     return ref;
 }
 
-void match_plane(const Views &v, const Reference &ref, double inverse_depth, int radius, float floor, Scratch &s,
-                 const Levels &levels, uint16_t *cost, int64_t stride) {
-    const int rows = 2 * radius + 1;
+// Costs of hypothesis d in rows [first, last).
+void match_plane(const Views &v, const Reference &ref, const Hypotheses &hypotheses, int d, int first, int last,
+                 const Window &window, Scratch &s, const Levels &levels, uint16_t *cost, int64_t stride) {
+    const int radius = window.radius, rows = 2 * radius + 1, begin = std::max(0, first - radius);
+    const double inverse_depth = hypotheses.inverse_depths[d];
     for (Source &source : s.sources)
         for (auto *sums : {&source.sum, &source.squares, &source.products}) sums->assign(v.width + 2 * radius, 0.f);
-    for (int y = 0; y < v.height + radius; ++y) {  // the row that enters the window of row y - radius
+    for (int y = begin; y < last + radius; ++y) {  // the row that enters the window of row y - radius
+        const int64_t entering = int64_t(y) * v.width, middle = int64_t(y - radius) * v.width;
         std::fill(s.best.begin(), s.best.end(), kUnseen);
         std::fill(s.second.begin(), s.second.end(), kUnseen);
         for (int k = 0; k < v.count; ++k) {
             Source &source = s.sources[k];
             Line &line = source.lines[y % rows];
-            if (y >= rows) gather(line, v.reference + int64_t(y - rows) * v.width, -1, v.width, radius, source);
+            if (y >= begin + rows)
+                gather(line, v.reference + int64_t(y - rows) * v.width, -1, v.width, radius, source);
             if (y < v.height) {
-                locate(v, k, inverse_depth, y, s, line);
+                if (hypotheses.around)
+                    locate<true>(v, k, inverse_depth, hypotheses.around + entering, y, s, line);
+                else
+                    locate<false>(v, k, inverse_depth, nullptr, y, s, line);
                 warp(v, k, s, line);
-                gather(line, v.reference + int64_t(y) * v.width, 1, v.width, radius, source);
+                gather(line, v.reference + entering, 1, v.width, radius, source);
             }
-            if (y < radius) continue;
+            if (y < first + radius) continue;
             const float *seen = source.lines[(y - radius) % rows].seen.data();
-            const int64_t row = int64_t(y - radius) * v.width;
-            score(source, seen, ref, row, floor, radius, s);
+            score(source, seen, ref, middle, window.floor, radius, s);
         }
-        if (y < radius) continue;
+        if (y < first + radius) continue;
         const float half = 0.5f * levels.one;
         uint16_t *out = cost + (y - radius) * stride;
         for (int x = 0; x < v.width; ++x) out[x] = uint16_t(int32_t(half * (s.best[x] + s.second[x]) + 0.5f));
@@ -211,18 +228,22 @@ void match_plane(const Views &v, const Reference &ref, double inverse_depth, int
 
 }  // namespace
 
-Costs match(const Views &views, const Hypotheses &hypotheses, int radius, float floor, const Levels &levels) {
+Costs match(const Views &views, const Hypotheses &hypotheses, const Window &window, const Levels &levels, int threads) {
     const int planes = hypotheses.planes;
     const int64_t stride = int64_t(planes) * views.width;
     Costs cost(new uint16_t[views.height * stride]);
-    const Reference ref = prepare(views, radius, floor);
-#pragma omp parallel
+    const Reference ref = prepare(views, window.radius, window.floor);
+    // A few hypotheses are cut into strips of rows, so that there is work for every thread.
+    const int strip = hypotheses.around ? kStripRows : views.height, strips = (views.height + strip - 1) / strip;
+#pragma omp parallel num_threads(threads) if (threads > 1)
     {
-        Scratch scratch(views, radius);
+        Scratch scratch(views, window.radius);
 #pragma omp for schedule(dynamic)
-        for (int d = 0; d < planes; ++d)
-            match_plane(views, ref, hypotheses.inverse_depths[d], radius, floor, scratch, levels,
+        for (int task = 0; task < planes * strips; ++task) {
+            const int d = task / strips, first = task % strips * strip, last = std::min(first + strip, views.height);
+            match_plane(views, ref, hypotheses, d, first, last, window, scratch, levels,
                         cost.get() + int64_t(d) * views.width, stride);
+        }
     }
     return cost;
 }

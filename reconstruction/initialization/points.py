@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.initialization.sweep import DepthMap, back_project
+from reconstruction.initialization.sweep import DepthMap, back_projected
 from rigs.transform import Transform
 
 if TYPE_CHECKING:
@@ -84,17 +84,17 @@ def sample_points(
 
     `images` [H, W] in spikes per tick and masks `wanted` [H, W] belong to the V `maps`; all points are of `instant_s`.
     """
-    positions, intensities = [], []
-    for depth_map, image, mask in zip(maps, images, wanted, strict=True):
-        kept = mask & np.isfinite(depth_map.depth)
-        positions.append(back_project(depth_map.camera, depth_map.depth)[kept])
-        intensities.append(image[kept])
-    all_positions, all_intensities = np.concatenate(positions), np.concatenate(intensities)
-    chosen = rng.permutation(len(all_positions))[:count]
+    kept = [np.flatnonzero(mask & np.isfinite(m.depth)) for m, mask in zip(maps, wanted, strict=True)]
+    ends = np.cumsum([0, *map(len, kept)])
+    chosen = rng.permutation(int(ends[-1]))[:count]
     if len(chosen) == 0:
         return Points.none()
-    kept = all_positions[chosen]
-    return Points(kept, all_intensities[chosen], spacing(kept), np.full(len(chosen), float(instant_s)))
+    positions, intensities = np.empty((len(chosen), 3)), np.empty(len(chosen), np.float32)
+    for i, (depth_map, image) in enumerate(zip(maps, images, strict=True)):
+        own = np.flatnonzero((chosen >= ends[i]) & (chosen < ends[i + 1]))
+        pixels = kept[i][chosen[own] - ends[i]]
+        positions[own], intensities[own] = back_projected(depth_map, pixels), image.ravel()[pixels]
+    return Points(positions, intensities, spacing(positions), np.full(len(chosen), float(instant_s)))
 
 
 def spacing(positions: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -27,6 +27,7 @@ ALIKE = 0.04  # spikes per tick by which the brightness of one surface point dif
 
 Cloud = tuple[NDArray[np.float32], NDArray[np.float32]]  # positions [n, 3] in m, intensities [n] in spikes per tick
 
+_link_points = kernel("link_points", Address, Int, Double, Address)
 _soft_matches = kernel("soft_matches", *[Address, Address, Int] * 2, Address, *[Double] * 4, Address)
 
 
@@ -46,6 +47,16 @@ def sampled(points: Points) -> Points:
     if len(points) <= MOST_POINTS:
         return points
     return points.select(np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64))
+
+
+def linked(positions: NDArray[np.floating], gap_m: float) -> NDArray[np.int32]:
+    """Return the number of each point's cluster [n], from 0 in the order of their first points.
+
+    Points [n, 3] within `gap_m` of each other are of one cluster, and so are those that others join.
+    """
+    numbers = np.empty(len(positions), np.int32)
+    _link_points(np.ascontiguousarray(positions, dtype=np.float64), len(positions), gap_m, numbers)
+    return numbers
 
 
 def nearest_of(points: Points, others: Points) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -49,9 +49,10 @@ void follow(const uint16_t *cost, int length, int stride, int planes, const Leve
     }
 }
 
-void smooth_rows(const Costs &cost, int height, int width, int planes, const Levels &levels, uint16_t *total) {
+void smooth_rows(const Costs &cost, int height, int width, int planes, const Levels &levels, int threads,
+                 uint16_t *total) {
     const int64_t row = int64_t(planes) * width;
-#pragma omp parallel
+#pragma omp parallel num_threads(threads) if (threads > 1)
     {
         std::vector<uint16_t> turned(row), sums(row), previous(planes + 2), current(planes + 2);
 #pragma omp for schedule(dynamic, 8)
@@ -124,14 +125,14 @@ double offset_of(const uint16_t *total, int64_t width, int d, int planes) {
 
 }  // namespace
 
-void choose(const Costs &cost, const Views &v, const Hypotheses &hypotheses, const Levels &levels, float *depth,
-            float *cost_at_depth) {
+void choose(const Costs &cost, const Views &v, const Hypotheses &hypotheses, const Levels &levels, int threads,
+            float *depth, float *cost_at_depth) {
     const int width = v.width, planes = hypotheses.planes;
     const int64_t row = int64_t(planes) * width;
     const Costs total(new uint16_t[v.height * row]);
-    smooth_rows(cost, v.height, width, planes, levels, total.get());
+    smooth_rows(cost, v.height, width, planes, levels, threads, total.get());
     const double *w = hypotheses.inverse_depths, gap = planes > 1 ? w[1] - w[0] : 0;
-#pragma omp parallel
+#pragma omp parallel num_threads(threads) if (threads > 1)
     {
         Strip strip(planes);
 #pragma omp for schedule(dynamic)
@@ -148,7 +149,8 @@ void choose(const Costs &cost, const Views &v, const Hypotheses &hypotheses, con
                 for (int x = 0; x < columns; ++x) {
                     const int d = index[x];
                     const int64_t i = int64_t(y) * width + left + x;
-                    depth[i] = float(1 / (w[d] + gap * offset_of(sums + x, width, d, planes)));
+                    const double own = hypotheses.around ? hypotheses.around[i] : 0.0;
+                    depth[i] = float(1 / (own + w[d] + gap * offset_of(sums + x, width, d, planes)));
                     cost_at_depth[i] = float(cost[y * row + int64_t(d) * width + left + x]) / levels.one;
                 }
             }
@@ -161,12 +163,12 @@ void choose(const Costs &cost, const Views &v, const Hypotheses &hypotheses, con
 // Writes depth [H, W] and the unsmoothed mean of the two best costs there [H, W]; see Views for the images.
 S4_API void plane_sweep(const float *reference, int32_t height, int32_t width, const float *sources, int32_t count,
                         int32_t source_height, int32_t source_width, const double *homographies, const double *epipoles,
-                        const double *inverse_depths, int32_t planes, int32_t radius, float floor, float penalty_step,
-                        float penalty_jump, float *depth, float *cost_at_depth) {
+                        const double *inverse_depths, int32_t planes, const float *around, int32_t radius, float floor,
+                        float penalty_step, float penalty_jump, int32_t threads, float *depth, float *cost_at_depth) {
     const s4::Views views{reference,     height,       width,        sources, count,
                           source_height, source_width, homographies, epipoles};
-    const s4::Hypotheses hypotheses{inverse_depths, planes};
+    const s4::Hypotheses hypotheses{inverse_depths, planes, around};
     const s4::Levels levels(penalty_step, penalty_jump);
-    const s4::Costs cost = s4::match(views, hypotheses, radius, floor, levels);
-    s4::choose(cost, views, hypotheses, levels, depth, cost_at_depth);
+    const s4::Costs cost = s4::match(views, hypotheses, {radius, floor}, levels, threads);
+    s4::choose(cost, views, hypotheses, levels, threads, depth, cost_at_depth);
 }

@@ -19,6 +19,12 @@ struct Views {  // images: reference [H, W] and sources [S, Hs, Ws]; homographie
 struct Hypotheses {
     const double *inverse_depths;  // [D], equally spaced
     int planes;
+    const float *around;  // [H, W]: a pixel's hypotheses are these inverse depths on top of its own; null for none
+};
+
+struct Window {  // `floor` keeps noise on flat patches from looking like texture
+    int radius;
+    float floor;
 };
 
 struct Levels {  // a cost of 1, and the penalties, in steps; four paths of at most one + jump fit into 16 bits
@@ -34,10 +40,10 @@ constexpr uint16_t kNoPath = 30000;  // more than any path costs
 using Costs = std::unique_ptr<uint16_t[]>;
 
 // Mean of the two best costs (1 - ZNCC, at most 1) among the sources, 1 where none sees the pixel.
-Costs match(const Views &views, const Hypotheses &hypotheses, int radius, float floor, const Levels &levels);
+Costs match(const Views &views, const Hypotheses &hypotheses, const Window &window, const Levels &levels, int threads);
 
 // Four-path semi-global smoothing, the best hypothesis and its parabola; the cost before smoothing there.
-void choose(const Costs &cost, const Views &views, const Hypotheses &hypotheses, const Levels &levels, float *depth,
-            float *cost_at_depth);
+void choose(const Costs &cost, const Views &views, const Hypotheses &hypotheses, const Levels &levels, int threads,
+            float *depth, float *cost_at_depth);
 
 }  // namespace s4

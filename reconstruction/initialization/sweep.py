@@ -6,6 +6,7 @@ bad points.
 Source: Collins, CVPR 1996 (plane sweep); Hirschmueller, PAMI 2008 (semi-global matching); ZNCC and best-k by design.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.native import Address
 from reconstruction.native import Double, Float, Int, kernel
+from reconstruction.parallel import each
 from rigs.camera import Camera
 from rigs.rig import object_distance_m
 
@@ -24,7 +26,7 @@ NOISE = 0.01  # spikes per tick in a scene of ordinary light
 AGREEMENT_PX = 1.0  # inverse-depth steps by which a confirming depth may be off
 
 _IMAGES = (Address, Int, Int, Address, Int, Int, Int)
-_plane_sweep = kernel("plane_sweep", *_IMAGES, *[Address] * 3, Int, Int, Float, Float, Float, Address, Address)
+_plane_sweep = kernel("plane_sweep", *_IMAGES, *[Address] * 3, Int, Address, Int, *[Float] * 3, Int, *[Address] * 2)
 _confirm_depths = kernel("confirm_depths", Address, Int, Int, *[Address] * 3, Int, Int, Double, Address)
 
 
@@ -71,21 +73,54 @@ def neighbours(camera: Camera, others: Sequence[Camera], count: int = SOURCES) -
 
 
 def sweep_view(
-    reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], options: SweepOptions
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    *,
+    threads: int | None = None,
 ) -> DepthMap:
-    """Return the depth of every pixel of the reference view, unchecked.
+    """Return the depth of every pixel of the reference view, unchecked, in as many threads as processors by default.
 
     All images [H, W] are linear, in spikes per tick; those of the sources have one size.
     """
-    camera, image = reference
+    return _swept(reference, sources, options, (options.inverse_depths, None), threads)
+
+
+def sweep_around(
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    around: Image,
+    steps: NDArray[np.float64],
+    *,
+    threads: int | None = None,
+) -> DepthMap:
+    """Return the depth of every pixel of the reference view near inverse depths `around` [H, W], unchecked.
+
+    Hypotheses are `steps` [K] beside it, in 1/m and equally spaced. A window is bent as `around` is.
+    """
+    inside = np.clip(around, options.inverse_depths[0] - steps[0], options.inverse_depths[-1] - steps[-1])
+    return _swept(reference, sources, options, (steps, np.ascontiguousarray(inside, dtype=np.float32)), threads)
+
+
+def _swept(
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    searched: tuple[NDArray[np.float64], Image | None],
+    threads: int | None,
+) -> DepthMap:
+    (camera, image), (hypotheses, around) = reference, searched
     stack = np.ascontiguousarray(np.stack([s for _, s in sources]), dtype=np.float32)
     homographies, epipoles = zip(*(plane_induced(camera, source) for source, _ in sources), strict=True)
-    arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (homographies, epipoles, options.inverse_depths)]
+    arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (homographies, epipoles, hypotheses)]
     height, width = image.shape
     depth, cost = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     flat = np.ascontiguousarray(image, dtype=np.float32)
-    numbers = (options.planes, options.radius_px, options.noise, options.penalty_step, options.penalty_jump)
-    _plane_sweep(flat, height, width, stack, *stack.shape, *arrays, *numbers, depth, cost)
+    numbers = (options.radius_px, options.noise, options.penalty_step, options.penalty_jump)
+    team = threads or len(os.sched_getaffinity(0))
+    size = (height, width, stack, *stack.shape)
+    _plane_sweep(flat, *size, *arrays, len(hypotheses), around, *numbers, team, depth, cost)
     return DepthMap(camera, depth, cost)
 
 
@@ -98,6 +133,15 @@ def back_project(camera: Camera, depth: Image) -> NDArray[np.float64]:
     return camera.cam_from_rig.inverse().apply(rays * depth[..., None])
 
 
+def back_projected(depth_map: DepthMap, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the points [n, 3] in the rig frame, in m, that a view sees in `pixels` [n], counted row by row."""
+    camera = depth_map.camera
+    rows, columns = np.divmod(pixels, camera.width)
+    x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
+    depth = depth_map.depth.ravel()[pixels]
+    return camera.cam_from_rig.inverse().apply(np.stack([x, y, np.ones(len(pixels))], axis=-1) * depth[:, None])
+
+
 def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return K_s R K_r^-1 [9] and K_s t [3] of the homography that planes facing the reference induce."""
     source_from_reference = source.cam_from_rig @ reference.cam_from_rig.inverse()
@@ -108,8 +152,8 @@ def plane_induced(reference: Camera, source: Camera) -> tuple[NDArray[np.float64
 def consistent(maps: Sequence[DepthMap], options: SweepOptions) -> list[DepthMap]:
     """Return the same depths with NaN wherever too few other views see the same surface."""
     tolerance = AGREEMENT_PX * float(np.diff(options.inverse_depths[:2])[0])
-    kept = [np.where(agreed(maps, i, tolerance), one.depth, np.float32(np.nan)) for i, one in enumerate(maps)]
-    return [replace(one, depth=depth) for one, depth in zip(maps, kept, strict=True)]
+    checked = zip(maps, each(lambda i: agreed(maps, i, tolerance), range(len(maps))), strict=True)
+    return [replace(one, depth=np.where(sure, one.depth, np.float32(np.nan))) for one, sure in checked]
 
 
 def agreed(maps: Sequence[DepthMap], number: int, tolerance: float) -> NDArray[np.bool_]:

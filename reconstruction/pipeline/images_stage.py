@@ -11,6 +11,7 @@ from reconstruction.images.failures import failing_pixels
 from reconstruction.images.flicker import Light
 from reconstruction.images.pixels import read_pixels
 from reconstruction.images.response import NEVER, Response
+from reconstruction.parallel import each
 from reconstruction.pipeline.artefacts import BACKGROUND, MOVING, read_light, write, write_responses
 from reconstruction.run.configuration import MAPS
 from reconstruction.run.decisions import Decision
@@ -20,17 +21,21 @@ from rigs.camera import Camera
 
 def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Find and keep the response and the background of every training view."""
-    views, light = run.plan.views, read_light(run)
-    responses, failed = {}, 0
-    for i, view in enumerate(views):
-        stream, calibrated = recording.stream(view), run.plan.pixels == MAPS
+    views, light, calibrated = run.plan.views, read_light(run), run.plan.pixels == MAPS
+
+    def look(view: str) -> tuple[Response | None, int, int]:
+        stream = recording.stream(view)
         response, failing = _response(recording.rig.camera(view), stream, light, calibrated=calibrated)
+        found = background(stream, run.read_array(MOVING.format(view=view)), light, response)
+        write(run, BACKGROUND, found, view)
+        return response, failing, int(found.stuck.sum())
+
+    responses, failed = {}, 0
+    for i, (view, (response, failing, stuck)) in enumerate(zip(views, each(look, views), strict=True)):
         if response is not None:
             responses[view] = response
         failed += failing
-        found = background(stream, run.read_array(MOVING.format(view=view)), light, response)
-        write(run, BACKGROUND, found, view)
-        progress((i + 1) / len(views), f"background of {view}, {int(found.stuck.sum())} stuck pixels")
+        progress((i + 1) / len(views), f"background of {view}, {stuck} stuck pixels")
     write_responses(run, responses)
     if failed:
         reason = "lone pixels that jump, and from then on see nothing change; no image or count reads them after that"

@@ -14,20 +14,12 @@ from reconstruction.images.noise import still_sigma
 from reconstruction.images.scarce import calm_side, calmed
 from reconstruction.initialization.beyond import empty, is_open, searched, with_sky
 from reconstruction.initialization.points import Points, sample_points
+from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.surfaces import with_planes
-from reconstruction.initialization.sweep import (
-    NOISE,
-    DepthMap,
-    Image,
-    SweepOptions,
-    consistent,
-    depth_range_m,
-    filled,
-    neighbours,
-    sweep_view,
-)
+from reconstruction.initialization.sweep import NOISE, DepthMap, Image, SweepOptions, depth_range_m, filled
 from reconstruction.initialization.texture import judge_poses, textured
 from reconstruction.methods.catalogue import METHODS
+from reconstruction.parallel import each
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.gains import even_cameras
 from reconstruction.run.decisions import Decision
@@ -39,6 +31,7 @@ from rigs.camera import Camera
 CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200  # points of the still scene, where so many were asked for
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
+Mask = NDArray[np.bool_]
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
@@ -76,16 +69,6 @@ def moving_planes(planes: int, model: str) -> list[int]:
     return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
 
 
-def swept_maps(cameras: Sequence[Camera], images: Sequence[Image], options: SweepOptions) -> list[DepthMap]:
-    """Return the depth of every view against its nearest neighbours, NaN where other views do not confirm it."""
-    maps = []
-    for i, camera in enumerate(cameras):
-        others = [(c, images[j]) for j, c in enumerate(cameras) if j != i]
-        near = [others[j] for j in neighbours(camera, [c for c, _ in others])]
-        maps.append(sweep_view((camera, images[i]), near, options))
-    return consistent(maps, options)
-
-
 def _still_points(
     run: RunFolder,
     sources: Mapping[str, CompositeSource],
@@ -120,7 +103,7 @@ def _still_maps(
     cameras: Sequence[Camera],
     rng: np.random.Generator,
     report: Callable[[str], None],
-) -> tuple[list[DepthMap], list[Image], list[NDArray[np.bool_]]]:
+) -> tuple[list[DepthMap], list[Image], list[Mask]]:
     """Return each view's depth of the still scene, its background as it was swept, and where that has texture.
 
     The gains of the cameras are found on the way, and taken out of the backgrounds.
@@ -161,10 +144,14 @@ def _moving_points(
     """Return points of movers `at` a plane and its instant in seconds, swept at half resolution."""
     plane, instant_s = at
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
-    whole = [s.at(plane) for s in sources.values()]
-    seen = [s.movers(image, plane).astype(np.float32) for s, image in zip(sources.values(), whole, strict=True)]
-    images, masks = ([shrunk(a, c) for a, c in zip(some, half, strict=True)] for some in (whole, seen))
+
+    def look(one: tuple[CompositeSource, Camera]) -> tuple[Image, Mask]:
+        source, small = one
+        whole = source.at(plane)
+        return shrunk(whole, small), shrunk(source.movers(whole, plane).astype(np.float32), small) > 0.5
+
+    images, wanted = zip(*each(look, zip(sources.values(), half, strict=True)), strict=True)
     near, far = depth_range_m(cameras)
     noise = NOISE * dimming(float(np.mean([source.white for source in sources.values()])))
-    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES, noise=noise))
-    return sample_points(maps, images, [mask > 0.5 for mask in masks], count, instant_s, rng)
+    maps = swept_maps(half, images, SweepOptions(near, far, planes=MOVING_PLANES, noise=noise), wanted)
+    return sample_points(maps, images, wanted, count, instant_s, rng)

@@ -15,6 +15,7 @@ from reconstruction.images.scarce import SCARCE, lit_spikes
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
+from reconstruction.parallel import each
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
@@ -45,7 +46,7 @@ def make_plan(
     decisions: list[Decision] = []
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
-    masks = {view: moving_pixels(streams[view], light) for view in views}
+    masks = dict(zip(views, each(lambda view: moving_pixels(streams[view], light), views), strict=True))
     _say_scarce([streams[view] for view in views], decisions)
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)

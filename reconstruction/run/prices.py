@@ -3,7 +3,8 @@
 Unit costs are seconds of one thread, the least of two or three tries of processor time on a 2-core x86-64 virtual
 machine: the development recording `fan_and_ball` seed 1 (eight training views of 400x250, 400 planes, 21% of the pixels
 moving), kernels of level v3. They say which work is dear, not how long another machine takes.
-- SWEEP_S, SWEEP_MOVERS_S: `sweep_view` of one view against four, 128 hypotheses; 64 at half the width and height.
+- SWEEP_S, SWEEP_MOVERS_S: `swept_maps` of one view against four, 128 hypotheses; 64 at half the width and height where
+  movers are.
 - BACKGROUND_S: `background` of one view with moving pixels.
 - `ImageMethod.price_s`: one plane of one view; `interpolated` looks at the moving pixels alone.
 - STEP_S: a step with `pixels`, 12,000 still and 12,000 moving Gaussians.
@@ -19,9 +20,9 @@ from reconstruction.images.catalogue import price_s
 
 MEASURED_PX = 400 * 250
 MEASURED_GAUSSIANS = 24_000
-SWEEP_S = 0.28
-SWEEP_MOVERS_S = 0.041
-BACKGROUND_S = 0.048
+SWEEP_S = 0.079
+SWEEP_MOVERS_S = 0.017
+BACKGROUND_S = 0.024
 POSES_S = 5.0
 STEP_S = 0.0225
 VARIATION_STEP_S = 0.0424

@@ -1,4 +1,4 @@
-"""Readable twins of the native kernels that find points: plane sweep, confirmation of depths, soft matches.
+"""Readable twins of the native kernels that find points: plane sweep, confirmation, clusters, soft matches.
 
 Letters: H rows, W columns, D inverse depths; n points of a target, m of a model. Costs of the sweep are whole steps, as
 in the kernel.
@@ -23,20 +23,42 @@ def sweep_view_reference(
     reference: tuple[Camera, Image], sources: Sequence[tuple[Camera, Image]], options: SweepOptions
 ) -> DepthMap:
     """Readable twin of `sweep_view`."""
+    nothing = np.zeros(reference[1].shape, np.float32)
+    return _swept_reference(reference, sources, options, nothing, options.inverse_depths)
+
+
+def sweep_around_reference(
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    around: Image,
+    steps: NDArray[np.float64],
+) -> DepthMap:
+    """Readable twin of `sweep_around`."""
+    inside = np.clip(around, options.inverse_depths[0] - steps[0], options.inverse_depths[-1] - steps[-1])
+    return _swept_reference(reference, sources, options, inside.astype(np.float32), steps)
+
+
+def _swept_reference(
+    reference: tuple[Camera, Image],
+    sources: Sequence[tuple[Camera, Image]],
+    options: SweepOptions,
+    around: Image,
+    w: NDArray[np.float64],
+) -> DepthMap:
     scale = np.float32(15000 / (1 + options.penalty_jump))
     one = int(scale)
-    cost = np.stack([_matched(reference, sources, w, options) for w in options.inverse_depths], axis=-1)  # [H, W, D]
+    cost = np.stack([_matched(reference, sources, around + own, options) for own in w], axis=-1)  # [H, W, D]
     steps = (cost * one + 0.5).astype(np.int64)
     penalties = [int(p * scale + 0.5) for p in (options.penalty_step, options.penalty_jump)]
     paths = [_path(steps, axis, backward, *penalties) for axis in (0, 1) for backward in (False, True)]
     total = np.sum(paths, axis=0)
     best = total.argmin(axis=-1)
-    inner = np.clip(best, 1, options.planes - 2)
+    inner = np.clip(best, 1, len(w) - 2)
     below, here, above = (np.take_along_axis(total, (inner + k)[..., None], -1)[..., 0] for k in (-1, 0, 1))
     bend = below - 2 * here + above
     offset = np.clip(0.5 * (below - above) / np.maximum(bend, 1), -0.5, 0.5) * ((bend > 0) & (inner == best))
-    w = options.inverse_depths
-    depth = 1 / (w[best] + offset * (w[1] - w[0]))
+    depth = 1 / (around + w[best] + offset * (w[1] - w[0]))
     found = np.take_along_axis(steps, best[..., None], -1)[..., 0] / one
     return DepthMap(reference[0], depth.astype(np.float32), found.astype(np.float32))
 
@@ -44,10 +66,10 @@ def sweep_view_reference(
 def _matched(
     reference: tuple[Camera, Image],
     sources: Sequence[tuple[Camera, Image]],
-    inverse_depth: float,
+    inverse_depth: NDArray[np.floating],
     options: SweepOptions,
 ) -> NDArray[np.float64]:
-    """Mean of the two best costs [H, W] at one hypothesis."""
+    """Mean of the two best costs [H, W] at one hypothesis: an inverse depth [H, W] of every pixel."""
     camera, image = reference
     r, floor = options.radius_px, options.noise**2
     area = _windows(np.ones(image.shape), r)
@@ -70,13 +92,12 @@ def _windows(image: NDArray, radius: int) -> NDArray[np.float64]:
 
 
 def _warped(
-    camera: Camera, source: Camera, image: Image, inverse_depth: float
+    camera: Camera, source: Camera, image: Image, inverse_depth: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The source as the reference sees it through a plane that faces it, bilinear, and where it sees anything."""
+    """The source as the reference sees it by its inverse depths, bilinear, and where it sees anything."""
     homography, epipole = plane_induced(camera, source)
-    plane = homography.reshape(3, 3) + np.outer(epipole, [0, 0, inverse_depth])
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    at = np.stack([x, y, np.ones_like(x)], axis=-1) @ plane.T
+    at = np.stack([x, y, np.ones_like(x)], axis=-1) @ homography.reshape(3, 3).T + epipole * inverse_depth[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = (at[..., i] / at[..., 2] - 0.5 for i in (0, 1))
         seen = (at[..., 2] > 1e-6) & (u >= 0) & (v >= 0) & (u < source.width - 1) & (v < source.height - 1)
@@ -117,6 +138,15 @@ def confirmations_reference(reference: DepthMap, others: Sequence[DepthMap], tol
         with np.errstate(divide="ignore"):
             votes += inside & (np.abs(1 / other.depth[row, column].astype(np.float64) - 1 / z) <= tolerance)
     return votes
+
+
+def linked_reference(positions: NDArray[np.float64], gap_m: float) -> NDArray[np.int64]:
+    """Readable twin of `linked`."""
+    near = ((positions[:, None] - positions) ** 2).sum(axis=-1) <= gap_m**2
+    numbers = np.arange(len(positions))
+    for _ in positions:  # everything takes the first of what it is joined to
+        numbers = np.where(near, numbers, len(positions)).min(axis=1, initial=len(positions))
+    return np.unique(numbers, return_inverse=True)[1]
 
 
 def soft_matches_reference(model: Cloud, target: Cloud, pose: Transform, width: float, stray: float) -> Matches:

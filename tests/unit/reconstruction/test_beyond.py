@@ -11,9 +11,9 @@ from acquisition.scenes.catalog import build_scene
 from acquisition.spikes.sensor import DARK_LEVEL
 from reconstruction.initialization.beyond import SHELL, empty, endless, is_open, searched, sky, with_sky
 from reconstruction.initialization.points import Points, Seeds
+from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.seeding import LARGEST_M, seed_cloud
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m
-from reconstruction.pipeline.points_stage import swept_maps
 from reconstruction.rendering.result import Rendering
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.image_term import ImageTerm

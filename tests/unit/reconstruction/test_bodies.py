@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from references.stereo import matches_of, soft_matches_reference
+from references.stereo import linked_reference, matches_of, soft_matches_reference
 
 from reconstruction.initialization.bodies import LONE, STILL, UNLIKE, Bodies, find_bodies
 from reconstruction.initialization.points import Points, spacing
-from reconstruction.initialization.registration import register, rigid_fit, soft_matches
+from reconstruction.initialization.registration import linked, register, rigid_fit, soft_matches
 from rigs.transform import Transform
 
 INSTANTS = 5
@@ -23,6 +23,19 @@ def board(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
     x, y = rng.uniform(-0.2, 0.2, n), rng.uniform(-0.15, 0.15, n)
     light = 0.3 + 0.1 * np.sin(90 * x) * np.cos(70 * y) + 0.1 * np.sin(40 * (x + y))
     return np.stack([x, y, 0.8 * x**2], axis=1), light.astype(np.float32)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 9, 300])
+@pytest.mark.parametrize("gap_m", [0.0, 0.03, 0.1, 5.0])
+def test_joined_points_are_those_of_the_twin(count, gap_m):
+    positions = np.random.default_rng(count).random((count, 3)) * (1, 1, 0.1)
+    positions[count // 2 :: 7] = positions[: len(positions[count // 2 :: 7])]  # twins
+    np.testing.assert_array_equal(linked(positions, gap_m), linked_reference(positions, gap_m))
+
+
+def test_points_that_are_nowhere_are_joined_to_none():
+    positions = np.array([[0, 0, 0], [np.nan, 0, 0], [0.1, 0, 0], [np.inf, 0, 0], [np.inf, 0, 0]])
+    assert linked(positions, 0.2).tolist() == [0, 1, 0, 2, 3]
 
 
 def seen(parts: list[tuple[np.ndarray, np.ndarray]], instant: int) -> Points:

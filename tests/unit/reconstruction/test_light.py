@@ -1,14 +1,16 @@
 import numpy as np
 import pytest
+from references.changes import changed_windows_reference
 
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.images.background import background, moving_pixels
-from reconstruction.images.flicker import FLICKER, Light, estimate_light
+from reconstruction.images.background import _changed_windows, background, moving_pixels
+from reconstruction.images.flicker import BLOCK_PX, FLICKER, WINDOW, Light, estimate_light, spikes_of_blocks
 
 WIDTH, HEIGHT, PLANES = 96, 64, 400
+SIZES = [(96, 64, 0), (40, 67, 0), (40, 64, 8), (50, 31, 0), (7, 5, 1)]
 
 
 def recorded(gains, camera=0, mover=False):
@@ -59,6 +61,41 @@ def test_steady_light_is_called_steady(mover):
     light = estimate_light([recorded(np.ones(PLANES), camera, mover) for camera in range(3)])
     assert not light.flickers
     assert (light.gains == 1).all()
+
+
+@pytest.mark.parametrize("row_order", ["bottom", "top"])
+@pytest.mark.parametrize("bit_order", ["lsb", "msb"])
+@pytest.mark.parametrize(
+    ("width", "height", "trailing"), [(96, 64, 0), (40, 67, 0), (40, 64, 8), (50, 31, 0), (7, 5, 1)]
+)
+def test_spikes_of_blocks_are_the_sums_of_their_pixels(width, height, trailing, bit_order, row_order):
+    layout = PlaneLayout(width, height, bit_order, row_order, trailing)
+    planes = np.random.default_rng(0).random((12, height, width)) < 0.4
+    planes[4:8] = True
+    found = spikes_of_blocks(SpikeStream(pack(planes, layout), layout, 20000.0), range(0, 12, WINDOW))
+    down, across = max(1, height // BLOCK_PX), max(1, width // BLOCK_PX)
+    block = np.add.outer(np.arange(height) * 0, np.arange(width) * 0)
+    for row in range(down):
+        for column in range(across):
+            rows = slice(row * height // down, (row + 1) * height // down)
+            block[rows, column * width // across : (column + 1) * width // across] = row * across + column
+    wanted = [np.bincount(block.ravel(), planes[s : s + WINDOW].sum(axis=0).ravel()) for s in (0, 4, 8)]
+    np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("windows", [1, 4, 16])
+@pytest.mark.parametrize("pixels", [1, 511, 512, 1300])
+def test_changes_of_counts_are_those_of_the_twin(windows, pixels):
+    rng = np.random.default_rng(pixels)
+    counts = rng.poisson(rng.uniform(0, 300, pixels), (windows, pixels)).astype(np.uint32)
+    counts[:, 0] = np.iinfo(np.uint32).max
+    gains = rng.uniform(0.5, 1.5, windows)
+    seen = np.zeros(pixels, np.uint8)
+    seen[-1] = 1  # as it was found before
+    _changed_windows(counts, windows, pixels, gains, 3.0, 0.05, seen)
+    wanted = changed_windows_reference(counts.reshape(windows, 1, pixels), gains, 3.0, 0.05)[0]
+    wanted[-1] = True
+    np.testing.assert_array_equal(seen, wanted)
 
 
 def test_a_still_wall_under_flicker_does_not_move_and_keeps_its_mean_light():

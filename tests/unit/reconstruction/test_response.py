@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from references.changes import failing_pixels_reference
 
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
@@ -122,6 +123,25 @@ def test_pixels_that_fail_are_found_and_no_others():
     assert late.max() <= 5  # found to fail when they do, or a little before
     plain, _ = recorded(Traits())
     assert (failing_pixels(plain, STEADY) != NEVER).sum() <= 2
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.3])
+def test_failing_pixels_are_those_of_the_twin(flicker):
+    rng, spans, length = np.random.default_rng(5), 16, PLANES // 16
+    gains = 1 + flicker * np.sin(np.arange(PLANES))
+    rates = rng.uniform(0.05, 0.5, (24, 40))
+    light = rates * gains[:, None, None]
+    for y, x in rng.integers(0, (24, 40), (150, 2)):  # lone failures, and some that go silent
+        light[rng.integers(PLANES) :, y, x] = rng.choice([0.0, 0.9, rng.uniform(0, 1)])
+    light[160:, 6:14, 8:20] = 0.6  # all of them at once: no failures
+    light[:, 16:20] = rng.uniform(0.05, 0.9, (PLANES // 10, 4, 40)).repeat(10, axis=0)  # restless all along
+    stream = SpikeStream(pack(rng.random(light.shape) < light, PlaneLayout(40, 24)), PlaneLayout(40, 24), 20000.0)
+    steady = Light((gains / gains.mean()).astype(np.float32))
+    counts = stream.window_counts([(i * length, (i + 1) * length) for i in range(spans)])
+    over = np.array([steady.over(i * length, (i + 1) * length) for i in range(spans)], np.float32)
+    found = failing_pixels(stream, steady)
+    assert (found != NEVER).sum() > 3
+    np.testing.assert_array_equal(found, failing_pixels_reference(counts, over, length))
 
 
 def test_what_failed_is_read_no_more_and_what_came_before_still_is():

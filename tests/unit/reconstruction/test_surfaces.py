@@ -8,10 +8,10 @@ import pytest
 from acquisition.scenes.catalog import build_scene
 from reconstruction.errors import StereoError
 from reconstruction.images.noise import pixel_spread, still_sigma
+from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.surfaces import inferred, regions, with_planes
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m
 from reconstruction.initialization.texture import judge_poses, spread_of, textured
-from reconstruction.pipeline.points_stage import swept_maps
 from rigs.camera import Camera
 from rigs.toml import catalog_rig
 from rigs.transform import Transform

@@ -6,17 +6,19 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from references.stereo import confirmations_reference, sweep_view_reference
+from references.stereo import confirmations_reference, sweep_around_reference, sweep_view_reference
 
 from reconstruction.initialization.points import Points, sample_points, spacing
 from reconstruction.initialization.sweep import (
     DepthMap,
     SweepOptions,
     back_project,
+    back_projected,
     confirmations,
     consistent,
     depth_range_m,
     neighbours,
+    sweep_around,
     sweep_view,
 )
 from rigs.camera import Camera
@@ -83,10 +85,33 @@ def test_the_kernel_finds_what_its_twin_finds(scene, radius):
     assert (np.abs(found.depth / twin.depth - 1) > 1e-3).mean() < 1e-3
 
 
+@pytest.mark.parametrize("planes", [3, 9])
+@pytest.mark.parametrize("radius", [1, 2, 3])
+def test_the_sweep_around_depths_finds_what_its_twin_finds(scene, radius, planes):
+    cameras, images, depths = scene
+    views = list(zip(cameras, images, strict=True))
+    options = SweepOptions(*depth_range_m(cameras), radius_px=radius)
+    step = np.diff(options.inverse_depths[:2])[0]
+    rough = (1 / depths[4] + step * np.sin(np.arange(W) / 9)).astype(np.float32)
+    rough[:, 60:] = rough[:, 20:56]  # wrong behind an edge
+    rough[:4], rough[4:8] = 0, 100  # out of the range
+    steps = (np.arange(planes) - planes // 2) * step / 2
+    near = [views[i] for i in (1, 3, 5, 8)]
+    found, twin = (s(views[4], near, options, rough, steps) for s in (sweep_around, sweep_around_reference))
+    assert (np.abs(found.cost - twin.cost) > 2e-4).mean() < 2e-3  # a step is 1.07e-4; another depth has another cost
+    assert (np.abs(found.depth / twin.depth - 1) > 1e-3).mean() < 2e-3
+    right = np.s_[12:-4, 4:56]
+    assert np.median(np.abs(found.depth / depths[4] - 1)[right]) < 0.005
+    for threads in (1, 3):
+        assert (sweep_around(views[4], near, options, rough, steps, threads=threads).depth == found.depth).all()
+
+
 def test_the_sweep_does_not_depend_on_the_number_of_threads(scene):
     cameras, images, _ = scene
     views = list(zip(cameras, images, strict=True))
     options = SweepOptions(*depth_range_m(cameras), planes=24)
+    threes = [sweep_view(views[4], views[:4], options, threads=threads).depth for threads in (1, 3)]
+    assert (threes[0] == threes[1]).all()
     run = (
         "import os, sys, pickle; views, options = pickle.load(sys.stdin.buffer);"
         "from reconstruction.initialization.sweep import sweep_view;"
@@ -153,6 +178,15 @@ def test_back_projection_inverts_projection():
     points = camera.cam_from_rig.apply(back_project(camera, depth))
     assert np.allclose(points[..., 2], 1.7)
     assert np.allclose(points[10, 20, 0] / 1.7 * camera.fx + camera.cx, 20.5)
+
+
+def test_single_pixels_are_projected_back_as_the_whole_view(scene):
+    cameras, _, depths = scene
+    pixels = np.array([0, W - 1, 5 * W + 7, H * W - 1, 5 * W + 7])
+    whole = back_project(cameras[2], depths[2]).reshape(-1, 3)
+    found = back_projected(DepthMap(cameras[2], depths[2], depths[2]), pixels)
+    np.testing.assert_allclose(found, whole[pixels], rtol=1e-12)
+    assert back_projected(DepthMap(cameras[2], depths[2], depths[2]), pixels[:0]).shape == (0, 3)
 
 
 def test_sampled_points_lie_on_the_surface_and_respect_the_mask(scene):
