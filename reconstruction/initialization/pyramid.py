@@ -82,7 +82,7 @@ def swept_maps(
     Only what is `wanted` [H, W] of each view, and what is near it, is swept.
     """
     sizes = min(map(halvings, cameras))
-    views = list(each(lambda one: Pyramid.of(*one, sizes), zip(cameras, images, strict=True)))
+    views = list(each(lambda one: Pyramid.of(one[0], one[1], sizes), zip(cameras, images, strict=True)))
     threads = max(1, len(os.sched_getaffinity(0)) // len(cameras))
 
     def swept(i: int) -> DepthMap:
@@ -152,10 +152,10 @@ def sweep_pyramid(
     found = sweep_view(reference.levels[-1], seen[-1], coarse, threads=threads)
     step = float(np.diff(coarse.inverse_depths[:2])[0])
     for number, level in enumerate(range(len(seen) - 2, -1, -1)):
-        calm = _calmed(1 / found.depth, step)
+        calm = _calmed(np.asarray(1 / found.depth, np.float32), step)
         around, behind = enlarged(calm, reference.levels[level][0], step)
         step /= FINER[min(number, 1)]
-        steps = (np.arange(HYPOTHESES) - HYPOTHESES // 2) * step
+        steps = (np.arange(HYPOTHESES, dtype=np.float64) - HYPOTHESES // 2) * step
 
         def beside(inverse: Image, level: int = level, steps: NDArray[np.float64] = steps) -> DepthMap:
             return sweep_around(reference.levels[level], seen[level], narrow, inverse, steps, threads=threads)
