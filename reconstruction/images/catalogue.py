@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.members import members
 from acquisition.spikes.layout import PlaneLayout
-from acquisition.spikes.packing import pack
+from acquisition.spikes.packing import Bytes, pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 
@@ -34,12 +35,36 @@ class Estimate:
     sigma: NDArray[np.float32]
 
 
+@dataclass(frozen=True, eq=False)
+class Focus:
+    """The only pixels [H, W] that an image is wanted of: a packed plane of them, and their places [K], row by row."""
+
+    packed: Bytes
+    places: NDArray[np.int64]
+
+    @classmethod
+    def on(cls, pixels: NDArray[np.bool_], layout: PlaneLayout) -> "Focus":
+        """Return the focus on `pixels` [H, W] and their neighbours, which fill in for one that fails."""
+        grown = cv2.dilate(pixels.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        return cls(pack(grown[None], layout)[0], np.flatnonzero(grown))
+
+    def taken(self, image: NDArray) -> NDArray:
+        """Return the values [..., K] of images [..., H, W]."""
+        return image.reshape(*image.shape[:-2], -1).take(self.places, axis=-1)
+
+    def spread(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
+        """Return an image [H, W] that has `values` [K] and is zero elsewhere."""
+        image = np.zeros(shape, values.dtype)
+        image.ravel()[self.places] = values
+        return image
+
+
 @dataclass(frozen=True)
 class ImageMethod:
     """A way to turn spikes into an image: call it with a stream and the plane at which the image is wanted.
 
     `make` does the work. A `learned` one takes `weights=`, a file of the user's own; one that `focuses` takes
-    `wanted=`, a packed plane of the only pixels to look at. `price_s` is the processor time of one 400x250 picture in
+    `focus=`, the only pixels to look at. `price_s` is the processor time of one 400x250 picture in
     seconds, as `reconstruction.run.prices` measures it.
     """
 
@@ -93,4 +118,4 @@ def method_for(name: str, layout: PlaneLayout, pixels: NDArray[np.bool_]) -> Ima
     found = method(name)
     if not found.focuses:
         return found
-    return replace(found, make=functools.partial(found.make, wanted=pack(pixels[None], layout)[0]))
+    return replace(found, make=functools.partial(found.make, focus=Focus.on(pixels, layout)))

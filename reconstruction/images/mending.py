@@ -19,11 +19,18 @@ def mended(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArray[np.flo
     known = np.pad(np.where(bad, np.nan, found), 1, constant_values=np.nan)
     around = np.stack([known[rows + 1 + dy, columns + 1 + dx] for dy, dx in _AROUND])  # [8, K]
     alone = np.isnan(around).all(axis=0)
-    found[rows[~alone], columns[~alone]] = np.nanmedian(around[:, ~alone], axis=0)
+    found[rows[~alone], columns[~alone]] = _median(around[:, ~alone])
     if alone.any():
         nearest = nearest_good(bad)
         found[rows[alone], columns[alone]] = image.ravel()[nearest[rows[alone], columns[alone]]]
     return found
+
+
+def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the medians [K] of what is not NaN in columns [n, K]; each has some. np.nanmedian is ten times slower."""
+    ordered, known = np.sort(values, axis=0), np.count_nonzero(~np.isnan(values), axis=0)  # NaN comes last
+    low, high = (np.take_along_axis(ordered, middle[None], axis=0)[0] for middle in ((known - 1) // 2, known // 2))
+    return (low + high) / 2
 
 
 def nearest_good(bad: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -35,4 +35,4 @@ def test_weights_go_to_learned_methods_alone(tmp_path):
 def test_a_method_that_focuses_is_told_the_pixels_and_any_other_is_returned_as_it_is():
     layout, pixels = PlaneLayout(9, 3), np.eye(3, 9, dtype=bool)
     assert method_for("tfi", layout, pixels) is methods()["tfi"]
-    assert method_for("interpolated", layout, pixels).make.keywords["wanted"].dtype == np.uint8
+    assert method_for("interpolated", layout, pixels).make.keywords["focus"].packed.dtype == np.uint8

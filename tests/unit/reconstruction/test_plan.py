@@ -9,6 +9,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
+from reconstruction.images.catalogue import price_s
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.run.configuration import CHOICES, ReconstructionConfig
 from reconstruction.run.decisions import Plan
@@ -206,7 +207,9 @@ def test_a_wider_stride_saves_images_of_movers_alone():
     config = ReconstructionConfig(tick_stride=8)
     still, moving = (make_plan(config, RIG, streams(moving=m))[0] for m in (False, True))
     assert about(still, "instants").saves_s is None
-    assert about(moving, "instants").saves_s == pytest.approx(9 * (160 - 20) * 0.0030 * 40 * 26 / 100_000)
+    assert about(moving, "instants").saves_s == pytest.approx(
+        9 * (160 - 20) * price_s("interpolated") * 40 * 26 / 100_000
+    )
 
 
 def test_a_skipped_view_saves_its_sweep():
