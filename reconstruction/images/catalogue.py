@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +44,8 @@ class Focus:
     @classmethod
     def on(cls, pixels: NDArray[np.bool_], layout: PlaneLayout) -> "Focus":
         """Return the focus on `pixels` [H, W] and their neighbours, which fill in for one that fails."""
+        import cv2  # which listing the methods does without
+
         grown = cv2.dilate(pixels.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         return cls(pack(grown[None], layout)[0], np.flatnonzero(grown))
 

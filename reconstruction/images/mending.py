@@ -27,7 +27,10 @@ def mended(image: NDArray[np.float32], bad: NDArray[np.bool_]) -> NDArray[np.flo
 
 
 def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the medians [K] of what is not NaN in columns [n, K]; each has some. np.nanmedian is ten times slower."""
+    """Return the medians [K] of columns [n, K] without their NaN; np.nanmedian takes ten times as long.
+
+    Each column has a number.
+    """
     ordered, known = np.sort(values, axis=0), np.count_nonzero(~np.isnan(values), axis=0)  # NaN comes last
     low, high = (np.take_along_axis(ordered, middle[None], axis=0)[0] for middle in ((known - 1) // 2, known // 2))
     return (low + high) / 2

@@ -1,4 +1,4 @@
-"""The options of the speed bench: which clips and which commands they choose."""
+"""Options of the speed bench, and the clips and contenders that they make."""
 
 import sys
 from pathlib import Path
