@@ -17,7 +17,7 @@ LARGE = f"{DEVELOPMENT[0]}-1000x1000"
 
 @pytest.fixture
 def chosen(monkeypatch, tmp_path):
-    """What the bench is made of by options, without running it."""
+    """Make the bench that options ask for, without running it."""
     made: list[SpeedBench] = []
 
     def keep(self):
