@@ -152,12 +152,12 @@ def sweep_pyramid(
     found = sweep_view(reference.levels[-1], seen[-1], coarse, threads=threads)
     step = float(np.diff(coarse.inverse_depths[:2])[0])
     for number, level in enumerate(range(len(seen) - 2, -1, -1)):
-        calm = _calmed(1 / found.depth, step)
+        calm = _calmed(np.float32(1) / found.depth, step)
         around, behind = enlarged(calm, reference.levels[level][0], step)
         step /= FINER[min(number, 1)]
         steps = (np.arange(HYPOTHESES) - HYPOTHESES // 2) * step
 
-        def beside(inverse: Image, level: int = level, steps: NDArray[np.float64] = steps) -> DepthMap:
+        def beside(inverse: Image, level: int = level, steps: NDArray[np.floating] = steps) -> DepthMap:
             return sweep_around(reference.levels[level], seen[level], narrow, inverse, steps, threads=threads)
 
         found = beside(around)
