@@ -17,7 +17,7 @@ from rigs.camera import Camera
 from rigs.clock import RigClock
 
 CHUNK = 32  # most planes rendered at a time
-CHUNK_PX = 3_200_000  # most pixels of them: 13 MB of light, which the allocator keeps; more is mapped anew each time
+CHUNK_PX = 3_200_000  # most pixels of them: 13 MB of light for each camera
 INSTANTS_HZ = 20000  # least rate at which a scene is rendered
 
 

@@ -157,7 +157,7 @@ def sweep_pyramid(
         step /= FINER[min(number, 1)]
         steps = (np.arange(HYPOTHESES, dtype=np.float64) - HYPOTHESES // 2) * step
 
-        def beside(inverse: Image, level: int = level, steps: NDArray[np.float64] = steps) -> DepthMap:
+        def beside(inverse: Image, level: int = level, steps: NDArray[np.floating] = steps) -> DepthMap:
             return sweep_around(reference.levels[level], seen[level], narrow, inverse, steps, threads=threads)
 
         found = beside(around)

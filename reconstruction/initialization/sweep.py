@@ -91,7 +91,7 @@ def sweep_around(
     sources: Sequence[tuple[Camera, Image]],
     options: SweepOptions,
     around: Image,
-    steps: NDArray[np.float64],
+    steps: NDArray[np.floating],
     *,
     threads: int | None = None,
 ) -> DepthMap:
@@ -107,7 +107,7 @@ def _swept(
     reference: tuple[Camera, Image],
     sources: Sequence[tuple[Camera, Image]],
     options: SweepOptions,
-    searched: tuple[NDArray[np.float64], Image | None],
+    searched: tuple[NDArray[np.floating], Image | None],
     threads: int | None,
 ) -> DepthMap:
     (camera, image), (hypotheses, around) = reference, searched

@@ -33,6 +33,13 @@ def source(camera=SMALL, ticks=70, **kind) -> SceneSource:
     return SceneSource(build_scene("fan_and_ball", 3), camera, RigClock(20000.0), ticks, sensor, layout, **kind)
 
 
+def test_planes_do_not_depend_on_how_many_are_rendered_at_a_time(monkeypatch):
+    whole = source(ticks=12).next_planes(12)
+    for most in (1, 5 * SMALL.width * SMALL.height):  # a plane at a time, and five
+        monkeypatch.setattr("acquisition.scenes.source.CHUNK_PX", most)
+        np.testing.assert_array_equal(source(ticks=12).next_planes(12), whole)
+
+
 class Film:
     """Keeps the light that a source exposes."""
 
