@@ -11,14 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.images.composite import shrunk
-from reconstruction.initialization.sweep import (
-    DepthMap,
-    SweepOptions,
-    consistent,
-    depth_range_m,
-    neighbours,
-    sweep_view,
-)
+from reconstruction.initialization.pyramid import swept_maps
+from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m, neighbours
 from reconstruction.initialization.warping import sampled
 from reconstruction.scene_model import View
 from rigs.camera import Camera
@@ -59,8 +53,8 @@ def confirmed(views: Sequence[Posed], options: SweepOptions) -> list[DepthMap]:
     if _step_px([camera for camera, _ in views], options) >= FAR_APART_PX:
         small = confirmed([(camera.halved(), _halved(image)) for camera, image in views], options)
         return [_enlarged(one, camera) for one, (camera, _) in zip(small, views, strict=True)]
-    swept = [sweep_view(view, [other for other in views if other is not view], options) for view in views]
-    return consistent(swept, options)
+    cameras, images = zip(*views, strict=True)
+    return swept_maps(cameras, images, options)
 
 
 def _step_px(cameras: Sequence[Camera], options: SweepOptions) -> float:
