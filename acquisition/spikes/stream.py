@@ -58,6 +58,10 @@ class SpikeStream:
             raise BadRecordingError(f"found the instant at plane {plane}", f"one inside 0:{len(self)}")
         return max(0, plane - reach), min(len(self), plane + reach + 1)
 
+    def part(self, first: int, last: int) -> SpikeStream:
+        """Return planes [first, last) as a stream of their own; raises BadRecordingError outside the stream."""
+        return SpikeStream(self.window(first, last), self.layout, self.tick_rate_hz)
+
     def planes(self, first: int, last: int) -> NDArray[np.uint8]:
         """Unpack planes [last - first, H, W] of 0 and 1, row 0 at the top."""
         return packing.unpack(self.window(first, last), self.layout)

@@ -72,6 +72,11 @@ def score_against_truth(
     cloud: SceneModel, held_out: HeldOut, truth: Truth, instants: int = INSTANTS
 ) -> dict[str, float]:
     """Return means over at most `instants` truth instants: psnr_db, ssim, abs_rel, delta_1_25, and dynamic_ of each."""
+    return score_at(cloud, held_out, truth, _planes(held_out, truth, instants))
+
+
+def score_at(cloud: SceneModel, held_out: HeldOut, truth: Truth, planes: Sequence[int]) -> dict[str, float]:
+    """Return the means of the same scores over `planes` that have truth."""
     clock = held_out.recording.rig.clock
 
     def scored(plane: int) -> dict[str, float]:
@@ -79,7 +84,7 @@ def score_against_truth(
         view = cloud.look(held_out.camera, clock.instant_s(plane - truth.lag_ticks))
         return score_view(view, frame, truth.white)
 
-    return _mean(list(shared_out(scored, _planes(held_out, truth, instants))))
+    return _mean(list(shared_out(scored, planes)))
 
 
 def score_floors(

@@ -41,11 +41,13 @@ class Scene:
     holdout: str | None
     targets: Callable[[], Mapping[str, CompositeSource]]
 
-    @property
-    def gaussians(self) -> DynamicCloud:
-        """Return the model if it is made of Gaussians; raises BadRunError if it is not."""
+    def gaussians_at(self, instant_s: float) -> DynamicCloud:
+        """Return the Gaussians of the span that an instant lies in; raises BadRunError if the model has none."""
         from reconstruction.gaussians.dynamic import DynamicCloud
+        from reconstruction.gaussians.spanned import SpannedScene
 
+        if isinstance(self.cloud, SpannedScene):
+            return self.cloud.part(self.cloud.number_at(instant_s))
         if not isinstance(self.cloud, DynamicCloud):
             raise BadRunError(f"found the model {self.model}, a radiance field", "Gaussians", "export video or depth")
         return self.cloud

@@ -60,7 +60,7 @@ def splats_at(scene: Scene, instant_s: float) -> Splats:
     from reconstruction.rendering.reference import ALPHA_MIN
 
     with torch.no_grad():
-        now = scene.gaussians.at(instant_s)
+        now = scene.gaussians_at(instant_s).at(instant_s)
         shapes = floats(now.means), floats(unit(now.quats_wxyz)), linear_scales(now.log_scales)
         splats = Splats(*shapes, floats(now.opacities), floats(now.intensities[:, 0] / scene.white))
     return splats.select(splats.opacities >= ALPHA_MIN)

@@ -42,7 +42,7 @@ def write_viewer(folder: Path, scene: Scene) -> None:
 @torch.no_grad()
 def viewer_of(scene: Scene) -> tuple[dict, bytes]:
     """Return the document of `viewer.json` and the bytes of `viewer.bin`."""
-    cloud = scene.gaussians
+    cloud = scene.gaussians_at(scene.cloud.clip.middle_s)
     still = _still(cloud)
     moving = _polynomial(cloud, cloud.motion) if type(cloud.motion) is PolynomialMotion else _keyframes(cloud)
     count, movers = len(still["means"]), len(moving["means"])

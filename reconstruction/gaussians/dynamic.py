@@ -52,6 +52,11 @@ class DynamicCloud:
         """Tell whether networks or grids move the Gaussians."""
         return self.motion.networks
 
+    @property
+    def given(self) -> int:
+        """The number of leading Gaussians of `at` that nothing is learnt of."""
+        return 0
+
     def at(self, instant_s: float) -> Instantaneous:
         """Return all Gaussians at one instant of the rig clock; differentiable in every stored tensor."""
         still, moving, u = self.still, self.moving, self.clip.fraction(instant_s)

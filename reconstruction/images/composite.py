@@ -108,6 +108,11 @@ class CompositeSource:
         """Return the same source with other pixels `moving`, imaged by what `method_for` makes of stream and pixels."""
         return replace(self, moving=moving, method=method_for(self.stream, moving), kept={})
 
+    def part(self, first: int, last: int) -> CompositeSource:
+        """Return the images of planes [first, last) as a source of their own, with the same background."""
+        light, response = Light(self.light.gains[first:last]), self.response and self.response.since(first)
+        return replace(self, stream=self.stream.part(first, last), light=light, response=response, kept={})
+
     def movers(self, image: NDArray[np.float32], plane: int) -> NDArray[np.bool_]:
         """Return which pixels of an image [H, W] at `plane` see a mover: unlike the background, or with no sure one."""
         gap = cv2.blur(image - self.background.image * self.light.gains[plane], (3, 3))

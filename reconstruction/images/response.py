@@ -70,6 +70,11 @@ class Response:
         """Return the response with its gains times `factors`."""
         return replace(self, gain=(self.gain * factors).astype(np.float32))
 
+    def since(self, plane: int) -> Response:
+        """Return the response on a clock that begins at `plane`."""
+        later = np.where(self.fails == NEVER, NEVER, np.maximum(self.fails - plane, 0))
+        return replace(self, fails=later.astype(np.int32))
+
     def failing(self, fails: NDArray[np.int32]) -> Response:
         """Return the response of pixels that fail at the planes `fails` [H, W], or before where this one says so."""
         return replace(self, fails=np.minimum(self.fails, fails))

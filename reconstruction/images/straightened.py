@@ -32,6 +32,10 @@ class StraightStream(SpikeStream):
         super().__init__(recorded.packed, recorded.layout, recorded.tick_rate_hz, recorded.partial_bytes)
         self.straightening, self.stuck = straightening, stuck
 
+    def part(self, first: int, last: int) -> StraightStream:
+        """Return planes [first, last) as a stream of their own."""
+        return StraightStream(super().part(first, last), self.straightening, self.stuck)
+
     def counts(self, first: int, last: int) -> Image:  # type: ignore[override]
         """Return what whole pixels would have counted over planes [first, last) [H, W], stuck ones mended first."""
         return self.straightening.light(mended(super().counts(first, last).astype(np.float32), self.stuck))
@@ -69,6 +73,10 @@ class StraightSource(CompositeSource):
     def dimmed(self, gain: float) -> StraightSource:
         """Return the images of a camera that sees `gain` times the light, with that taken out of images and counts."""
         return self if gain == 1 else straightened(self.recorded.dimmed(gain), self._way)
+
+    def part(self, first: int, last: int) -> StraightSource:
+        """Return the images of planes [first, last) as a source of their own, with the same background."""
+        return straightened(self.recorded.part(first, last), self._way)
 
     def carried(self, image: Image) -> Image:
         """Return a recorded image [h, w] as the view has it [H, W]."""

@@ -6,13 +6,16 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.background import background
+from reconstruction.images.background import Background, background
 from reconstruction.images.failures import failing_pixels
 from reconstruction.images.flicker import Light
+from reconstruction.images.mending import mended
 from reconstruction.images.pixels import read_pixels
 from reconstruction.images.response import NEVER, Response
+from reconstruction.images.standing import standing
 from reconstruction.parallel import each
 from reconstruction.pipeline.artefacts import BACKGROUND, MOVING, read_light, write, write_responses
+from reconstruction.pipeline.span_artefacts import MASKS, PLANNED, read_masks, write_masks
 from reconstruction.run.configuration import MAPS
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
@@ -26,7 +29,10 @@ def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     def look(view: str) -> tuple[Response | None, int, int]:
         stream = recording.stream(view)
         response, failing = _response(recording.rig.camera(view), stream, light, calibrated=calibrated)
-        found = background(stream, run.read_array(MOVING.format(view=view)), light, response)
+        if run.plan.spans:
+            found = _standing(run, view, stream, light, response)
+        else:
+            found = background(stream, run.read_array(MOVING.format(view=view)), light, response)
         write(run, BACKGROUND, found, view)
         return response, failing, int(found.stuck.sum())
 
@@ -40,6 +46,21 @@ def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     if failed:
         reason = "lone pixels that jump, and from then on see nothing change; no image or count reads them after that"
         run.amend("images", Decision("failing pixels", f"{failed} left out once they fail", reason, "none"))
+
+
+def _standing(run: RunFolder, view: str, stream: SpikeStream, light: Light, response: Response | None) -> Background:
+    """Return what stands still in a view over all spans, and keep what each span shows otherwise."""
+    spans, size = run.plan.spans, (stream.layout.height, stream.layout.width)
+    planned = read_masks(run, PLANNED, view, size)
+    usual = background(stream, np.logical_or.reduce(planned), light, response)
+    rates = stream.window_counts([(span.first, span.last) for span in spans]).astype(np.float32)
+    for rate, span in zip(rates, spans, strict=True):
+        rate /= np.float32(len(span) * light.over(span.first, span.last))
+        rate[:] = mended(response.light(rate) if response else rate, usual.stuck)
+    found = standing(rates, planned, usual)
+    write_masks(run, MASKS, view, planned | found.differs)
+    run.write_array(MOVING.format(view=view), ~found.background.trusted)
+    return found.background
 
 
 def _response(camera: Camera, stream: SpikeStream, light: Light, *, calibrated: bool) -> tuple[Response | None, int]:

@@ -1,8 +1,11 @@
 """Decides what the scene needs."""
 
+import numpy as np
+
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.pipeline.artefacts import LIGHT, MOVING
+from reconstruction.pipeline.span_artefacts import PLANNED, write_masks
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import make_plan
 
@@ -13,6 +16,8 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
     plan, masks, light = make_plan(run.config, recording.rig, streams)
     run.write_array(LIGHT, light.gains)
     for view, mask in masks.items():
-        run.write_array(MOVING.format(view=view), mask)
+        run.write_array(MOVING.format(view=view), np.logical_or.reduce(mask))
+        if plan.spans:
+            write_masks(run, PLANNED, view, mask)
     run.document.planned, run.document.amendments = plan, []
     progress(1.0, "\n".join(map(str, plan.decisions)))

@@ -40,7 +40,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     sources, cameras = {view: source for view, (_, source) in views.items()}, [camera for camera, _ in views.values()]
     rng = np.random.default_rng(run.config.seed)
     planes = moving_planes(recording.planes, plan.model)
-    swept = planes if plan.moving_gaussians else []
+    swept = planes if plan.moving_gaussians and not plan.spans else []
     rounds = 1 + len(swept)
     still = _still_points(run, sources, cameras, rng, lambda message: progress(1 / rounds, message))
     artefacts.write(run, artefacts.STILL, still)
@@ -48,11 +48,11 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     parts = []
     count = plan.moving_gaussians // (CANONICAL if len(swept) == 1 else INSTANTS)
     for i, plane in enumerate(swept):
-        parts.append(_moving_points(sources, cameras, (plane, recording.rig.clock.instant_s(plane)), count, rng))
+        parts.append(moving_points(sources, cameras, (plane, recording.rig.clock.instant_s(plane)), count, rng))
         progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
     moving = Points.joined(parts)
     artefacts.write(run, artefacts.MOVERS, moving)
-    if plan.model == "bases":
+    if plan.model == "bases" and not plan.spans:
         from reconstruction.initialization.bodies import find_bodies  # torch, which no other model needs here
 
         bodies = find_bodies(moving, [recording.rig.clock.instant_s(plane) for plane in planes])
@@ -134,7 +134,7 @@ def _noise(source: CompositeSource) -> Image:
     return still_sigma(source.background.image, planes, ~source.moving)
 
 
-def _moving_points(
+def moving_points(
     sources: Mapping[str, CompositeSource],
     cameras: Sequence[Camera],
     at: tuple[int, float],

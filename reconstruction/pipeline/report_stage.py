@@ -15,20 +15,22 @@ from reconstruction.evaluation.evaluate import (
     placed_by_spikes,
     score_against_counts,
     score_against_truth,
+    score_at,
     score_floors,
 )
 from reconstruction.export.viewer import write_viewer
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.native import shared_out
 from reconstruction.pipeline.artefacts import (
     gains_differ,
     posed,
     read_held_out,
-    read_views,
     read_white,
     write_held_out,
 )
+from reconstruction.pipeline.span_artefacts import read_targets
 from reconstruction.pipeline.trained_scene import scene_of
 from reconstruction.report.display import depth_span_m, grey
 from reconstruction.report.html import embed, report_html
@@ -43,6 +45,8 @@ from rigs.camera import Camera
 from rigs.rig import object_distance_m
 
 CURVE_INSTANTS = 4  # truth instants behind each point of the curve
+SPAN_INSTANTS = 4  # truth instants that a span is scored on
+SPAN_SCORES = ("psnr_db", "dynamic_psnr_db", "abs_rel")
 SHOWN_INSTANTS = 3  # instants in the report's pictures
 
 
@@ -144,9 +148,26 @@ def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
         "white": truth.white,
         **(own if own != {"matched_gain": 1.0, "matched_lag_ticks": 0.0} else {}),
         **scores,
-        **score_floors(held_out, truth, read_views(trained.run, trained.recording), progress),
+        **_span_scores(trained),
+        **score_floors(held_out, truth, read_targets(trained.run, trained.recording), progress),
         **_pose_scores(trained.run, known),
     }
+
+
+def _span_scores(trained: Trained) -> dict[str, list[dict[str, float]]]:
+    """Return `spans`, where the scene has any: the first and the last plane of each, its scores, and its seconds."""
+    cloud, held_out, truth = trained.cloud, trained.held_out, trained.truth
+    if not isinstance(cloud, SpannedScene) or held_out is None or truth is None:
+        return {}
+    seconds = load_checkpoint(trained.run.checkpoint)["seconds"]
+    rows = []
+    for number, span in enumerate(trained.run.plan.spans):
+        planes = [plane for plane in truth.planes(held_out.camera.id) if span.first <= plane < span.last]
+        scores = score_at(cloud, held_out, truth, spread(planes, SPAN_INSTANTS)) if planes else {}
+        kept = {name: scores[name] for name in SPAN_SCORES if name in scores}
+        took_s = seconds.get(f"span {number}", 0.0)
+        rows.append({"first_tick": span.first, "last_tick": span.last - 1, **kept, "seconds": round(took_s, 3)})
+    return {"spans": rows}
 
 
 def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:

@@ -98,6 +98,10 @@ def _work(
         from reconstruction.pipeline.points_stage import points_stage
 
         points_stage(run, posed(run, recording), stoppable)
+    elif name == "train" and run.plan.spans:
+        from reconstruction.pipeline.span_stage import train_spans
+
+        train_spans(run, posed(run, recording), progress, budget, should_stop)
     elif name == "train":
         from reconstruction.pipeline.train_stage import train_stage
 

@@ -1,7 +1,7 @@
 """Trains: budget, checkpoints, snapshots, and a clean stop on request."""
 
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.losses.picture import inverse_depth
 from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.definition import Method
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.points_stage import moving_planes
@@ -140,14 +141,23 @@ def trainer_of(
     """
     views, seeds = _beginning(run, recording)
     _settle_motion(run, recording, views, seeds)
-    plan, method = run.plan, METHODS[run.plan.model]
+    method = METHODS[run.plan.model]
     own, device = ("gsplat", gsplat_backend.DEVICE) if run.config.device == CUDA else ("native", "cpu")
     cloud = method.start(seeds)
     light = artefacts.read_light(run)
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains)
+    settings = replace(settings_of(run, method, views), backend=backend or own, device=device)
+    if dtype != torch.float32:
+        cloud = cloud.to(dtype)
+    return Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
+
+
+def settings_of(run: RunFolder, method: Method, views: Sequence[TrainingView]) -> TrainerSettings:
+    """Return how the plan of a run trains a method on `views`, on the processor."""
+    plan = run.plan
     white = artefacts.white_of([view.source.background for view in views])
-    settings = TrainerSettings(
+    return TrainerSettings(
         plan.supervision,
         method.training,
         white=max(white, 1e-6),
@@ -157,12 +167,7 @@ def trainer_of(
         times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays and plan.images not in GIVEN,
         ends_early=method.training.ends_early and run.config.steps is None,
         doublings=plan.doublings,
-        backend=backend or own,
-        device=device,
     )
-    if dtype != torch.float32:
-        cloud = cloud.to(dtype)
-    return Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
 
 
 class _Saver:

@@ -5,7 +5,8 @@ from dataclasses import replace
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.export.scene import Scene
-from reconstruction.pipeline.artefacts import posed, read_held_out, read_sources, read_white
+from reconstruction.pipeline.artefacts import posed, read_held_out, read_white
+from reconstruction.pipeline.span_artefacts import read_recorded_targets
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import load_cloud
@@ -16,7 +17,7 @@ def scene_of(run: RunFolder, recording: Recording, cloud: SceneModel) -> Scene:
 
     A held-out camera that was placed by its spikes stands where the report placed it.
     """
-    targets = lambda: read_sources(run, recording)  # noqa: E731
+    targets = lambda: read_recorded_targets(run, recording)  # noqa: E731
     rig, placed = recording.rig, read_held_out(run)
     if placed is not None:
         rig = replace(rig, cameras=tuple(placed if c.id == placed.id else c for c in rig.cameras))

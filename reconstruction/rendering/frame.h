@@ -49,6 +49,8 @@ struct Moments {
 struct Frame {
     Pinhole camera;
     int tiles_x, tiles_y;
+    std::vector<uint8_t> wanted;              // by tile; empty where all are
+    std::vector<int32_t> wanted_before;       // [tiles_y + 1, tiles_x + 1]: wanted tiles above and left of a corner
     std::vector<Splat> splats;                // by Gaussian
     std::vector<Span> spans;                  // by Gaussian
     std::vector<int32_t> visible;             // which Gaussians became splats, in their order; visible_count of them
@@ -62,6 +64,16 @@ struct Frame {
     std::vector<float> checkpoints;           // by group: transmittance of the tile before it
     std::vector<Moments> moments;             // by slot: one a splat and tile
     int64_t visible_count, slots;
+
+    bool wants(int tile) const { return wanted.empty() || wanted[tile]; }
+    bool wants(const Span &s) const {  // any tile of it
+        if (wanted.empty()) return true;
+        const int across = tiles_x + 1, top = s.y_first * across, below = (s.y_last + 1) * across;
+        const int left = s.x_first, right = s.x_last + 1;
+        return wanted_before[below + right] - wanted_before[below + left] - wanted_before[top + right] +
+                   wanted_before[top + left] >
+               0;
+    }
 };
 
 struct Image {
@@ -75,12 +87,12 @@ struct CloudGradient {
     float *means, *quats, *log_scales, *opacities, *intensities;
 };
 
-void prepare(Frame &frame, const Cloud &cloud, int threads);  // before the team
+void prepare(Frame &frame, const Cloud &cloud, const uint8_t *wanted, int threads);  // before the team
 void project(Frame &frame, const Cloud &cloud, int32_t *radii);
 void sort_and_count(Frame &frame);
 void fill_tiles(Frame &frame);
 void rasterize(Frame &frame, const Image &image);
-void rasterize_backward(Frame &frame, const ImageGradient &gradient);
-void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out);
+void rasterize_backward(Frame &frame, const ImageGradient &gradient, int64_t given);
+void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out, int64_t given);
 
 }  // namespace s4

@@ -84,14 +84,25 @@ void project_block(Frame &frame, const Cloud &cloud, int32_t *radii, int64_t fir
     for (int i = 0; i < kLanes; ++i) o.stored[6][i] = cloud.intensities[std::min(first + i, cloud.count - 1)];
     for (int i = 0; i < std::min<int64_t>(kLanes, cloud.count - first); ++i) {
         Splat &s = frame.splats[first + i];
-        radii[first + i] = splat_of(o, i, s);
+        const int32_t radius = splat_of(o, i, s);
+        radii[first + i] = radius && frame.wants(s.span) ? radius : 0;
         frame.spans[first + i] = s.span;
     }
 }
 
 }  // namespace
 
-void prepare(Frame &frame, const Cloud &cloud, int threads) {
+void prepare(Frame &frame, const Cloud &cloud, const uint8_t *wanted, int threads) {
+    frame.wanted.assign(wanted, wanted ? wanted + frame.tiles_x * frame.tiles_y : wanted);
+    const int across = frame.tiles_x + 1;
+    frame.wanted_before.assign(frame.wanted.empty() ? 0 : size_t(across) * (frame.tiles_y + 1), 0);
+    for (int y = 0; y < frame.tiles_y && wanted; ++y) {
+        int32_t row = 0;
+        for (int x = 0; x < frame.tiles_x; ++x) {
+            row += wanted[y * frame.tiles_x + x] != 0;
+            frame.wanted_before[(y + 1) * across + x + 1] = frame.wanted_before[y * across + x + 1] + row;
+        }
+    }
     frame.splats.resize(cloud.count);
     frame.spans.resize(cloud.count);
     frame.visible.resize(cloud.count);

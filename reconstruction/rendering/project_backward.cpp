@@ -125,21 +125,23 @@ void scatter(const Geometry &g, const Gradient &d, int64_t source, int i, const 
 
 }  // namespace
 
-void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out) {
-    const int64_t n = frame.visible_count, blocks = (n + kLanes - 1) / kLanes;
+void project_backward(const Frame &frame, const Cloud &cloud, const CloudGradient &out, int64_t given) {
+    const auto end = frame.visible.begin() + frame.visible_count;
+    const auto own = std::lower_bound(frame.visible.begin(), end, given);
+    const int64_t n = end - own, blocks = (n + kLanes - 1) / kLanes;
 #pragma omp for schedule(static) nowait
     for (int64_t block = 0; block < blocks; ++block) {
         const int64_t first = block * kLanes;
         Geometry g;
         Gradient d;
-        for (int i = 0; i < kLanes; ++i) gather(frame, cloud, frame.visible[std::min(first + i, n - 1)], i, g, d);
+        for (int i = 0; i < kLanes; ++i) gather(frame, cloud, own[std::min(first + i, n - 1)], i, g, d);
         measure(g, frame.camera);
         to_axes(g, d);
         to_factors(g, d);
         to_quaternion(g, d);
         to_mean(g, frame.camera, d);
         for (int i = 0; i < std::min<int64_t>(kLanes, n - first); ++i)
-            scatter(g, d, frame.visible[first + i], i, out);
+            scatter(g, d, own[first + i], i, out);
     }
 }
 

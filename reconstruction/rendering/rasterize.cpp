@@ -101,7 +101,8 @@ void rasterize(Frame &f, const Image &image) {
     const int tiles = f.tiles_x * f.tiles_y;
     const auto forward = image.median ? forward_tile<true> : forward_tile<false>;
 #pragma omp for schedule(dynamic, 4) nowait
-    for (int tile = 0; tile < tiles; ++tile) forward(f, image, tile);
+    for (int tile = 0; tile < tiles; ++tile)
+        if (f.wants(tile)) forward(f, image, tile);
 }
 
 }  // namespace s4

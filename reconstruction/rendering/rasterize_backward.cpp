@@ -76,11 +76,17 @@ Moments gather(const Near &splat, uint32_t blocks, const Scratch &s, const Pair 
     return out;
 }
 
+// Steps over the pairs of a splat whose sums nobody wants.
+inline void pass(uint32_t blocks, const Pair **at) {
+    for (; blocks; blocks &= blocks - 1) ++at[__builtin_ctz(blocks)];
+}
+
 inline int64_t slot_of(const Splat &s, const Tile &t) {
     return s.slot + int64_t(t.y / kTile - s.span.y_first) * s.span.across() + t.x / kTile - s.span.x_first;
 }
 
-void backward_group(Frame &f, const Tile &t, int64_t first, const float *before, Scratch &s) {
+// Writes the moments of a group's splats, but for those of the first `given` Gaussians.
+void backward_group(Frame &f, const Tile &t, int64_t first, const float *before, int64_t given, Scratch &s) {
     Group &g = s.group;
     const Splat *splats = f.splats.data();
     Moments *at_slot[kGroup];
@@ -89,8 +95,8 @@ void backward_group(Frame &f, const Tile &t, int64_t first, const float *before,
     for (int k = 0; k < g.count; ++k) {
         __builtin_prefetch(splats + entries[std::min(k + 12, g.count - 1)]);
         bring_near(splats[entries[k]], t, g.splats[k]);
-        at_slot[k] = f.moments.data() + slot_of(splats[entries[k]], t);
-        __builtin_prefetch(at_slot[k], 1);
+        at_slot[k] = entries[k] < given ? nullptr : f.moments.data() + slot_of(splats[entries[k]], t);
+        if (at_slot[k]) __builtin_prefetch(at_slot[k], 1);
     }
     uint16_t blocks[kGroup];
     blocks_of(g.words, blocks);
@@ -106,6 +112,10 @@ void backward_group(Frame &f, const Tile &t, int64_t first, const float *before,
         pairs += n;
     }
     for (int k = 0; k < g.count; ++k) {
+        if (!at_slot[k]) {
+            pass(blocks[k], at);
+            continue;
+        }
         Moments &to = *at_slot[k];
         if (blocks[k])
             to = gather(g.splats[k], blocks[k], s, at);
@@ -114,7 +124,7 @@ void backward_group(Frame &f, const Tile &t, int64_t first, const float *before,
     }
 }
 
-void backward_tile(Frame &f, const ImageGradient &gradient, int tile, Scratch &s) {
+void backward_tile(Frame &f, const ImageGradient &gradient, int tile, int64_t given, Scratch &s) {
     const Tile t(f, tile);
     for (int b = 0; b < kBlock; ++b) {
         s.intensity[b] = load_block(f.camera, t, b, gradient.intensity);
@@ -127,17 +137,29 @@ void backward_tile(Frame &f, const ImageGradient &gradient, int tile, Scratch &s
         const int64_t first = start + (group - f.group_start[tile]) * kGroup;
         s.group.count = int(std::min<int64_t>(kGroup, last - first));
         std::memcpy(s.group.words, f.words.data() + group * kBlock, sizeof s.group.words);
-        backward_group(f, t, first, f.checkpoints.data() + group * kPixels, s);
+        backward_group(f, t, first, f.checkpoints.data() + group * kPixels, given, s);
     }
+}
+
+// Sums of splats over a tile that was not rendered are zero.
+void clear_tile(Frame &f, int tile, int64_t given) {
+    const Tile t(f, tile);
+    for (int64_t i = f.tile_start[tile]; i < f.tile_start[tile + 1]; ++i)
+        if (f.entries[i] >= given) f.moments[slot_of(f.splats[f.entries[i]], t)] = {};
 }
 
 }  // namespace
 
-void rasterize_backward(Frame &f, const ImageGradient &gradient) {
+void rasterize_backward(Frame &f, const ImageGradient &gradient, int64_t given) {
     const int tiles = f.tiles_x * f.tiles_y;
     const std::unique_ptr<Scratch> scratch(new Scratch);  // thread_local would be looked up in every loop
 #pragma omp for schedule(dynamic, 4)
-    for (int tile = 0; tile < tiles; ++tile) backward_tile(f, gradient, tile, *scratch);
+    for (int tile = 0; tile < tiles; ++tile) {
+        if (f.wants(tile))
+            backward_tile(f, gradient, tile, given, *scratch);
+        else
+            clear_tile(f, tile, given);
+    }
 }
 
 }  // namespace s4

@@ -46,12 +46,15 @@ def render(
     dilation_px2: float = GUARDS.dilation_px2,
     background: Tensor | float | None = None,
     median: bool = False,
+    given: int = 0,
+    only: Tensor | None = None,
 ) -> Rendering:
     """Render N Gaussians, the five tensors of an `Instantaneous`; differentiable in all of them.
 
     `backend`: native (float32 on the CPU), reference (float32 or float64, anywhere), gsplat (float32 on a CUDA device).
     `near_m` and `dilation_px2` are those of `result.Guards`. `background`: the intensity behind everything, one number
-    or [H, W, C], black if None. `median` asks for the median depth too, which gsplat does not have. Raises
+    or [H, W, C], black if None. `median` asks for the median depth too, which gsplat does not have. The first `given`
+    Gaussians get no gradient. `only` [H, W], bool: beyond these pixels the picture may be black. Raises
     ReconstructionError for shapes that do not fit, NaN or infinity, or a lens that distorts.
     """
     now = Instantaneous(*gaussians)
@@ -62,7 +65,12 @@ def render(
         raise ReconstructionError(f"found the near plane at {near_m} m", "a positive depth")
     if not (math.isfinite(dilation_px2) and dilation_px2 > 0):
         raise ReconstructionError(f"found a dilation of {dilation_px2} px^2", "a positive number")
-    seen = RENDERERS[backend](now, camera, Guards(near_m, dilation_px2), median=median)
+    guards = Guards(near_m, dilation_px2)
+    if backend == "native":
+        seen = render_native(now, camera, guards, median=median, given=given, only=only)
+    else:
+        held = Instantaneous(*(torch.cat([t[:given].detach(), t[given:]]) for t in now)) if given else now
+        seen = RENDERERS[backend](held, camera, guards, median=median)
     if background is None:
         return seen
     return seen._replace(intensity=seen.intensity + (1 - seen.alpha)[..., None] * background)

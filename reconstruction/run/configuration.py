@@ -42,7 +42,8 @@ class ReconstructionConfig:
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
     lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `gains`: whether each camera has a
     gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
-    `window`: planes of the short images of movers (None: as the plan says). `device`: where the training is done; all
+    `window`: planes of the short images of movers (None: as the plan says). `span`: most planes of a span of a long
+    recording (None: as the plan says). `device`: where the training is done; all
     other stages take the processor. Raises BadRunError naming the field.
     """
 
@@ -62,6 +63,7 @@ class ReconstructionConfig:
     gains: str = "auto"
     dust3r_checkpoint: str | None = None
     window: int | None = None
+    span: int | None = None
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -86,6 +88,8 @@ class ReconstructionConfig:
             raise BadRunError(f"found a tick stride of {self.tick_stride}", "at least 1")
         if self.window is not None and (self.window < 1 or self.window % 2 == 0):
             raise BadRunError(f"found a window of {self.window} planes", "an odd number from 1")
+        if self.span is not None and self.span < 1:
+            raise BadRunError(f"found a span of {self.span} planes", "at least 1")
         if self.holdout is not None and self.holdout in self.views:
             raise BadRunError(
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"

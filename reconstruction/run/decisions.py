@@ -8,6 +8,7 @@ from typing import Any
 
 from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.run.configuration import EVEN, RENAMED
+from reconstruction.run.spans import Span
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,8 @@ class Plan:
     `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`: names, none of them `auto`.
     `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels. The most
     Gaussians there may be are split into `still_gaussians` and `moving_gaussians`. `window`: planes of a short image,
-    an odd number. `doublings`: shares of the training at which pictures double in width and height, in order.
+    an odd number. `doublings`: shares of the training at which pictures double in width and height, in order. `spans`:
+    the planes [first, last) of each span of a recording that is reconstructed in spans; empty for one in a piece.
     """
 
     views: tuple[str, ...]
@@ -58,6 +60,7 @@ class Plan:
     pixels: str = EVEN
     window: int = PLANES
     doublings: tuple[float, ...] = ()
+    spans: tuple[Span, ...] = ()
 
     def amended(self, amendment: Amendment) -> Plan:
         """Return the plan with the amendment's decision in place of the one about the same thing, and its changes."""
@@ -72,6 +75,7 @@ class Plan:
         known: dict[str, Any] = {f.name: document[f.name] for f in fields(cls) if f.name in document}
         known |= {"views": tuple(document["views"]), "supervision": supervision}
         known |= {"doublings": tuple(document.get("doublings", ()))}
+        known |= {"spans": tuple(Span(**span) for span in document.get("spans", ()))}
         known["decisions"] = tuple(Decision(**d) for d in document["decisions"])
         return cls(**known)
 

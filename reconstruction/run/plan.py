@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.background import moving_pixels
+from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.images.scarce import SCARCE, lit_spikes
@@ -18,7 +19,9 @@ from reconstruction.methods.ours import BASES
 from reconstruction.parallel import each
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
-from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
+from reconstruction.run.prices import FLOAT_BYTES, INSTANTS, KEPT_COPIES, Work
+from reconstruction.run.spans import PLANES as PLANES_OF_A_SPAN
+from reconstruction.run.spans import Span, cut
 from rigs.rig import Rig
 
 DARK_RATE = 1e-4  # spikes per pixel and tick below which a view carries no picture
@@ -39,14 +42,17 @@ BEST_METHOD = "adaptive"  # best image method without a network, on single image
 def make_plan(
     config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream]
 ) -> tuple[Plan, dict[str, NDArray[np.bool_]], Light]:
-    """Return the plan, each training view's mask of moving pixels [H, W], and the light.
+    """Return the plan, each training view's masks of moving pixels by span [S, H, W], and the light.
 
     Reads no stream but those of the training views. Raises BadRunError for what cannot be done.
     """
     decisions: list[Decision] = []
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
-    masks = dict(zip(views, each(lambda view: moving_pixels(streams[view], light), views), strict=True))
+    spans = _choose_spans(config, rig, min(len(streams[view]) for view in views))
+    masks = dict(zip(views, each(lambda view: span_masks(streams[view], light, spans), views), strict=True))
+    if len(spans) > 1:
+        decisions.append(_say_spans(spans, masks))
     _say_scarce([streams[view] for view in views], decisions)
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
@@ -62,11 +68,46 @@ def make_plan(
     pixels = _choose_pixels(config, rig, views, decisions)
     init = _choose_init(config, rig, work, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
-    window = _choose_window(config, images, rig, streams, masks, decisions)
+    ever = {view: np.logical_or.reduce(mask) for view, mask in masks.items()}
+    window = _choose_window(config, images, rig, streams, ever, decisions)
     doublings = _choose_sizes(work, method, decisions)
     chosen = tuple(decisions)
-    plan = Plan(views, model, images, supervision, moving, still, chosen, init, refine, pixels, window, doublings)
-    return plan, masks, light
+    own = {"init": init, "refine": refine, "pixels": pixels, "window": window, "doublings": doublings}
+    own |= {"spans": spans if len(spans) > 1 and method.moves else ()}
+    return Plan(views, model, images, supervision, moving, still, chosen, **own), masks, light
+
+
+def span_masks(stream: SpikeStream, light: Light, spans: Sequence[Span]) -> NDArray[np.bool_]:
+    """Return the pixels [S, H, W] that see something move in each span."""
+    masks = []
+    for span in spans:
+        masks.append(moving_pixels(stream.part(span.first, span.last), Light(light.gains[span.first : span.last])))
+    return np.stack(masks)
+
+
+def _choose_spans(config: ReconstructionConfig, rig: Rig, planes: int) -> tuple[Span, ...]:
+    """Return the spans that movers are learnt in: one, the whole, for a short recording or the method of a baseline."""
+    spans = cut(planes, config.span or PLANES_OF_A_SPAN)
+    return spans if _spanned(config, rig) else (Span(0, planes),)
+
+
+def _say_spans(spans: Sequence[Span], masks: Mapping[str, NDArray[np.bool_]]) -> Decision:
+    """Return the decision to learn movers in spans, with the share of the pixels that move where any do."""
+    shares = np.mean([mask.mean(axis=(1, 2)) for mask in masks.values()], axis=0)
+    moving = shares >= STILL_SHARE
+    share = float(shares[moving].mean()) if moving.any() else 0.0
+    reason = f"bodies are followed through {INSTANTS} instants of a span; what stands still is learnt once from all"
+    facts = {"spans": len(spans), "moving_spans": int(moving.sum()), "moving_share": share}
+    return Decision("spans", f"{len(spans)} of {len(spans[0])} planes", reason, "--span", facts=facts)
+
+
+def _spanned(config: ReconstructionConfig, rig: Rig) -> bool:
+    """Return whether what was asked for can be learnt in spans: our models, from images, with cameras that stay."""
+    model = METHODS[BASES.name if config.model == "auto" else config.model]
+    init = _choose_init(config, rig, None, [])
+    refines = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
+    from_images = config.images not in GIVEN and config.supervision in ("auto", "pixels")
+    return model.ours and model.moves and not refines and from_images
 
 
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
@@ -201,12 +242,12 @@ def _choose_pixels(config: ReconstructionConfig, rig: Rig, views: Sequence[str],
     return pixels
 
 
-def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
+def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work | None, decisions: list[Decision]) -> str:
     if config.init != "auto":
         return config.init
     init = "natural" if rig.poses == "nominal" else "sweep"
     choice = "found by natural" if init == "natural" else "not estimated"
-    spared_s = None if init == "natural" else work.poses_s()
+    spared_s = None if init == "natural" or work is None else work.poses_s()
     decisions.append(Decision("poses", choice, f"the rig's poses are {rig.poses}", "--init", spared_s))
     return init
 
@@ -265,7 +306,7 @@ def _choose_model(
 ) -> str:
     if config.model != "auto":
         return config.model
-    share = _share(masks)
+    share = float(np.mean([mask.mean(axis=(1, 2)) for mask in masks.values()], axis=0).max())
     if share < STILL_SHARE:
         reason = f"{share:.2%} of the pixels change: no motion model"
         decisions.append(Decision("motion", "static", reason, "--model", work.movers_s()))

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.radiance_fields.radiance_field import RadianceField
 from reconstruction.scene_model import SceneModel
 from reconstruction.tensors import read_tensors
@@ -15,7 +16,8 @@ def load_checkpoint(path: Path) -> dict:
 
 def model_from_state(state: dict) -> SceneModel:
     """Return the model whose `state` this is; raises ReconstructionError for a kind or tensors nobody knows."""
-    return (RadianceField if state.get("model") == RadianceField.kind else DynamicCloud).from_state(state)
+    kinds = {RadianceField.kind: RadianceField, SpannedScene.kind: SpannedScene}
+    return kinds.get(state.get("model", ""), DynamicCloud).from_state(state)
 
 
 def load_cloud(path: Path) -> SceneModel:

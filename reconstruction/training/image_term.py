@@ -53,15 +53,16 @@ class ImageTerm:
         span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
         rendered = self.over(cloud, view, view.camera, span)
         target = view.picture(plane).to(rendered.intensity.dtype)
-        return (rendered, target) if view.covered is None else alike_beyond(view.covered, rendered, target)
+        return (rendered, target) if view.compared is None else alike_beyond(view.compared, rendered, target)
 
     def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
         """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
         first, length, nodes = span
+        options = {"backend": self.backend, "dilation_px2": view.dilation_px2, "given": cloud.given}
+        options |= {"only": view.compared if camera is view.camera else None}
         renders = []
         for node, weight in zip(*quadrature(nodes if cloud.changes else 1), strict=True):
             instant_s = self.clock.instant_s(first + length * node - 0.5)
-            options = {"backend": self.backend, "dilation_px2": view.dilation_px2}
             renders.append((weight, render(view.seen(cloud, instant_s), camera, **options)))
         return mean_of(renders)
 

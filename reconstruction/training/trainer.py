@@ -36,6 +36,7 @@ from rigs.clock import RigClock
 
 USUAL = 1.5  # farthest usual depths, along z, within which a point is an ordinary one
 DEAD = 0.005  # opacity below which an element shows nothing
+WHOLE_EVERY = 8  # steps from one that looks beyond the focus of its view to the next
 LIVING_EVERY = 100  # steps between looks at whether any element is left
 
 
@@ -107,7 +108,8 @@ class Trainer:
         view = self.draws.view()
         self.optimizer.zero_grad(set_to_none=True)
         halvings = 0 if due else sum(done < share for share in self.settings.doublings)
-        loss = (due or self.image)(self.cloud, _halved(self.views[view], halvings), self.draws)
+        seen = self.views[view].whole if self.steps % WHOLE_EVERY == 0 else self.views[view]
+        loss = (due or self.image)(self.cloud, _halved(seen, halvings), self.draws)
         penalty = self.cloud.penalty()
         if penalty is not None:
             loss = loss + penalty

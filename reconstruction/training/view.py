@@ -14,6 +14,8 @@ from reconstruction.images.composite import CompositeSource
 from reconstruction.rendering.result import GUARDS, Instantaneous
 from rigs.camera import Camera
 
+MASKS = ("empty", "known", "focus")  # the masks of a view, float, 1 or 0
+
 
 @dataclass(frozen=True, eq=False)
 class TrainingView:
@@ -21,8 +23,10 @@ class TrainingView:
 
     `corrected`: the cloud at an instant (s) as its refined pose, gain and lag show it (None: they stand as they are).
     `inverse_depth` [H, W]: of the pixels whose depth is known before the training, 1/m, else 0. `empty` [H, W]: 1 where
-    nothing is, else 0; None where something is everywhere. `halvings`: how often pixels were merged, 2x2 each time,
-    since the source's. `device`: where its pictures and masks lie, as the renders that they are compared with.
+    nothing is, else 0; None where something is everywhere. `known` [H, W]: 1 where the images show what they should,
+    else 0; None where they all do. `focus` [H, W]: 1 where most steps look, else 0; None where they look everywhere.
+    `halvings`: how often pixels were merged, 2x2 each time, since the source's.
+    `device`: where its pictures and masks lie, as the renders that they are compared with.
     """
 
     camera: Camera
@@ -30,6 +34,8 @@ class TrainingView:
     corrected: Callable[[DynamicCloud, float], Instantaneous] | None = None
     inverse_depth: Tensor | None = None
     empty: Tensor | None = None
+    known: Tensor | None = None
+    focus: Tensor | None = None
     halvings: int = 0
     device: str = "cpu"
 
@@ -37,8 +43,9 @@ class TrainingView:
         """Return the same view with its pictures and masks on `device`; itself where they are there."""
         if device == self.device:
             return self
-        known, empty = (None if t is None else t.to(device) for t in (self.inverse_depth, self.empty))
-        return replace(self, device=device, inverse_depth=known, empty=empty)
+        held = ("inverse_depth", *MASKS)
+        there = {name: None if (t := getattr(self, name)) is None else t.to(device) for name in held}
+        return replace(self, device=device, **there)
 
     def seen(self, cloud: DynamicCloud, instant_s: float) -> Instantaneous:
         """Return the Gaussians to render for this camera at an instant (s, rig clock)."""
@@ -53,14 +60,27 @@ class TrainingView:
 
     @cached_property
     def covered(self) -> Tensor | None:
-        """The pixels [H, W], bool, that the camera saw whole; None where it saw all."""
-        way = self.source.straightening
-        if way is None:
-            return None
-        share = torch.from_numpy(way.covered).float().to(self.device)
-        for _ in range(self.halvings):
-            share = halved(share)
-        return share == 1
+        """The pixels [H, W], bool, that the camera saw whole and whose images are known; None where these are all."""
+        way, known = self.source.straightening, self.known
+        if way is not None:
+            share = torch.from_numpy(way.covered).float().to(self.device)
+            for _ in range(self.halvings):
+                share = halved(share)
+            known = share if known is None else known * share
+        return None if known is None else known == 1
+
+    @cached_property
+    def compared(self) -> Tensor | None:
+        """The pixels [H, W], bool, that a step compares: those `covered`, and in focus; None where these are all."""
+        if self.focus is None:
+            return self.covered
+        focus = self.focus > 0
+        return focus if self.covered is None else focus & self.covered
+
+    @cached_property
+    def whole(self) -> TrainingView:
+        """The same view without a focus."""
+        return self if self.focus is None else replace(self, focus=None)
 
     @cached_property
     def halved(self) -> TrainingView:
@@ -68,13 +88,15 @@ class TrainingView:
 
         A depth is known where those of all four are, and a pixel is empty where all four are.
         """
-        known, empty = self.inverse_depth, self.empty
+        known = self.inverse_depth
         if known is not None:
             known = torch.where(halved((known > 0).to(known.dtype)) == 1, halved(known), 0)
-        if empty is not None:
-            empty = (halved(empty) == 1).to(empty.dtype)
+        flags = {}
+        for name in MASKS:
+            mask: Tensor | None = getattr(self, name)
+            flags[name] = None if mask is None else (halved(mask) == 1).to(mask.dtype)
         camera, halvings = self.camera.halved(), self.halvings + 1
-        return replace(self, camera=camera, inverse_depth=known, empty=empty, halvings=halvings)
+        return replace(self, camera=camera, inverse_depth=known, halvings=halvings, **flags)
 
     @property
     def dilation_px2(self) -> float:

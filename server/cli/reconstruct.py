@@ -42,6 +42,9 @@ _choices = (
 @click.option("--views", default="", help="Training cameras, comma-separated [default: all but the held-out one].")
 @click.option("--tick-stride", type=int, default=4, show_default=True, help="Planes between instants used as images.")
 @click.option("--window", type=int, metavar="PLANES", help="Planes of an image of movers [default: by the plan].")
+@click.option(
+    "--span", type=int, metavar="PLANES", help="Most planes of a span of a long recording [default: by the plan]."
+)
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint [default: {DEFAULT_BUDGET_S:g}].")
 @click.option("--steps", type=int, help="Training steps instead of a budget; repeatable to the bit.")
 @click.option("--seed", type=int, default=0, show_default=True)

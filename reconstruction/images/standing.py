@@ -1,0 +1,60 @@
+"""The still content of a long recording, from the spans that it is cut into.
+
+A pixel that is crossed in some spans is still in the others: its background is what these show alike. What stands in a
+span and is not the background (something put down, or not yet taken away) differs there. Letters: S spans, H rows,
+W columns.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.images.background import Background, dimming
+from reconstruction.images.composite import WHITE_PERCENTILE
+
+UNLIKE = 0.01  # spikes per tick, mean of 3x3, by which a span's light is not that of the background
+GROW_PX = 2  # an edge is soft: its neighbours see what differs, too
+ALIKE = 0.5  # least share of the spans in which a pixel is still that must show the same
+
+Image = NDArray[np.float32]
+Masks = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What stands still in one view: its `background`, and the pixels `differs` [S, H, W] that show else in a span."""
+
+    background: Background
+    differs: Masks
+
+
+def standing(rates: Image, moving: Masks, usual: Background) -> Standing:
+    """Return what stands still behind the `moving` pixels [S, H, W] of spans with the mean light `rates` [S, H, W].
+
+    Rates are in spikes per tick, with what the light as a whole does taken out. A pixel that moves in every span has
+    what the `usual` background of the whole recording says.
+    """
+    still = ~moving
+    least = UNLIKE * dimming(float(np.percentile(usual.image, WHITE_PERCENTILE)))
+    mostly = _masked_median(rates, still)
+    unlike = np.nan_to_num(np.where(still, rates - mostly, np.float32(0)))
+    gaps = np.stack([cv2.blur(gap, (3, 3)) for gap in unlike])
+    alike = still & (np.abs(gaps) <= least)
+    counted = alike.sum(axis=0)
+    ever = counted > 0
+    mean = np.where(alike, rates, 0).sum(axis=0, dtype=np.float32) / np.maximum(counted, 1)
+    image = np.where(ever, mean, usual.image).astype(np.float32)
+    trusted = np.where(ever, counted >= ALIKE * still.sum(axis=0), usual.trusted & ~still.any(axis=0))
+    kernel = np.ones((2 * GROW_PX + 1,) * 2, np.uint8)
+    differs = np.stack([cv2.dilate((s & ~a).astype(np.uint8), kernel) > 0 for s, a in zip(still, alike, strict=True)])
+    return Standing(Background(image, trusted, usual.stuck), differs & still & ever)
+
+
+def _masked_median(rates: Image, still: Masks) -> Image:
+    """Return the lower median [H, W] over the spans in which a pixel is still; NaN where it never is."""
+    ordered = np.sort(np.where(still, rates, np.float32(np.inf)), axis=0)
+    middle = np.maximum(still.sum(axis=0) - 1, 0) // 2
+    median = np.take_along_axis(ordered, middle[None], axis=0)[0]
+    return np.where(np.isfinite(median), median, np.float32(np.nan))

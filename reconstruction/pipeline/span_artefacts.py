@@ -1,0 +1,139 @@
+"""The artefacts of a recording that is reconstructed in spans.
+
+The plan stage writes PLANNED, the images stage MASKS, the train stage STILL and a file for each span, which is whole or
+absent. Letters: S spans, H rows, W columns.
+"""
+
+from __future__ import annotations
+
+import bisect
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.recording.reader import Recording
+from reconstruction.images.composite import CompositeSource
+from reconstruction.images.straightened import straightened
+from reconstruction.pipeline.artefacts import read_sources, read_views, short_images
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import STILL_SHARE
+from reconstruction.run.spans import Span
+from rigs.camera import Camera
+from rigs.straight import straightening, views_of
+
+PLANNED = "plan/moving_spans_{view}"  # pixels of a view that see something move, by span
+MASKS = "images/moving_spans_{view}"  # the same, with those that show something else than the background
+Masks = NDArray[np.bool_]
+Sources = dict[str, CompositeSource]
+Views = dict[str, tuple[Camera, CompositeSource]]
+
+
+def write_masks(run: RunFolder, name: str, view: str, masks: Masks) -> None:
+    """Write the masks [S, H, W] of a view, eight pixels a byte."""
+    run.write_array(name.format(view=view), np.packbits(masks.reshape(len(masks), -1), axis=1))
+
+
+def read_masks(run: RunFolder, name: str, view: str, size: tuple[int, int]) -> Masks:
+    """Read the masks [S, H, W] of a view of this size (H, W)."""
+    packed = run.read_array(name.format(view=view))
+    return np.unpackbits(packed, axis=1, count=size[0] * size[1]).astype(bool).reshape(-1, *size)
+
+
+def still_file(run: RunFolder) -> Path:
+    """Return the file of the still scene, as all spans take it."""
+    return run.path / "spans" / "still.pt"
+
+
+def span_file(run: RunFolder, number: int) -> Path:
+    """Return the file of what a span has of its own."""
+    return run.path / "spans" / f"{number:06d}.pt"
+
+
+def read_still_views(run: RunFolder, recording: Recording) -> Views:
+    """Return the training cameras and what they see of the still scene, without anything that moves."""
+    nowhere = lambda source: np.zeros_like(source.moving)  # noqa: E731
+    sources = {view: replace(source, moving=nowhere(source)) for view, source in read_sources(run, recording).items()}
+    return _straight(run, recording, sources)
+
+
+def read_span_views(run: RunFolder, recording: Recording, number: int, span: Span) -> Views:
+    """Return the training cameras and what they see in the planes of `span`, where the span `number` shows movers."""
+    return _straight(run, recording, _span_sources(run, recording, number, span))
+
+
+def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span) -> Sources:
+    sources = {}
+    for view, whole in read_sources(run, recording).items():
+        mask = read_masks(run, MASKS, view, whole.moving.shape)[number]
+        sources[view] = whole.part(span.first, span.last).retargeted(mask, partial(short_images, run.plan))
+    return sources
+
+
+def moving_spans(run: RunFolder) -> list[int]:
+    """Return the numbers of the spans in which anything differs from the still scene, in the mean over the views."""
+    packed = [run.read_array(MASKS.format(view=view)) for view in run.plan.views]
+    pixels = [np.bitwise_count(masks).sum(axis=1) / (8 * masks.shape[1]) for masks in packed]
+    return np.flatnonzero(np.mean(pixels, axis=0) >= STILL_SHARE).tolist()
+
+
+def read_targets(run: RunFolder, recording: Recording) -> Views:
+    """Return the training cameras and what they see at any plane of the recording, movers included."""
+    views = read_views(run, recording)
+    if not run.plan.spans:
+        return views
+    parts = _parts(lambda number, span: {v: s for v, (_, s) in read_span_views(run, recording, number, span).items()})
+    return {v: (camera, _spanned(run, source, parts, v)) for v, (camera, source) in views.items()}
+
+
+def read_recorded_targets(run: RunFolder, recording: Recording) -> Sources:
+    """Return what the training cameras recorded at any plane, movers included, as their lenses bent it."""
+    sources = read_sources(run, recording)
+    if not run.plan.spans:
+        return sources
+    parts = _parts(partial(_span_sources, run, recording))
+    return {view: _spanned(run, source, parts, view) for view, source in sources.items()}
+
+
+def _parts(read: Callable[[int, Span], Sources]) -> Callable[[int, Span], Sources]:
+    return functools.lru_cache(maxsize=2)(read)
+
+
+def _spanned(
+    run: RunFolder, source: CompositeSource, parts: Callable[[int, Span], Sources], view: str
+) -> SpannedSource:
+    spans = run.plan.spans
+    return SpannedSource.of(source, spans, lambda number: parts(number, spans[number])[view])
+
+
+@dataclass(frozen=True, eq=False)
+class SpannedSource(CompositeSource):
+    """One camera's images of a recording in spans: those of the span that a plane lies in, which `part` gives."""
+
+    spans: Sequence[Span] = ()
+    part_of: Callable[[int], CompositeSource] = field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls, source: CompositeSource, spans: Sequence[Span], part_of: Callable[[int], CompositeSource]
+    ) -> SpannedSource:
+        """Return the images of a camera whose still scene `source` has."""
+        own = {f.name: getattr(source, f.name) for f in fields(CompositeSource)}
+        return cls(**own, spans=spans, part_of=part_of)
+
+    def at(self, plane: int) -> NDArray[np.float32]:
+        """Return the image [H, W] at `plane` in spikes per tick."""
+        number = bisect.bisect_right([span.first for span in self.spans], plane) - 1
+        return self.part_of(number).at(plane - self.spans[number].first)
+
+
+def _straight(run: RunFolder, recording: Recording, sources: Sources) -> Views:
+    cameras, views = views_of(recording.rig, run.plan.views), {}
+    for view, source in sources.items():
+        own, pinhole = recording.rig.camera(view), cameras[view]
+        views[view] = pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))
+    return views

@@ -1,0 +1,130 @@
+"""Trains a recording in spans: the still scene once from all of it, then in each span what differs from that.
+
+Nothing of a span depends on another, so they can be learnt in any order; each ends in a file of its own.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from acquisition.recording.reader import Recording
+from reconstruction.gaussians.cloud import GaussianCloud
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.spanned import SpanCloud, SpanContent
+from reconstruction.images.composite import CompositeSource
+from reconstruction.initialization.bodies import Bodies, find_bodies
+from reconstruction.initialization.points import Points, Seeds
+from reconstruction.losses.picture import inverse_depth
+from reconstruction.methods.catalogue import METHODS
+from reconstruction.pipeline import artefacts
+from reconstruction.pipeline.points_stage import moving_planes, moving_points
+from reconstruction.pipeline.span_artefacts import Views, read_span_views, read_still_views
+from reconstruction.pipeline.train_stage import settings_of
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.prices import INSTANTS
+from reconstruction.run.spans import OVERLAP
+from reconstruction.scene_model import TimeSpan
+from reconstruction.training.changed_pixels import unsettled
+from reconstruction.training.trainer import Trainer, train
+from reconstruction.training.view import TrainingView
+from rigs.camera import Camera
+
+OnStep = Callable[[Trainer, float, float], None]  # of a trainer, the share that is done, and the loss
+Done = Callable[[int], float]  # the share of a training that is done after so many steps
+FOCUS_PX = 8  # pixels around movers that steps look at
+MOST_MOVING = 2.0  # times the plan's moving Gaussians that a span may have, where it sees more than others
+
+
+def learn_still(run: RunFolder, recording: Recording, done: Done, on_step: OnStep) -> GaussianCloud:
+    """Return the still scene, learnt from the backgrounds of all training views."""
+    views, cameras = _still_views(run, recording), []
+    for view in views:
+        cameras.append(view.camera)
+    clip = TimeSpan(0.0, recording.planes / recording.rig.tick_rate_hz)
+    points = artefacts.read(run, artefacts.STILL, Points)
+    method = METHODS["static"]
+    cloud = method.start(Seeds(points, Points.none(), clip, 1, run.config.seed, cameras, _no_bodies))
+    assert isinstance(cloud, DynamicCloud)
+    settings = replace(settings_of(run, method, views), times=False, image_planes=1, ends_early=False)
+    trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
+    train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
+    return GaussianCloud(**{name: tensor.detach() for name, tensor in vars(cloud.still).items()})
+
+
+def _still_views(run: RunFolder, recording: Recording) -> list[TrainingView]:
+    """Return the training views of the still scene; where no background is sure, nothing is compared."""
+    found = []
+    for view, (camera, source) in read_still_views(run, recording).items():
+        depth, void = run.read_array(artefacts.DEPTH.format(view=view)), artefacts.EMPTY.format(view=view)
+        empty = torch.from_numpy(run.read_array(void).astype(np.float32)) if run.has_array(void) else None
+        sure = source.background.trusted
+        known = None if sure.all() else torch.from_numpy(sure.astype(np.float32))
+        found.append(TrainingView(camera, source, inverse_depth=inverse_depth(depth), empty=empty, known=known))
+    return found
+
+
+def learn_span(
+    run: RunFolder, recording: Recording, number: int, still: GaussianCloud, done: Done, on_step: OnStep
+) -> SpanContent:
+    """Return what the span `number` has beside the `still` scene, learnt from its planes and a few beyond its ends."""
+    span, rate_hz = run.plan.spans[number], recording.rig.tick_rate_hz
+    grown = span.grown(OVERLAP, recording.planes)
+    seen = read_span_views(run, recording, number, grown)
+    views = [TrainingView(camera, source, focus=_around(source.moving)) for camera, source in seen.values()]
+    share = float(np.mean([view.source.moving.mean() for view in views]))
+    cloud, changed = _started(run, recording, seen, still, (len(grown), _movers(run, share)))
+    light = artefacts.read_light(run)
+    if light.flickers:
+        cloud.light = torch.from_numpy(light.gains[grown.first : grown.last])
+    settings = replace(settings_of(run, METHODS[run.plan.model], views), ends_early=False)
+    trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed + number)
+    train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
+    cloud.clip = TimeSpan(grown.first / rate_hz, grown.last / rate_hz)
+    return SpanContent.of(TimeSpan(span.first / rate_hz, span.last / rate_hz), changed, cloud)
+
+
+def _around(moving: NDArray[np.bool_]) -> torch.Tensor:
+    """Return where movers and what they push aside are compared: 1 on `moving` pixels [H, W] and near them, else 0."""
+    return torch.from_numpy(cv2.dilate(moving.astype(np.float32), np.ones((2 * FOCUS_PX + 1,) * 2, np.uint8)))
+
+
+def _movers(run: RunFolder, share: float) -> int:
+    """Return the number of moving Gaussians of a span in which movers have this share of the pixels."""
+    facts = next(d.facts for d in run.plan.decisions if d.about == "spans")
+    usual = float(facts["moving_share"])
+    return round(run.plan.moving_gaussians * min(MOST_MOVING, share / max(usual, 1e-9)))
+
+
+def _started(
+    run: RunFolder, recording: Recording, seen: Views, still: GaussianCloud, size: tuple[int, int]
+) -> tuple[SpanCloud, torch.Tensor]:
+    """Return the start of a span of so many planes with so many movers, and which still Gaussians it may change."""
+    planes, count = size
+    sources, cameras = {view: source for view, (_, source) in seen.items()}, [camera for camera, _ in seen.values()]
+    swept, clock = moving_planes(planes, run.plan.model), recording.rig.clock
+    instants = [clock.instant_s(plane) for plane in swept]
+    rng = np.random.default_rng(run.config.seed)
+    parts = [moving_points(sources, cameras, at, count // INSTANTS, rng) for at in zip(swept, instants, strict=True)]
+    moving = Points.joined(parts)
+    clip = TimeSpan(0.0, planes / recording.rig.tick_rate_hz)
+    bodies = lambda: find_bodies(moving, instants)  # noqa: E731
+    seeds = Seeds(Points.none(), moving, clip, INSTANTS, run.config.seed, cameras, bodies)
+    begun = METHODS[run.plan.model].start(seeds)
+    assert isinstance(begun, DynamicCloud)
+    near = _near(still, cameras, list(sources.values()))
+    changed = torch.nonzero(near).squeeze(1)
+    own = still.select(near)
+    return SpanCloud(own, begun.moving, begun.motion, clip, common=still.select(~near)), changed
+
+
+def _near(still: GaussianCloud, cameras: list[Camera], sources: list[CompositeSource]) -> torch.Tensor:
+    """Return which still Gaussians [N] a span may show otherwise: those seen where it differs from the background."""
+    return unsettled(still.means, cameras, {i: source.moving for i, source in enumerate(sources)})
+
+
+def _no_bodies() -> Bodies:
+    raise AssertionError("a still scene has no bodies")

@@ -1,0 +1,30 @@
+"""The spans that a long recording is cut into."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+PLANES = 400  # most planes of a span: bodies are followed between eight instants of it
+LONG = 1.5  # spans from which a recording is cut
+OVERLAP = 24  # planes beyond either end that a span's movers are learnt from, so that neighbours agree at the seam
+
+
+@dataclass(frozen=True)
+class Span:
+    """The planes [first, last) of a recording."""
+
+    first: int
+    last: int
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+    def grown(self, by: int, planes: int) -> "Span":
+        """Return the span with as many planes more at either end, within a recording of so many."""
+        return Span(max(0, self.first - by), min(planes, self.last + by))
+
+
+def cut(planes: int, most: int = PLANES) -> tuple[Span, ...]:
+    """Return even spans of at most `most` planes; a recording little longer than one span is one."""
+    count = 1 if planes < LONG * most else -(-planes // most)
+    ends = [planes * i // count for i in range(count + 1)]
+    return tuple(Span(first, last) for first, last in pairwise(ends))
