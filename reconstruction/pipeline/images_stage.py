@@ -15,11 +15,14 @@ from reconstruction.images.response import NEVER, Response
 from reconstruction.images.standing import standing
 from reconstruction.parallel import each
 from reconstruction.pipeline.artefacts import BACKGROUND, MOVING, read_light, write, write_responses
-from reconstruction.pipeline.span_artefacts import MASKS, PLANNED, read_masks, write_masks
+from reconstruction.pipeline.span_artefacts import BLIND, MASKS, PLANNED, read_masks, write_masks
 from reconstruction.run.configuration import MAPS
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
+from reconstruction.run.plan import DARK_RATE
 from rigs.camera import Camera
+
+DARK_GAIN = 0.05  # share of the usual light below which a span shows nothing
 
 
 def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
@@ -54,11 +57,15 @@ def _standing(run: RunFolder, view: str, stream: SpikeStream, light: Light, resp
     planned = read_masks(run, PLANNED, view, size)
     usual = background(stream, np.logical_or.reduce(planned), light, response)
     rates = stream.window_counts([(span.first, span.last) for span in spans]).astype(np.float32)
-    for rate, span in zip(rates, spans, strict=True):
-        rate /= np.float32(len(span) * light.over(span.first, span.last))
+    blind = np.zeros(len(spans), bool)
+    for number, (rate, span) in enumerate(zip(rates, spans, strict=True)):
+        gain = light.over(span.first, span.last)
+        blind[number] = gain < DARK_GAIN or rate.mean() < DARK_RATE * len(span)
+        rate /= np.float32(len(span) * max(gain, DARK_GAIN))
         rate[:] = mended(response.light(rate) if response else rate, usual.stuck)
-    found = standing(rates, planned, usual)
-    write_masks(run, MASKS, view, planned | found.differs)
+    found = standing(rates, planned | blind[:, None, None], usual)
+    write_masks(run, MASKS, view, (planned | found.differs) & ~blind[:, None, None])
+    run.write_array(BLIND.format(view=view), blind)
     run.write_array(MOVING.format(view=view), ~found.background.trusted)
     return found.background
 

@@ -141,7 +141,7 @@ def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
         placed = ", which its other windows have placed or measured after training" if held_out.resected else ""
         own = {} if held_out.gain == 1 else {"matched_gain": held_out.gain}  # its light over that of the scene
         note = f"no truth: errors of spike counts over 32-plane windows of the held-out camera{placed}"
-        return {"held_out": held_out.camera.id, "note": note, **own, **scores}
+        return {"held_out": held_out.camera.id, "note": note, **own, **scores, **_span_scores(trained)}
     own = {"matched_gain": truth.gain, "matched_lag_ticks": truth.lag_ticks}  # of the truth, to the training cameras'
     return {
         "held_out": held_out.camera.id,
@@ -157,13 +157,14 @@ def _metrics(trained: Trained, known: Truth | None, progress: Progress) -> dict:
 def _span_scores(trained: Trained) -> dict[str, list[dict[str, float]]]:
     """Return `spans`, where the scene has any: the first and the last plane of each, its scores, and its seconds."""
     cloud, held_out, truth = trained.cloud, trained.held_out, trained.truth
-    if not isinstance(cloud, SpannedScene) or held_out is None or truth is None:
+    if not isinstance(cloud, SpannedScene) or held_out is None:
         return {}
     seconds = load_checkpoint(trained.run.checkpoint)["seconds"]
     rows = []
     for number, span in enumerate(trained.run.plan.spans):
-        planes = [plane for plane in truth.planes(held_out.camera.id) if span.first <= plane < span.last]
-        scores = score_at(cloud, held_out, truth, spread(planes, SPAN_INSTANTS)) if planes else {}
+        known = truth.planes(held_out.camera.id) if truth else []
+        planes = [plane for plane in known if span.first <= plane < span.last]
+        scores = score_at(cloud, held_out, truth, spread(planes, SPAN_INSTANTS)) if truth and planes else {}
         kept = {name: scores[name] for name in SPAN_SCORES if name in scores}
         took_s = seconds.get(f"span {number}", 0.0)
         rows.append({"first_tick": span.first, "last_tick": span.last - 1, **kept, "seconds": round(took_s, 3)})

@@ -20,14 +20,15 @@ from acquisition.recording.reader import Recording
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.straightened import straightened
 from reconstruction.pipeline.artefacts import read_sources, read_views, short_images
-from reconstruction.run.folder import RunFolder
-from reconstruction.run.plan import STILL_SHARE
-from reconstruction.run.spans import Span
+from reconstruction.run.folder import SPANS, RunFolder
+from reconstruction.run.plan import LEAST_VIEWS
+from reconstruction.run.spans import STILL_SHARE, Span
 from rigs.camera import Camera
 from rigs.straight import straightening, views_of
 
 PLANNED = "plan/moving_spans_{view}"  # pixels of a view that see something move, by span
 MASKS = "images/moving_spans_{view}"  # the same, with those that show something else than the background
+BLIND = "images/blind_spans_{view}"  # spans [S] in which a view is dark
 Masks = NDArray[np.bool_]
 Sources = dict[str, CompositeSource]
 Views = dict[str, tuple[Camera, CompositeSource]]
@@ -46,12 +47,12 @@ def read_masks(run: RunFolder, name: str, view: str, size: tuple[int, int]) -> M
 
 def still_file(run: RunFolder) -> Path:
     """Return the file of the still scene, as all spans take it."""
-    return run.path / "spans" / "still.pt"
+    return run.path / SPANS / "still.pt"
 
 
 def span_file(run: RunFolder, number: int) -> Path:
     """Return the file of what a span has of its own."""
-    return run.path / "spans" / f"{number:06d}.pt"
+    return run.path / SPANS / f"{number:06d}.pt"
 
 
 def read_still_views(run: RunFolder, recording: Recording) -> Views:
@@ -69,16 +70,20 @@ def read_span_views(run: RunFolder, recording: Recording, number: int, span: Spa
 def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span) -> Sources:
     sources = {}
     for view, whole in read_sources(run, recording).items():
+        if run.read_array(BLIND.format(view=view))[number]:
+            continue
         mask = read_masks(run, MASKS, view, whole.moving.shape)[number]
         sources[view] = whole.part(span.first, span.last).retargeted(mask, partial(short_images, run.plan))
     return sources
 
 
 def moving_spans(run: RunFolder) -> list[int]:
-    """Return the numbers of the spans in which anything differs from the still scene, in the mean over the views."""
+    """Return the numbers of the spans in which anything differs from the still scene, as two views or more see it."""
     packed = [run.read_array(MASKS.format(view=view)) for view in run.plan.views]
-    pixels = [np.bitwise_count(masks).sum(axis=1) / (8 * masks.shape[1]) for masks in packed]
-    return np.flatnonzero(np.mean(pixels, axis=0) >= STILL_SHARE).tolist()
+    pixels = np.stack([np.bitwise_count(masks).sum(axis=1) / (8 * masks.shape[1]) for masks in packed])
+    seeing = np.stack([~run.read_array(BLIND.format(view=view)) for view in run.plan.views])
+    shares = (pixels * seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
+    return np.flatnonzero((shares >= STILL_SHARE) & (seeing.sum(axis=0) >= LEAST_VIEWS)).tolist()
 
 
 def read_targets(run: RunFolder, recording: Recording) -> Views:
@@ -132,7 +137,7 @@ class SpannedSource(CompositeSource):
 
 
 def _straight(run: RunFolder, recording: Recording, sources: Sources) -> Views:
-    cameras, views = views_of(recording.rig, run.plan.views), {}
+    cameras, views = views_of(recording.rig, tuple(sources)), {}
     for view, source in sources.items():
         own, pinhole = recording.rig.camera(view), cameras[view]
         views[view] = pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))

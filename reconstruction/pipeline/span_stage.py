@@ -5,6 +5,7 @@ A file is written when its part is learnt, so that a run that was stopped or kil
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -18,9 +19,10 @@ from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.preview import Preview
 from reconstruction.pipeline.span_artefacts import moving_spans, span_file, still_file
 from reconstruction.pipeline.span_training import learn_span, learn_still
+from reconstruction.pipeline.train_stage import warn_if_missed
 from reconstruction.run.decisions import Decision
 from reconstruction.run.document import Elements
-from reconstruction.run.folder import RunFolder
+from reconstruction.run.folder import SPANS, RunFolder
 from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import read_tensors, write_tensors
 from reconstruction.training.trainer import Trainer
@@ -67,7 +69,7 @@ class SpanTraining:
 
         return SpanContent.from_state(self._kept(f"span {number}", span_file(self.run, number), learn, ends))
 
-    def _kept(self, name: str, file: Any, learn: Callable[[_Part], dict[str, Any]], ends: tuple[float, float]) -> dict:
+    def _kept(self, name: str, file: Path, learn: Callable[[_Part], dict[str, Any]], ends: tuple[float, float]) -> dict:
         """Return what `learn` makes, kept in `file`; what an earlier process has kept is not learnt again."""
         if not file.exists():
             began, before = self.budget.elapsed_s(), self.steps
@@ -75,7 +77,7 @@ class SpanTraining:
             took = {"seconds": self.budget.elapsed_s() - began, "steps": self.steps - before}
             write_tensors(file, {"content": learnt, **took})
             self.steps = before
-        kept = read_tensors(file, "a part of a training", "run the train stage again")
+        kept = _read(file)
         self.steps += kept["steps"]
         self.seconds[name] = kept["seconds"]
         return kept["content"]
@@ -107,6 +109,8 @@ def train_spans(
 ) -> None:
     """Train all parts that are due and join them; raises StoppedError when asked to stop, between two files."""
     training = SpanTraining(run, recording, progress, budget, should_stop)
+    budget.before_training_s = budget.elapsed_s()
+    budget.spent_s += sum(kept["seconds"] for kept in map(_read, sorted((run.path / SPANS).glob("*.pt"))))
     moving, planes = moving_spans(run), run.plan.spans
     ends = [(STILL + i) / (STILL + len(moving)) for i in range(len(moving) + 1)]
     rate_hz = recording.rig.tick_rate_hz
@@ -124,7 +128,12 @@ def train_spans(
     _snap(training, scene, [1.0], 1.0)
     state = {"cloud": scene.state(), "seconds": training.seconds, "elapsed_s": budget.elapsed_s()}
     write_tensors(run.checkpoint, state)
+    warn_if_missed(run, budget)
     _record(training, scene, len(moving))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    return read_tensors(file, "a part of a training", "run the train stage again")
 
 
 def _snap(training: SpanTraining, scene: SpannedScene, due: list[float], done: float) -> None:

@@ -5,6 +5,7 @@ Nothing of a span depends on another, so they can be learnt in any order; each e
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from reconstruction.initialization.points import Points, Seeds
 from reconstruction.losses.picture import inverse_depth
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
+from reconstruction.pipeline.artefacts import short_images
 from reconstruction.pipeline.points_stage import moving_planes, moving_points
 from reconstruction.pipeline.span_artefacts import Views, read_span_views, read_still_views
 from reconstruction.pipeline.train_stage import settings_of
@@ -28,7 +30,7 @@ from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import OVERLAP
 from reconstruction.scene_model import TimeSpan
-from reconstruction.training.changed_pixels import unsettled
+from reconstruction.training.changed_pixels import look_again, unsettled
 from reconstruction.training.trainer import Trainer, train
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -73,7 +75,7 @@ def learn_span(
     """Return what the span `number` has beside the `still` scene, learnt from its planes and a few beyond its ends."""
     span, rate_hz = run.plan.spans[number], recording.rig.tick_rate_hz
     grown = span.grown(OVERLAP, recording.planes)
-    seen = read_span_views(run, recording, number, grown)
+    seen = _looked_at_again(run, read_span_views(run, recording, number, grown))
     views = [TrainingView(camera, source, focus=_around(source.moving)) for camera, source in seen.values()]
     share = float(np.mean([view.source.moving.mean() for view in views]))
     cloud, changed = _started(run, recording, seen, still, (len(grown), _movers(run, share)))
@@ -85,6 +87,16 @@ def learn_span(
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
     cloud.clip = TimeSpan(grown.first / rate_hz, grown.last / rate_hz)
     return SpanContent.of(TimeSpan(span.first / rate_hz, span.last / rate_hz), changed, cloud)
+
+
+def _looked_at_again(run: RunFolder, seen: Views) -> Views:
+    """Return the views with those pixels among the moving ones that change too little for the plan to tell."""
+    views, changed = list(seen), look_again([TrainingView(*one) for one in seen.values()])
+    found = dict(seen)
+    for i, mask in changed.items():
+        camera, source = seen[views[i]]
+        found[views[i]] = camera, source.retargeted(source.moving | mask, partial(short_images, run.plan))
+    return found
 
 
 def _around(moving: NDArray[np.bool_]) -> torch.Tensor:

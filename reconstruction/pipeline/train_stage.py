@@ -93,13 +93,18 @@ def train_stage(
     if trainer.ending and budget.done(trainer.steps) < 1:
         run.document.stopped_early = EarlyEnd(trainer.steps, trainer.ending.reason)
         progress(1.0, f"stopped early at step {trainer.steps}: {trainer.ending.reason}")
+    warn_if_missed(run, budget)
+    _record(run, recording, trainer)
+
+
+def warn_if_missed(run: RunFolder, budget: Budget) -> None:
+    """Warn in the run where its seconds were over before its training began."""
     if budget.is_missed:
         began_s = budget.before_training_s
         run.document.warnings["train"] = (
             f"the budget of {budget.budget_s:g} s was over before training began, after {began_s:.1f} s: "
             f"this is the beginning, not a result; give it {3 * began_s:.0f} s or more"
         )
-    _record(run, recording, trainer)
 
 
 def _shown(run: RunFolder, recording: Recording, trainer: Trainer, budget: Budget, progress: Progress) -> Preview:

@@ -11,6 +11,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.images import catalogue as image_catalogue
 from reconstruction.initialization.initialisers import INITIALISERS
 from reconstruction.methods.catalogue import METHODS
+from reconstruction.run.spans import LEAST
 from reconstruction.training.term import supervisions
 
 DEFAULT_BUDGET_S = 120.0
@@ -88,8 +89,8 @@ class ReconstructionConfig:
             raise BadRunError(f"found a tick stride of {self.tick_stride}", "at least 1")
         if self.window is not None and (self.window < 1 or self.window % 2 == 0):
             raise BadRunError(f"found a window of {self.window} planes", "an odd number from 1")
-        if self.span is not None and self.span < 1:
-            raise BadRunError(f"found a span of {self.span} planes", "at least 1")
+        if self.span is not None and self.span < LEAST:
+            raise BadRunError(f"found a span of {self.span} planes", f"at least {LEAST}, in which movers can be told")
         if self.holdout is not None and self.holdout in self.views:
             raise BadRunError(
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"

@@ -17,6 +17,7 @@ from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Decision, Plan
 from reconstruction.run.document import SCHEMA, RunDocument
 
+SPANS = "spans"  # folder of what a recording in spans has learnt so far, a file for each part
 PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
 
 
@@ -117,7 +118,8 @@ class RunFolder:
                 by_stage.pop(stage, None)
         self.save()
         if "train" in stages:
-            for path in [self.checkpoint, *self.snapshots(), *(self.path / name for name in PREVIEW)]:
+            parts = sorted((self.path / SPANS).glob("*.pt"))
+            for path in [self.checkpoint, *self.snapshots(), *parts, *(self.path / name for name in PREVIEW)]:
                 path.unlink(missing_ok=True)
         self.document.attempt = attempt
         self.save()

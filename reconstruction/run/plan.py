@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
-from reconstruction.images.background import moving_pixels
-from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.images.scarce import SCARCE, lit_spikes
@@ -19,13 +17,12 @@ from reconstruction.methods.ours import BASES
 from reconstruction.parallel import each
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
-from reconstruction.run.prices import FLOAT_BYTES, INSTANTS, KEPT_COPIES, Work
-from reconstruction.run.spans import PLANES as PLANES_OF_A_SPAN
-from reconstruction.run.spans import Span, cut
+from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
+from reconstruction.run.span_plan import UNADJUSTED, choose_spans, say_spans, shares_of, span_masks
+from reconstruction.run.spans import STILL_SHARE
 from rigs.rig import Rig
 
 DARK_RATE = 1e-4  # spikes per pixel and tick below which a view carries no picture
-STILL_SHARE = 5e-4  # share of moving pixels below which the scene is static
 LEAST_VIEWS = 2  # training views
 TWIN_PLANES = 32  # first planes of two streams, which tell whether they are one
 LIGHT_VIEWS = 4  # views that are enough to see the light of the whole scene
@@ -35,7 +32,6 @@ COARSE_PX = 100_000  # least pixels of a picture that was made smaller
 COARSE_UNTIL = 0.75  # share of the training after which pictures are whole
 A_PIXEL = 2  # most Gaussians for each pixel of a view
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
-UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
 BEST_METHOD = "adaptive"  # best image method without a network, on single images
 
 
@@ -49,10 +45,10 @@ def make_plan(
     decisions: list[Decision] = []
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
-    spans = _choose_spans(config, rig, min(len(streams[view]) for view in views))
+    spans = choose_spans(config, init_of(config, rig), min(len(streams[view]) for view in views))
     masks = dict(zip(views, each(lambda view: span_masks(streams[view], light, spans), views), strict=True))
     if len(spans) > 1:
-        decisions.append(_say_spans(spans, masks))
+        decisions.append(say_spans(spans, shares_of(masks), _share(masks)))
     _say_scarce([streams[view] for view in views], decisions)
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
@@ -77,39 +73,6 @@ def make_plan(
     return Plan(views, model, images, supervision, moving, still, chosen, **own), masks, light
 
 
-def span_masks(stream: SpikeStream, light: Light, spans: Sequence[Span]) -> NDArray[np.bool_]:
-    """Return the pixels [S, H, W] that see something move in each span."""
-    masks = []
-    for span in spans:
-        masks.append(moving_pixels(stream.part(span.first, span.last), Light(light.gains[span.first : span.last])))
-    return np.stack(masks)
-
-
-def _choose_spans(config: ReconstructionConfig, rig: Rig, planes: int) -> tuple[Span, ...]:
-    """Return the spans that movers are learnt in: one, the whole, for a short recording or the method of a baseline."""
-    spans = cut(planes, config.span or PLANES_OF_A_SPAN)
-    return spans if _spanned(config, rig) else (Span(0, planes),)
-
-
-def _say_spans(spans: Sequence[Span], masks: Mapping[str, NDArray[np.bool_]]) -> Decision:
-    """Return the decision to learn movers in spans, with the share of the pixels that move where any do."""
-    shares = np.mean([mask.mean(axis=(1, 2)) for mask in masks.values()], axis=0)
-    moving = shares >= STILL_SHARE
-    share = float(shares[moving].mean()) if moving.any() else 0.0
-    reason = f"bodies are followed through {INSTANTS} instants of a span; what stands still is learnt once from all"
-    facts = {"spans": len(spans), "moving_spans": int(moving.sum()), "moving_share": share}
-    return Decision("spans", f"{len(spans)} of {len(spans[0])} planes", reason, "--span", facts=facts)
-
-
-def _spanned(config: ReconstructionConfig, rig: Rig) -> bool:
-    """Return whether what was asked for can be learnt in spans: our models, from images, with cameras that stay."""
-    model = METHODS[BASES.name if config.model == "auto" else config.model]
-    init = _choose_init(config, rig, None, [])
-    refines = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
-    from_images = config.images not in GIVEN and config.supervision in ("auto", "pixels")
-    return model.ours and model.moves and not refines and from_images
-
-
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:
     """Refuse what a radiance field cannot do: it learns from the spikes of single rays of cameras that stand still."""
     if method.rays and config.refine == "on":
@@ -128,7 +91,9 @@ def _work(config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStr
 
 
 def _share(masks: Mapping[str, NDArray[np.bool_]]) -> float:
-    return float(np.mean([mask.mean() for mask in masks.values()]))
+    """Return the share of the pixels that move, in the mean over the spans in which anything does."""
+    shares = shares_of(masks)
+    return float(np.mean(shares[shares >= STILL_SHARE])) if (shares >= STILL_SHARE).any() else float(shares.mean())
 
 
 def _choose_targets(
@@ -242,12 +207,17 @@ def _choose_pixels(config: ReconstructionConfig, rig: Rig, views: Sequence[str],
     return pixels
 
 
-def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work | None, decisions: list[Decision]) -> str:
+def init_of(config: ReconstructionConfig, rig: Rig) -> str:
+    """Return the name of the initialiser."""
+    return config.init if config.init != "auto" else "natural" if rig.poses == "nominal" else "sweep"
+
+
+def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
+    init = init_of(config, rig)
     if config.init != "auto":
-        return config.init
-    init = "natural" if rig.poses == "nominal" else "sweep"
+        return init
     choice = "found by natural" if init == "natural" else "not estimated"
-    spared_s = None if init == "natural" or work is None else work.poses_s()
+    spared_s = None if init == "natural" else work.poses_s()
     decisions.append(Decision("poses", choice, f"the rig's poses are {rig.poses}", "--init", spared_s))
     return init
 
@@ -306,7 +276,7 @@ def _choose_model(
 ) -> str:
     if config.model != "auto":
         return config.model
-    share = float(np.mean([mask.mean(axis=(1, 2)) for mask in masks.values()], axis=0).max())
+    share = float(shares_of(masks).max())
     if share < STILL_SHARE:
         reason = f"{share:.2%} of the pixels change: no motion model"
         decisions.append(Decision("motion", "static", reason, "--model", work.movers_s()))

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 PLANES = 400  # most planes of a span: bodies are followed between eight instants of it
+LEAST = 64  # planes of the shortest span that may be asked for
 LONG = 1.5  # spans from which a recording is cut
+STILL_SHARE = 5e-4  # share of moving pixels below which nothing moves
 OVERLAP = 24  # planes beyond either end that a span's movers are learnt from, so that neighbours agree at the seam
 
 

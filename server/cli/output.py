@@ -27,5 +27,12 @@ def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
 
 
 def scores(metrics: dict[str, object]) -> str:
-    """Return a line for each score of a run."""
-    return "\n".join(f"{k}: {v:.4f}" if isinstance(v, float) else f"{k}: {v}" for k, v in metrics.items())
+    """Return a line for each score of a run, and one for each of its spans."""
+    return "\n".join(line for name, value in metrics.items() for line in _lines(name, value))
+
+
+def _lines(name: str, value: object) -> list[str]:
+    if isinstance(value, list):
+        rows = (", ".join(line for key, score in row.items() for line in _lines(key, score)) for row in value)
+        return [f"{name} {number}: {row}" for number, row in enumerate(rows)]
+    return [f"{name}: {value:.4f}" if isinstance(value, float) else f"{name}: {value}"]

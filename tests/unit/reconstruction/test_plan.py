@@ -89,8 +89,9 @@ def test_a_moving_scene_gets_one():
     assert plan.model == "bases"
     assert plan.supervision == "pixels"
     assert plan.moving_gaussians + plan.still_gaussians == 2 * 40 * 26  # two for every pixel
-    assert masks["cam00"][10, 10]
-    assert not masks["cam00"][24, 38]
+    assert masks["cam00"].shape == (1, 26, 40)
+    assert masks["cam00"][0, 10, 10]
+    assert not masks["cam00"][0, 24, 38]
 
 
 def test_overrides_are_obeyed():
