@@ -150,7 +150,7 @@ def _record(training: SpanTraining, scene: SpannedScene, moving: int) -> None:
     resting = len(scene.spans) - moving
     if resting:
         usual_s = sum(took) / len(took) if took else 0.0
-        reason = f"nothing differs from the still scene in {resting} of {len(scene.spans)} spans"
+        reason = f"{resting} of {len(scene.spans)} spans show nothing but the still scene, or nothing at all"
         choice = f"{resting} spans are not learnt"
         run.amend("train", Decision("spans at rest", choice, reason, "none", resting * usual_s))
     run.document.steps = training.steps

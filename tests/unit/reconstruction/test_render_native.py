@@ -219,3 +219,43 @@ def test_nan_and_infinity_are_refused_by_name(backend, position, value):
     gaussians[position][4] = value
     with pytest.raises(ReconstructionError, match=NAMES[position]):
         render(tuple(gaussians), camera_of(10, 10), backend=backend)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+@pytest.mark.parametrize("leading", [0, 1, 150, 300])
+def test_given_gaussians_are_seen_and_get_no_gradient(width, height, leading):
+    gaussians, camera = cloud_of(300), camera_of(width, height)
+    whole, all_grads = rendered(gaussians, camera, "native")
+    for backend in ("native", "reference"):
+        seen, grads = rendered(gaussians, camera, backend, given=leading)
+        torch.testing.assert_close(seen.intensity.double(), whole.intensity.double(), rtol=1e-5, atol=1e-5)
+        for expected, got in zip(all_grads, grads, strict=True):
+            assert not got[:leading].any()
+            scale = max(float(expected.abs().max()), 1e-6)
+            torch.testing.assert_close(got[leading:] / scale, expected[leading:] / scale, rtol=0, atol=1e-4)
+    _, native = rendered(gaussians, camera, "native", given=leading)
+    assert all(torch.equal(a[leading:], b[leading:]) for a, b in zip(native, all_grads, strict=True))
+
+
+def focused(gaussians, camera, pixels, only) -> tuple[Rendering, list[torch.Tensor]]:
+    """The rendering, and the gradients of a random linear function of the `pixels` [H, W]."""
+    leaves = tuple(t.clone().requires_grad_() for t in gaussians)
+    seen = render(leaves, camera, only=only)
+    weights = torch.randn(camera.height, camera.width, generator=torch.Generator().manual_seed(3)) * pixels
+    (weights * (seen.intensity[..., 0] + seen.depth + seen.alpha)).sum().backward()
+    return seen, [t.grad for t in leaves]
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 1.0])
+def test_pixels_alone_are_as_in_the_whole_picture(width, height, share):
+    gaussians, camera = cloud_of(300), camera_of(width, height)
+    pixels = torch.rand(height, width, generator=torch.Generator().manual_seed(1)) < share
+    whole, expected = focused(gaussians, camera, pixels, None)
+    part, got = focused(gaussians, camera, pixels, pixels)
+    for image in ("intensity", "depth", "alpha"):
+        assert torch.equal(getattr(part, image)[pixels], getattr(whole, image)[pixels])
+    assert all(torch.equal(a, b) for a, b in zip(got, expected, strict=True))
+    if not pixels.any():
+        assert not part.alpha.any()
+        assert not part.radii.any()

@@ -1,0 +1,143 @@
+"""A recording in spans from end to end, at 100x64: scored by span, killed between and within its parts, exported."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from acquisition.devices.open import Simulation
+from acquisition.progress import silent
+from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
+from reconstruction.export.catalogue import export_scene
+from reconstruction.export.scene import Choices
+from reconstruction.gaussians.spanned import SpannedScene
+from reconstruction.pipeline.budget import StoppedError
+from reconstruction.pipeline.span_artefacts import BLIND, moving_spans, read_targets, span_file, still_file
+from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.trained_scene import trained_scene
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.folder import RunFolder
+from reconstruction.training.checkpoint import load_cloud
+from rigs.toml import catalog_rig
+
+pytestmark = pytest.mark.slow
+PLANES, SPAN, STEPS = 300, 100, 24
+CONFIG = ReconstructionConfig(holdout="cam11", steps=STEPS, budget_s=None, seed=1, gaussians=3000, span=SPAN)
+
+
+def quiet(stage):
+    return silent
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recordings") / "rec"
+    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3"), PLANES, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def begun(recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("runs") / "begun"
+    reconstruct(recording, path, CONFIG, quiet, last="points")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(recording, begun, tmp_path_factory):
+    path = tmp_path_factory.mktemp("runs") / "run"
+    shutil.copytree(begun, path)
+    return reconstruct(recording, path, CONFIG, quiet)
+
+
+def test_every_span_is_scored_and_the_whole_beats_the_nearest_view(run):
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert [(row["first_tick"], row["last_tick"]) for row in metrics["spans"]] == [(0, 99), (100, 199), (200, 299)]
+    for row in metrics["spans"]:
+        assert row["psnr_db"] > metrics["nearest_view.psnr_db"] + 2
+        assert row["seconds"] > 0
+        assert {"dynamic_psnr_db", "abs_rel"} <= set(row)
+    document = json.loads((run.path / "run.json").read_text())
+    assert document["status"] == "finished"
+    assert document["steps"] == 4 * STEPS
+    assert next(d for d in run.plan.decisions if d.about == "spans").facts["spans"] == 3
+
+
+def test_the_curve_begins_with_the_still_scene_and_ends_with_all_spans(run):
+    rows = json.loads((run.path / "error_vs_time.json").read_text())["rows"]
+    assert rows[0]["steps"] == STEPS
+    assert rows[-1]["steps"] == 4 * STEPS
+    assert rows[-1]["dynamic_psnr_db"] > rows[0]["dynamic_psnr_db"]
+
+
+def test_images_of_any_plane_show_the_movers(run, recording):
+    opened = Recording.open(recording)
+    for _, source in read_targets(run, opened).values():
+        image = source.at(150)
+        count = source.stream.counts(142, 159) / 17
+        assert np.abs(image - count).mean() < 0.03
+
+
+def test_formats_show_the_span_of_their_instant(run, tmp_path):
+    scene = trained_scene(run)
+    for at_s in (0.0025, 0.0125):
+        file = tmp_path / f"{at_s}.ply"
+        export_scene(scene, "ply", file, Choices(at_s=at_s))
+        assert file.stat().st_size > 1000
+    assert (tmp_path / "0.0025.ply").read_bytes() != (tmp_path / "0.0125.ply").read_bytes()
+
+
+@pytest.mark.parametrize("kills", [(0,), (STEPS + 3,), (STEPS - 1, 2 * STEPS + 1)])
+def test_killed_within_a_part_it_ends_in_the_same_scene(kills, run, recording, begun, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(begun, path)
+    for steps in kills:
+        left = iter([False] * steps + [True] * 10**6)
+        with pytest.raises(StoppedError, match=r"stopped in (still|span)"):
+            reconstruct(recording, path, CONFIG, quiet, stage="train", should_stop=lambda left=left: next(left))
+    again = reconstruct(recording, path, CONFIG, quiet, stage="train")
+    for (name, a), (_, b) in zip(
+        load_cloud(run.checkpoint).tensors(), load_cloud(again.checkpoint).tensors(), strict=True
+    ):
+        assert torch.equal(a, b), name
+
+
+def test_what_is_learnt_is_not_learnt_again_unless_it_is_asked_for(run, recording, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(run.path, path)
+    files = [still_file(RunFolder.open(path)), span_file(RunFolder.open(path), 1)]
+    before = [file.stat().st_mtime_ns for file in files]
+    again = reconstruct(recording, path, CONFIG, quiet, stage="train", again=1)
+    assert all(file.stat().st_mtime_ns > then for file, then in zip(files, before, strict=True))
+    assert isinstance(load_cloud(again.checkpoint), SpannedScene)
+
+
+def test_a_span_in_the_dark_is_left_out(run, begun, recording, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(begun, path)
+    dark = RunFolder.open(path)
+    for view in dark.plan.views:
+        dark.write_array(BLIND.format(view=view), np.array([False, True, False]))
+    assert moving_spans(RunFolder.open(run.path)) == [0, 1, 2]
+    assert moving_spans(dark) == [0, 2]
+    done = reconstruct(recording, path, CONFIG, quiet, stage="train")
+    scene = load_cloud(done.checkpoint)
+    assert isinstance(scene, SpannedScene)
+    assert scene.spans[1].cloud is None
+    assert any(d.about == "spans at rest" for d in done.plan.decisions)
+
+
+def test_a_budget_that_is_over_is_a_warning(recording, begun, tmp_path):
+    path = tmp_path / "run"
+    config = replace(CONFIG, steps=None, budget_s=0.01)
+    shutil.copytree(begun, path)
+    begun_run = RunFolder.open(path)
+    begun_run.document.configuration = config
+    begun_run.save()
+    done = reconstruct(recording, path, config, quiet, stage="train")
+    assert "was over before training began" in done.document.warnings["train"]
+    assert len(load_cloud(done.checkpoint).moving) > 0

@@ -1,0 +1,69 @@
+"""Cutting a recording into spans, and what of a plan may be learnt in them."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from acquisition.spikes.layout import PlaneLayout
+from acquisition.spikes.packing import pack
+from acquisition.spikes.stream import SpikeStream
+from reconstruction.errors import BadRunError
+from reconstruction.images.flicker import Light
+from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.span_plan import choose_spans, span_masks
+from reconstruction.run.spans import LEAST, Span, cut
+
+
+@pytest.mark.parametrize(
+    ("planes", "count"), [(1, 1), (400, 1), (599, 1), (600, 2), (800, 2), (801, 3), (4000, 10), (1_000_000, 2500)]
+)
+def test_spans_are_even_and_leave_nothing_out(planes, count):
+    spans = cut(planes)
+    assert len(spans) == count
+    assert (spans[0].first, spans[-1].last) == (0, planes)
+    assert all(a.last == b.first for a, b in pairwise(spans))
+    lengths = [len(span) for span in spans]
+    assert max(lengths) - min(lengths) <= 1
+    assert count == 1 or max(lengths) <= 400
+
+
+def test_a_span_grows_within_the_recording():
+    assert Span(0, 100).grown(24, 1000) == Span(0, 124)
+    assert Span(100, 200).grown(24, 1000) == Span(76, 224)
+    assert Span(900, 1000).grown(24, 1000) == Span(876, 1000)
+
+
+def test_a_span_is_as_long_as_was_asked_for():
+    assert len(choose_spans(ReconstructionConfig(span=100), "sweep", 1000)) == 10
+
+
+@pytest.mark.parametrize(
+    "choices",
+    [{"model": "4dgs"}, {"model": "static"}, {"refine": "on"}, {"images": "clean"}, {"supervision": "image-variation"}],
+)
+def test_what_cannot_be_learnt_in_spans_is_learnt_in_one_piece(choices):
+    assert choose_spans(ReconstructionConfig(**choices), "sweep", 4000) == (Span(0, 4000),)
+
+
+def test_poses_that_training_refines_are_learnt_in_one_piece():
+    assert len(choose_spans(ReconstructionConfig(), "sfm", 4000)) == 1
+    assert len(choose_spans(ReconstructionConfig(), "natural", 4000)) == 10
+
+
+def test_too_short_a_span_is_refused():
+    with pytest.raises(BadRunError, match=f"found a span of {LEAST - 1} planes, expected at least {LEAST}"):
+        ReconstructionConfig(span=LEAST - 1)
+
+
+def test_a_mover_is_found_in_the_span_that_it_crosses():
+    rng = np.random.default_rng(0)
+    planes = (rng.random((400, 24, 24)) < 0.3).astype(np.uint8)
+    planes[::3], planes[1::3], planes[2::3] = 1, 0, 0  # constant light fires evenly
+    planes[200:300, 8:16, 8:16] = 1
+    layout = PlaneLayout(24, 24)
+    stream = SpikeStream(pack(planes, layout), layout, 20_000.0)
+    masks = span_masks(stream, Light.steady(400), (Span(0, 180), Span(180, 400)))
+    assert not masks[0].any()
+    assert masks[1, 10, 10]
+    assert not masks[1, 0, 0]

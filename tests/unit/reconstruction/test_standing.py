@@ -1,0 +1,71 @@
+"""What stands still in a long recording: crossed once, put down, taken away, or never still."""
+
+import numpy as np
+
+from reconstruction.images.background import Background
+from reconstruction.images.standing import standing
+
+SHAPE = (20, 30)
+SPANS = 6
+
+
+def usual(value: float = 0.05) -> Background:
+    return Background(np.full(SHAPE, value, np.float32), np.zeros(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool))
+
+
+def quiet_scene() -> tuple[np.ndarray, np.ndarray]:
+    rates = np.full((SPANS, *SHAPE), 0.2, np.float32)
+    rates += 0.001 * np.random.default_rng(0).standard_normal(rates.shape).astype(np.float32)
+    return rates, np.zeros((SPANS, *SHAPE), dtype=bool)
+
+
+def test_a_pixel_that_is_crossed_once_has_the_background_of_the_other_spans():
+    rates, moving = quiet_scene()
+    rates[2, 5:9, 5:9], moving[2, 5:9, 5:9] = 0.5, True
+    found = standing(rates, moving, usual())
+    assert np.abs(found.background.image - 0.2).max() < 0.004
+    assert found.background.trusted.all()
+    assert not found.differs.any()
+
+
+def test_what_is_put_down_differs_from_then_on():
+    rates, moving = quiet_scene()
+    moving[4, 5:9, 5:9] = True
+    rates[5, 5:9, 5:9] = 0.4
+    found = standing(rates, moving, usual())
+    assert np.abs(found.background.image - 0.2).max() < 0.004
+    assert found.differs[5, 5:9, 5:9].all()
+    assert not found.differs[:5].any()
+    assert not found.differs[5, 14:].any()
+
+
+def test_the_background_is_what_most_spans_show():
+    rates, moving = quiet_scene()
+    rates[:4, 5:9, 5:9] = 0.4
+    found = standing(rates, moving, usual())
+    assert np.allclose(found.background.image[6, 6], 0.4, atol=0.004)
+    assert found.differs[4:, 6, 6].all()
+    assert not found.differs[:4, 6, 6].any()
+
+
+def test_a_pixel_that_is_never_still_is_as_the_usual_background_says_and_not_sure():
+    rates, moving = quiet_scene()
+    moving[:, 5:9, 5:9] = True
+    found = standing(rates, moving, usual(0.05))
+    assert (found.background.image[5:9, 5:9] == np.float32(0.05)).all()
+    assert not found.background.trusted[5:9, 5:9].any()
+    assert found.background.trusted[12:].all()
+    assert not (found.differs & moving).any()
+
+
+def test_nothing_still_at_all_is_the_usual_background():
+    rates, moving = quiet_scene()
+    found = standing(rates, ~moving, usual(0.1))
+    assert (found.background.image == np.float32(0.1)).all()
+    assert not found.differs.any()
+
+
+def test_one_span_and_no_light_are_finite():
+    found = standing(np.zeros((1, *SHAPE), np.float32), np.zeros((1, *SHAPE), dtype=bool), usual(0.0))
+    assert np.isfinite(found.background.image).all()
+    assert not found.differs.any()
