@@ -1,10 +1,11 @@
-"""A memory-mapped `.dat`, of which only the window asked for is ever unpacked."""
+"""A memory-mapped `.dat` or compact file, of which only the window asked for is ever unpacked."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,8 @@ class SpikeStream:
     Build with `open`. `partial_bytes` counts the bytes of a truncated file beyond its last whole plane.
     """
 
-    def __init__(self, packed: NDArray[np.uint8], layout: PlaneLayout, tick_rate_hz: float, partial_bytes: int = 0):
-        self.packed = packed  # [T, B]
+    def __init__(self, packed: packing.Planes, layout: PlaneLayout, tick_rate_hz: float, partial_bytes: int = 0):
+        self.packed = cast(packing.Bytes, packed)  # [T, B]; of a compact file an index decodes what it touches
         self.layout = layout
         self.tick_rate_hz = tick_rate_hz
         self.partial_bytes = partial_bytes
