@@ -34,7 +34,7 @@ def trains_of(planes: Bytes) -> Bytes:
 def planes_of(trains: Bytes, count: int) -> Bytes:
     """Return the first `count` planes [count, B] of trains [8 B, G]."""
     bits, groups = trains.shape
-    words = np.ascontiguousarray(trains.T).reshape(groups, bits // 8, 8).view("<u8")
+    words = trains.T.copy(order="C").reshape(groups, bits // 8, 8).view("<u8")
     _transpose_bits(words)
     planes = words.view(np.uint8).reshape(groups, bits // 8, 8).swapaxes(1, 2)
     return np.ascontiguousarray(planes).reshape(groups * 8, bits // 8)[:count]
