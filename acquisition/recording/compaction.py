@@ -22,10 +22,9 @@ from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, CameraFile, 
 from acquisition.recording.reader import compact_planes, read_manifest
 from acquisition.recording.verify import verify
 from acquisition.recording.writer import MARGIN_BYTES, free_bytes, lock_folder, partial_of
-from acquisition.spikes.compact import CompactPlanes, block_planes_of, encode
+from acquisition.spikes.compact import SUFFIX, CompactPlanes, block_planes_of, encode
 from acquisition.spikes.stream import SpikeStream
 
-SUFFIX = ".compact"
 LEAST_RATIO = 2.0  # real and simulated recordings shrink to less than half; room for that is asked for at the start
 _VERIFIED = 0.25  # share of the work that verification takes
 _Item = TypeVar("_Item")

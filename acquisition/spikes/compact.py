@@ -20,6 +20,7 @@ from acquisition.errors import BadRecordingError
 from acquisition.spikes.transposed import Bytes, planes_of, trains_of
 
 MOST_PLANES, MOST_BYTES = 400, 1 << 24  # most planes and bytes of a block that is written
+SUFFIX = ".compact"
 KEPT_BLOCKS = 2  # decoded blocks of one camera that stay in memory
 LEVEL = 7  # Zstandard's; `bench compact` has the others
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes import packing
+from acquisition.spikes.compact import SUFFIX
 from acquisition.spikes.layout import PlaneLayout
 
 
@@ -32,6 +33,9 @@ class SpikeStream:
         """Map `path`; raises BadRecordingError when it is missing, empty, or (unless allowed) ends inside a plane."""
         if not tick_rate_hz > 0:
             raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz", "a positive number")
+        if path.suffix == SUFFIX or (not path.exists() and path.with_suffix(SUFFIX).exists()):
+            do = "name its recording, or call `spike4dgs compact --undo` on it"
+            raise BadRecordingError("found it compact", "a .dat", do, where=path)
         with BadRecordingError.reading(path, "give an existing .dat"), path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
         planes, partial = divmod(size, layout.plane_bytes)
