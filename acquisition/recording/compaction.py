@@ -26,6 +26,7 @@ from acquisition.spikes.compact import SUFFIX, CompactPlanes, block_planes_of, e
 from acquisition.spikes.stream import SpikeStream
 
 LEAST_RATIO = 2.0  # real and simulated recordings shrink to less than half; room for that is asked for at the start
+MOST_THREADS = 8  # each has a block in hand, in four forms
 _VERIFIED = 0.25  # share of the work that verification takes
 _Item = TypeVar("_Item")
 _Made = TypeVar("_Made")
@@ -128,7 +129,7 @@ def _converted(
 ) -> Manifest:
     """Bring `cameras` into the other form, one after another, and return the manifest that names it."""
     total, done = sum(camera.bytes for camera in cameras), 0
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(_threads()) as pool:
         for camera in cameras:
 
             def report(share: float, camera: CameraFile = camera, done: int = done) -> None:
@@ -189,10 +190,14 @@ def _in_order(
     for number, item in enumerate(items):
         report(number / len(items))
         ahead.append(pool.submit(work, item))
-        if len(ahead) > len(os.sched_getaffinity(0)):
+        if len(ahead) > _threads():
             yield ahead.popleft().result()
     while ahead:
         yield ahead.popleft().result()
+
+
+def _threads() -> int:
+    return min(MOST_THREADS, len(os.sched_getaffinity(0)))
 
 
 def _to_the_disk(path: Path) -> None:

@@ -10,7 +10,7 @@ import functools
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import zstandard
@@ -30,9 +30,9 @@ def block_planes_of(plane_bytes: int) -> int:
     return max(8, min(MOST_PLANES, MOST_BYTES // plane_bytes) // 8 * 8)
 
 
-def encode(planes: Bytes, level: int = LEVEL) -> bytes:
+def encode(planes: Bytes) -> bytes:
     """Return planes [T, B] as a block."""
-    return zstandard.ZstdCompressor(level=level, write_checksum=True).compress(trains_of(planes).data)
+    return zstandard.ZstdCompressor(level=LEVEL, write_checksum=True).compress(trains_of(planes).data)
 
 
 def decode(block: bytes | memoryview, planes: int, plane_bytes: int) -> Bytes:
@@ -49,6 +49,24 @@ def decode(block: bytes | memoryview, planes: int, plane_bytes: int) -> Bytes:
     return planes_of(np.frombuffer(trains, dtype=np.uint8).reshape(8 * plane_bytes, groups), planes)
 
 
+class _Blocks(NamedTuple):
+    """The bytes of a compact file, and where its blocks end."""
+
+    path: Path
+    data: NDArray[np.uint8]
+    ends: tuple[int, ...]
+    block_planes: int
+    shape: tuple[int, int]
+
+    def decoded(self, number: int) -> Bytes:
+        first = number * self.block_planes
+        last = min(first + self.block_planes, self.shape[0])
+        with BadRecordingError.located(f"{self.path}: block {number} (planes {first} to {last - 1})"):
+            planes = decode(self.data[slice(*self.ends[number : number + 2])].data, last - first, self.shape[1])
+        planes.setflags(write=False)
+        return planes
+
+
 class CompactPlanes:
     """The planes [T, B] of a compact file, indexed like an array; an index decodes the blocks that it touches.
 
@@ -60,9 +78,10 @@ class CompactPlanes:
     def __init__(self, path: Path, shape: tuple[int, int], block_planes: int, sizes: tuple[int, ...]):
         self.path, self.shape, self.block_planes = path, shape, block_planes
         self.nbytes = shape[0] * shape[1]
-        self._ends = (0, *itertools.accumulate(sizes))
-        self._data = np.memmap(path, dtype=np.uint8, mode="r")
-        self._kept = functools.lru_cache(KEPT_BLOCKS)(self.block)
+        self.blocks = len(sizes)
+        data = np.memmap(path, dtype=np.uint8, mode="r")
+        self._stored = _Blocks(path, data, (0, *itertools.accumulate(sizes)), block_planes, shape)
+        self._kept = functools.lru_cache(KEPT_BLOCKS)(self._stored.decoded)
 
     @classmethod
     def open(cls, path: Path, shape: tuple[int, int], block_planes: int, sizes: tuple[int, ...]) -> CompactPlanes:
@@ -76,11 +95,6 @@ class CompactPlanes:
 
     def __len__(self) -> int:
         return self.shape[0]
-
-    @property
-    def blocks(self) -> int:
-        """The number of blocks."""
-        return len(self._ends) - 1
 
     def __getitem__(self, index: Any) -> Any:
         """Return what an array of all planes has there: a plane, or a new or read-only array of planes."""
@@ -109,12 +123,7 @@ class CompactPlanes:
 
     def block(self, number: int) -> Bytes:
         """Decode a block anew; raises BadRecordingError, naming file and block, where it is damaged."""
-        first = number * self.block_planes
-        last = min(first + self.block_planes, len(self))
-        with BadRecordingError.located(f"{self.path}: block {number} (planes {first} to {last - 1})"):
-            planes = decode(self._data[slice(*self._ends[number : number + 2])].data, last - first, self.shape[1])
-        planes.setflags(write=False)
-        return planes
+        return self._stored.decoded(number)
 
     def _planes(self, first: int, last: int) -> Bytes:
         parts = []
