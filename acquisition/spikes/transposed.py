@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
-# Steps that transpose 8x8 bits in a 64-bit word (Warren, Hacker's Delight, 7-3): shift, mask of what moves.
+# Steps that transpose 8x8 bits in a 64-bit word (Warren, Hacker's Delight, 7-3): shift, mask of the bits that move.
 _STEPS = (
     (np.uint64(7), np.uint64(0x00AA00AA00AA00AA)),
     (np.uint64(14), np.uint64(0x0000CCCC0000CCCC)),
