@@ -1,7 +1,7 @@
 """Planes in a compact file: independent blocks, of which only those that are asked for are decoded.
 
-A block holds up to `block_planes` planes as the trains of their pixels (`transposed`) in one Zstandard frame, with their
-length and a checksum. Blocks lie one behind another; their lengths stand in the manifest.
+A block holds up to `block_planes` planes as the trains of their pixels (`transposed`): one Zstandard frame, with its
+length and a checksum. Blocks lie one behind another; the manifest holds how long each is.
 """
 
 from __future__ import annotations
