@@ -69,7 +69,7 @@ class SpikeStream:
 
     def counts(self, first: int, last: int) -> NDArray[np.uint32]:
         """Count the spikes of each pixel [H, W] over planes [first, last)."""
-        return packing.counts(self.window(first, last), self.layout)
+        return self.window_counts([(first, last)])[0]
 
     def window_counts(self, windows: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:
         """Count the spikes of each pixel [N, H, W] over the planes [first, last) of each of N windows."""

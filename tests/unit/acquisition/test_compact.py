@@ -183,6 +183,9 @@ def test_counts_decode_each_block_once(tmp_path, decoded):
     found = stream.window_counts(windows)
     np.testing.assert_array_equal(found, window_counts(planes, LAYOUT, np.array(windows)))
     assert decoded == [8, 8, 8, 8, 8, 4]
+    np.testing.assert_array_equal(stream.counts(0, 44), found[0])
+    assert decoded == 2 * [8, 8, 8, 8, 8, 4], "a long window is never decoded whole"
+    del decoded[6:]
     stream.window_counts([(17, 18), (43, 44)])
     assert decoded == [8, 8, 8, 8, 8, 4, 8], "the blocks between two windows are passed over, the last is kept"
 
