@@ -2,12 +2,14 @@
 
 import functools
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import xxhash
 from numpy.typing import NDArray
+
+Digests = tuple[str, tuple[str, ...]]  # SHA-256 of all planes, xxh3-64 of each block
 
 
 class BlockDigests:
@@ -70,7 +72,7 @@ def _zeros_digest(size: int) -> str:
     return xxhash.xxh3_64_hexdigest(bytes(size))
 
 
-def digests_of(path: Path, block_bytes: int, size: int | None = None) -> tuple[str, tuple[str, ...]]:
+def digests_of(path: Path, block_bytes: int, size: int | None = None) -> Digests:
     """Read the SHA-256 of a file, or of its first `size` bytes, and the xxh3-64 of each of their blocks."""
     sha256, blocks, left = hashlib.sha256(), [], path.stat().st_size if size is None else size
     with path.open("rb") as file:
@@ -79,3 +81,13 @@ def digests_of(path: Path, block_bytes: int, size: int | None = None) -> tuple[s
             blocks.append(xxhash.xxh3_64_hexdigest(data))
             left -= len(data)
     return sha256.hexdigest(), tuple(blocks)
+
+
+def planes_digests(blocks: Iterable[NDArray[np.uint8]], block_planes: int, plane_bytes: int) -> Digests:
+    """Return what `digests_of` finds in a file of the planes [T, B] in `blocks`, which may have any length."""
+    sha256, digests = hashlib.sha256(), BlockDigests(block_planes, plane_bytes, lambda *_: None)
+    for planes in blocks:
+        sha256.update(planes.data)
+        digests.add(planes)
+    digests.finish()
+    return sha256.hexdigest(), tuple(digests.digests)

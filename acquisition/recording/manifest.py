@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from acquisition.errors import BadRecordingError
 from acquisition.spikes.layout import PlaneLayout
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION, COMPACT_VERSION = 1, 2  # of a manifest; of one with compact files, which older programs cannot read
 MANIFEST_FILE = "recording.json"
 RIG_FILE = "rig.toml"
 TRUTH_FOLDER = "truth"
@@ -60,8 +60,24 @@ class Conversion:
 
 
 @dataclass(frozen=True)
+class Compact:
+    """The file that holds a camera's planes in place of its `.dat`: blocks one behind another (`spikes.compact`).
+
+    `block_bytes` are the lengths of the blocks, of `block_planes` planes each but the last. `coding` is how they are
+    made: trains of pixels in Zstandard frames.
+    """
+
+    file: str
+    block_planes: int
+    block_bytes: tuple[int, ...]
+    coding: Literal["trains-zstd"] = "trains-zstd"
+
+
+@dataclass(frozen=True)
 class CameraFile:
     """One camera's `.dat`: pure planes in the camera's own `layout`, or in ours where it was converted.
+
+    With `compact` set, another file holds them, and there is no `.dat`; digests are of the planes either way.
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes; `sha256` is of
     the file (None while it is being recorded). `skew_s` is the time from the trigger to its first plane (None where
@@ -87,9 +103,11 @@ class CameraFile:
     skew_sd_s: float | None = None
     clock: dict[str, Any] | None = None
     device: dict[str, Any] | None = None
+    compact: Compact | None = None
 
     def __post_init__(self) -> None:
-        if not (self.id.isprintable() and self.file.isprintable()) or "/" in self.file or self.file in ("", ".", ".."):
+        names = (self.file, self.stored_file)
+        if not all(map(str.isprintable, (self.id, *names))) or any("/" in n or n in ("", ".", "..") for n in names):
             raise BadRecordingError(f"found camera {self.id!r}, file {self.file!r}", "names inside the recording")
         if self.planes < 0 or self.block_planes < 1:
             found = f"found {self.planes} planes, {self.block_planes} a block"
@@ -107,6 +125,32 @@ class CameraFile:
             if gap.first_plane < known or gap.first_plane + gap.planes > self.planes:
                 raise BadRecordingError(f"found {gap}", f"gaps in order inside {self.planes} planes", where=self.id)
             known = gap.first_plane + gap.planes
+        if self.compact:
+            self._check_compact(self.compact)
+
+    def _check_compact(self, compact: Compact) -> None:
+        most = MAX_BLOCK_BYTES // self.layout.plane_bytes
+        if not 1 <= compact.block_planes <= most or min(compact.block_bytes, default=0) < 1:
+            found = f"found compact blocks of {compact.block_planes} planes, {compact.block_bytes[:3]} bytes"
+            raise BadRecordingError(found, f"1 to {most} planes, and bytes in each", where=self.id)
+        blocks = -(-self.planes // compact.block_planes)
+        if len(compact.block_bytes) != blocks:
+            raise BadRecordingError(f"found {len(compact.block_bytes)} compact blocks", str(blocks), where=self.id)
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of the planes, as the `.dat` has them."""
+        return self.planes * self.layout.plane_bytes
+
+    @property
+    def stored_file(self) -> str:
+        """The file that holds the planes."""
+        return self.compact.file if self.compact else self.file
+
+    @property
+    def stored_bytes(self) -> int:
+        """Bytes of the file that holds the planes."""
+        return sum(self.compact.block_bytes) if self.compact else self.bytes
 
     @property
     def drops(self) -> dict[str, int]:
@@ -164,8 +208,11 @@ class Manifest:
 
 def dump_manifest(manifest: Manifest) -> str:
     """Return the manifest as JSON text."""
-    document = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(manifest)}
+    version = COMPACT_VERSION if any(camera.compact for camera in manifest.cameras) else SCHEMA_VERSION
+    document = {"schema_version": version, **dataclasses.asdict(manifest)}
     for table, camera in zip(document["cameras"], manifest.cameras, strict=True):
+        if not camera.compact:
+            del table["compact"]
         table.update(offered=camera.planes, written=camera.written, drops=camera.drops)
     return json.dumps(document, indent=1) + "\n"
 
@@ -175,9 +222,10 @@ def load_manifest(text: str | bytes) -> Manifest:
     try:
         document = json.loads(text)
         version = document.pop("schema_version")
-        if version != SCHEMA_VERSION:
+        if version not in (SCHEMA_VERSION, COMPACT_VERSION):
             found = f"found schema {version!r}"
-            raise BadRecordingError(found, str(SCHEMA_VERSION), "update spike4dgs", where=MANIFEST_FILE)
+            expected = f"{SCHEMA_VERSION} or {COMPACT_VERSION}"
+            raise BadRecordingError(found, expected, "update spike4dgs", where=MANIFEST_FILE)
         stated = [
             (typed(dict[str, int], table.pop("drops")), table.pop("offered", None), table.pop("written", None))
             for table in document["cameras"]

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.errors import BadRecordingError
-from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, TRUTH_FOLDER, UNFINISHED, Manifest, load_manifest
+from acquisition.recording.manifest import (
+    MANIFEST_FILE,
+    RIG_FILE,
+    TRUTH_FOLDER,
+    UNFINISHED,
+    CameraFile,
+    Manifest,
+    load_manifest,
+)
+from acquisition.spikes.compact import CompactPlanes
 from acquisition.spikes.stream import SpikeStream
 from rigs.rig import Rig
 from rigs.toml import load_rig
@@ -57,14 +66,27 @@ class Recording:
     def stream(self, camera_id: str) -> SpikeStream:
         """Map the planes of one camera; raises BadRecordingError where the file is not what was recorded."""
         entry = self.manifest.camera(camera_id)
+        if not (self.path / entry.stored_file).exists():  # it may have become compact since the manifest was read
+            entry = read_manifest(self.path).camera(camera_id)
         if not entry.planes:
             do = "mend or leave it out, and record again"
             raise BadRecordingError(f"found no plane of {camera_id}", "at least one", do, where=self.path)
+        if entry.compact:
+            return SpikeStream(compact_planes(self.path, entry), entry.layout, self.tick_rate_hz)
         stream = SpikeStream.open(self.path / entry.file, entry.layout, self.tick_rate_hz)
         if len(stream) != entry.planes:
             found, expected = f"found {len(stream)} planes", str(entry.planes)
             raise BadRecordingError(found, expected, "verify the recording", where=self.path / entry.file)
         return stream
+
+
+def compact_planes(folder: Path, camera: CameraFile) -> CompactPlanes:
+    """Map the compact file of a camera of the recording in `folder`; raises BadRecordingError where it has none."""
+    if not camera.compact:
+        raise BadRecordingError(f"found {camera.file}", "a compact file", where=folder)
+    shape = camera.planes, camera.layout.plane_bytes
+    path = folder / camera.compact.file
+    return CompactPlanes.open(path, shape, camera.compact.block_planes, camera.compact.block_bytes)
 
 
 def read_manifest(path: Path) -> Manifest:

@@ -1,19 +1,26 @@
 """Proves that a recording is what was written, or names the file and the block that is not."""
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
+from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
-from acquisition.recording.digests import digests_of
+from acquisition.recording.digests import digests_of, planes_digests
 from acquisition.recording.manifest import RIG_FILE, CameraFile
-from acquisition.recording.reader import read_manifest
+from acquisition.recording.reader import compact_planes, read_manifest
+from acquisition.spikes.compact import CompactPlanes
+from acquisition.spikes.packing import Bytes
 
 
 @dataclass(frozen=True)
 class Damaged:
-    """Damage of `file`; `block` counts digest blocks from 0, None where the whole file is meant."""
+    """Damage of `file`; `block` counts its blocks from 0, None where the whole file is meant.
+
+    They are the blocks of digests or, where the bytes of a compact file cannot be decoded, its own.
+    """
 
     file: str
     block: int | None
@@ -33,8 +40,8 @@ def verify(path: Path, progress: Progress = silent) -> list[Damaged]:
     total = max(1, sum(camera.planes for camera in manifest.cameras))
     done = 0
     for camera in manifest.cameras:
-        progress(done / total, camera.file)
-        damages += _verify_stream(path / camera.file, camera)
+        progress(done / total, camera.stored_file)
+        damages += (_verify_compact if camera.compact else _verify_stream)(path, camera)
         done += camera.planes
     progress(1.0, f"{len(manifest.cameras)} files")
     return damages
@@ -48,21 +55,50 @@ def _verify_whole(path: Path, sha256: str) -> list[Damaged]:
     return [] if found == sha256 else [Damaged(path.name, None, "its SHA-256 is not the recorded one")]
 
 
-def _verify_stream(path: Path, camera: CameraFile) -> list[Damaged]:
-    plane_bytes = camera.layout.plane_bytes
+def _verify_stream(folder: Path, camera: CameraFile) -> list[Damaged]:
+    path = folder / camera.file
     try:
         size = path.stat().st_size
-        sha256, found = digests_of(path, camera.block_planes * plane_bytes, camera.planes * plane_bytes)
+        sha256, found = digests_of(path, camera.block_planes * camera.layout.plane_bytes, camera.bytes)
     except OSError as error:
         return [Damaged(path.name, None, f"cannot be read ({error.strerror})")]
+    damages = _differing(camera, found)
+    if size != camera.bytes:
+        damages.append(Damaged(path.name, None, f"found {size} bytes, expected {camera.bytes}"))
+    return damages or _unlike(camera, sha256)
+
+
+def _verify_compact(folder: Path, camera: CameraFile) -> list[Damaged]:
+    """Find the blocks that cannot be decoded or, where all can, planes that are not the recorded ones."""
+    damages: list[Damaged] = []
+
+    def decoded(planes: CompactPlanes) -> Iterator[Bytes]:
+        for number in range(planes.blocks):
+            try:
+                yield planes.block(number)
+            except BadRecordingError as error:
+                damages.append(Damaged(camera.stored_file, number, error.found))
+
+    try:
+        planes = compact_planes(folder, camera)
+    except BadRecordingError as error:
+        return [Damaged(camera.stored_file, None, f"{error.found}{error.expected and f', expected {error.expected}'}")]
+    sha256, found = planes_digests(decoded(planes), camera.block_planes, camera.layout.plane_bytes)
+    return damages or _differing(camera, found) or _unlike(camera, sha256)
+
+
+def _differing(camera: CameraFile, found: tuple[str, ...]) -> list[Damaged]:
+    """Return the blocks whose digests are not the recorded ones."""
     damages = []
     for block, (recorded, digest) in enumerate(zip_longest(camera.block_digests, found)):
         if recorded != digest:
             first, last = block * camera.block_planes, min((block + 1) * camera.block_planes, camera.planes) - 1
             reason = f"planes {first} to {last} are not the recorded ones"
-            damages.append(Damaged(path.name, block, reason))
-    if size != camera.planes * plane_bytes:
-        damages.append(Damaged(path.name, None, f"found {size} bytes, expected {camera.planes * plane_bytes}"))
-    elif not damages and camera.sha256 is not None and sha256 != camera.sha256:
-        damages.append(Damaged(path.name, None, "its SHA-256 is not the recorded one"))
+            damages.append(Damaged(camera.stored_file, block, reason))
     return damages
+
+
+def _unlike(camera: CameraFile, sha256: str) -> list[Damaged]:
+    if camera.sha256 in (None, sha256):
+        return []
+    return [Damaged(camera.stored_file, None, "its SHA-256 is not the recorded one")]

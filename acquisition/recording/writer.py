@@ -170,14 +170,17 @@ def partial_of(path: Path) -> Path:
     return path.parent / f"{path.name}.partial"
 
 
-def lock_folder(folder: Path) -> int:
-    """Return a handle that holds `folder` for one writer until it is closed; raises BadRecordingError if it is held."""
+def lock_folder(folder: Path, held: str = "is being recorded now", do: str = "choose another --out") -> int:
+    """Return a handle that holds `folder` for one writer until it is closed.
+
+    Raises BadRecordingError if it is `held`, and says what to `do`.
+    """
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(handle)
-        raise BadRecordingError("is being recorded now", do="choose another --out", where=folder) from error
+        raise BadRecordingError(held, do=do, where=folder) from error
     return handle
 
 

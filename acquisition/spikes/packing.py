@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.native import Address, Kernel
+from acquisition.spikes.compact import CompactPlanes
 from acquisition.spikes.layout import PlaneLayout
 
 Bytes = NDArray[np.uint8]
+Planes = Bytes | CompactPlanes
 _SIZE = (ctypes.c_int32,) * 4  # stored width, height, whether MSB first, whether bottom row first
 PLANES = (Address, ctypes.c_int64, *_SIZE)  # argument types that go with `plane_arguments`
 _unpack_planes = Kernel("acquisition", "unpack_planes", *PLANES, Address)
@@ -49,12 +51,12 @@ def unpack(packed: Bytes, layout: PlaneLayout) -> Bytes:
     return without_trailing(out, layout)
 
 
-def counts(packed: Bytes, layout: PlaneLayout) -> NDArray[np.uint32]:
+def counts(packed: Planes, layout: PlaneLayout) -> NDArray[np.uint32]:
     """Count the spikes of each pixel [H, W] over all packed planes [T, B]."""
     return window_counts(packed, layout, np.array([[0, len(packed)]]))[0]
 
 
-def window_counts(packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, threads: int = 1) -> NDArray[np.uint32]:
+def window_counts(packed: Planes, layout: PlaneLayout, bounds: NDArray, *, threads: int = 1) -> NDArray[np.uint32]:
     """Count the spikes of each pixel [N, H, W] over planes [first, last) of each row of `bounds` [N, 2].
 
     Raises BadRecordingError for a window that is not inside the planes [T, B].
@@ -64,13 +66,26 @@ def window_counts(packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, thread
     if outside.any():
         first, last = bounds[outside][0]
         raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(packed)}")
+    if isinstance(packed, CompactPlanes):
+        return _counts_by_block(packed, layout, bounds, threads)
     out = np.empty((len(bounds), layout.height, layout.stored_width), dtype=np.uint32)
     data, _, *size = plane_arguments(packed, layout)
     _count_windows(data, *size, bounds, len(bounds), threads, out)
     return without_trailing(out, layout)
 
 
-def window_means(packed: Bytes, layout: PlaneLayout, bounds: NDArray, *, threads: int = 1) -> NDArray[np.float32]:
+def _counts_by_block(packed: CompactPlanes, layout: PlaneLayout, bounds: NDArray, threads: int) -> NDArray[np.uint32]:
+    """Count as `window_counts` does, one block after another, each decoded once."""
+    out = np.zeros((len(bounds), layout.height, layout.width), dtype=np.uint32)
+    for first, last in packed.spans(int(bounds[:, 0].min(initial=len(packed))), int(bounds[:, 1].max(initial=0))):
+        inside = np.clip(bounds, first, last) - first
+        touched = inside[:, 1] > inside[:, 0]
+        if touched.any():
+            out[touched] += window_counts(packed[first:last], layout, inside[touched], threads=threads)
+    return out
+
+
+def window_means(packed: Planes, layout: PlaneLayout, bounds: NDArray, *, threads: int = 1) -> NDArray[np.float32]:
     """Return spikes per tick [N, H, W] over planes [first, last), at least one, of each row of `bounds` [N, 2].
 
     Raises BadRecordingError for a window that is empty or not inside the planes [T, B].

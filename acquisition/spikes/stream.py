@@ -1,16 +1,18 @@
-"""A memory-mapped `.dat`, of which only the window asked for is ever unpacked."""
+"""A memory-mapped `.dat` or compact file, of which only the window asked for is ever unpacked."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes import packing
+from acquisition.spikes.compact import SUFFIX
 from acquisition.spikes.layout import PlaneLayout
 
 
@@ -20,8 +22,8 @@ class SpikeStream:
     Build with `open`. `partial_bytes` counts the bytes of a truncated file beyond its last whole plane.
     """
 
-    def __init__(self, packed: NDArray[np.uint8], layout: PlaneLayout, tick_rate_hz: float, partial_bytes: int = 0):
-        self.packed = packed  # [T, B]
+    def __init__(self, packed: packing.Planes, layout: PlaneLayout, tick_rate_hz: float, partial_bytes: int = 0):
+        self.packed = cast(packing.Bytes, packed)  # [T, B]; of a compact file an index decodes what it touches
         self.layout = layout
         self.tick_rate_hz = tick_rate_hz
         self.partial_bytes = partial_bytes
@@ -31,6 +33,9 @@ class SpikeStream:
         """Map `path`; raises BadRecordingError when it is missing, empty, or (unless allowed) ends inside a plane."""
         if not tick_rate_hz > 0:
             raise BadRecordingError(f"found the tick rate {tick_rate_hz} Hz", "a positive number")
+        if path.suffix == SUFFIX or (not path.exists() and path.with_suffix(SUFFIX).exists()):
+            do = "name its recording, or call `spike4dgs compact --undo` on it"
+            raise BadRecordingError("found it compact", "a .dat", do, where=path)
         with BadRecordingError.reading(path, "give an existing .dat"), path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
         planes, partial = divmod(size, layout.plane_bytes)
@@ -68,7 +73,7 @@ class SpikeStream:
 
     def counts(self, first: int, last: int) -> NDArray[np.uint32]:
         """Count the spikes of each pixel [H, W] over planes [first, last)."""
-        return packing.counts(self.window(first, last), self.layout)
+        return self.window_counts([(first, last)])[0]
 
     def window_counts(self, windows: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:
         """Count the spikes of each pixel [N, H, W] over the planes [first, last) of each of N windows."""

@@ -94,6 +94,13 @@ def open_recording(path: Path) -> SpikeStream:
     return SpikeStream(pack(planes, layout), layout, RATE_HZ)
 
 
+def real_recordings() -> tuple[dict[str, SpikeStream], list[str]]:
+    """Return the recordings that are not in the repository by the names of their files, and a line for each missing."""
+    paths = [spikedata_folder() / name for name in (CAR, DIM, SYNTHETIC)]
+    missing = [f"{path.name}: not found in $SPIKE4DGS_SHARED/spikedata" for path in paths if not path.exists()]
+    return {path.stem: open_recording(path) for path in paths if path.exists()}, missing
+
+
 def score_recording(scorer: Scorer, image: Image, truth: Path | None) -> dict[str, float]:
     """Return the naturalness of an image [H, W], white being its 99.9th percentile, and its errors against `truth`."""
     found = scorer.alone(image, float(np.percentile(image, 99.9)))

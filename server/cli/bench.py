@@ -22,8 +22,8 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     "--scene",
     "--scenes",
     "scenes",
-    help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene; speed: all "
-    "development scenes].",
+    help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene; speed, "
+    "compact: all development scenes].",
 )
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(

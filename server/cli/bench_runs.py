@@ -15,6 +15,8 @@ from acquisition.devices.bench import parser_rows
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
+from acquisition.recording.compact_bench import bench_compact
+from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import (
     DEVELOPMENT,
     DEVELOPMENT_SEEDS,
@@ -115,6 +117,25 @@ def _recorder(asked: Asked) -> BenchDocument:
     rows, summary = parser_rows(parsed, document.summary["memcpy_gb_s"])
     document.rows += rows
     document.summary |= summary
+    return document
+
+
+def _compact(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.scores import real_recordings
+    from reconstruction.bench.speed import LARGE_SIZE
+
+    seed, size = DEVELOPMENT_SEEDS[0], "x".join(map(str, LARGE_SIZE))
+    ticks, rig = (_QUICK_TICKS, _QUICK_RIG) if asked.quick else (_TICKS, None)
+    whole = not (asked.scenes or asked.quick)
+    folders = {name: recording(name, seed, asked.work, ticks, rig) for name in asked.named((*DEVELOPMENT, *REALISTIC))}
+    if whole:
+        folders[f"{DEVELOPMENT[0]}-{size}"] = recording(DEVELOPMENT[0], seed, asked.work / size, size=size)
+    simulated = {name: Recording.open(folder) for name, folder in folders.items()}
+    streams, missing = real_recordings() if whole else ({}, [])
+    found = {name: [stream] for name, stream in streams.items()}
+    found |= {name: [one.stream(camera_id) for camera_id in one.camera_ids] for name, one in simulated.items()}
+    document = bench_compact(found, asked.progress_of("compact"))
+    document.omissions += missing
     return document
 
 
@@ -261,6 +282,7 @@ BENCHES: dict[str, Bench] = {
     "poses": Bench("how well the cameras' poses are found", _poses, _draw),
     "rasterizer": Bench("Gaussians to pixels", _rasterizer, trains=True),
     "recorder": Bench("rings, writers and parser, on the disk of --out", _recorder),
+    "compact": Bench("how small recordings become without loss, and how fast", _compact),
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),

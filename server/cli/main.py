@@ -18,6 +18,7 @@ COMMANDS = {  # name: (module, its line of the help)
     "import": ("server.cli.acquire", "Make a recording of .dat files and their cameras."),
     "verify": ("server.cli.acquire", "Check that a recording is whole."),
     "finalise": ("server.cli.acquire", "Finish a recording that a crash interrupted."),
+    "compact": ("server.cli.compact", "Keep a recording in a fraction of its space, without loss."),
     "calibrate": ("server.cli.calibrate", "Measure the poses, lenses or pixels of a rig's cameras."),
     "check-rig": ("server.cli.calibrate", "Tell whether a stored calibration still fits a recording."),
     "images": ("server.cli.images", "Turn spikes into images."),

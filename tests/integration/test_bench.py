@@ -18,6 +18,10 @@ NAMES = {
         ),
     },
     "rasterizer": {"gaussians", "forward_ms", "backward_ms", "x_reference", "two_thread_speedup", "steps_per_s"},
+    "compact": {
+        *(f"fan_and_ball.{score}" for score in ("ratio", "write_mb_s", "read_mb_s", "plane_ms")),
+        *(f"{way}.ratio" for way in ("planes, zstd 7", "differences, zstd 7", "trains, zstd 7", "trains, zlib 6")),
+    },
 }
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from acquisition.errors import BadRecordingError
 from acquisition.recording.manifest import (
     CameraFile,
+    Compact,
     Conversion,
     Gap,
     Manifest,
@@ -54,6 +55,7 @@ def cameras(draw, camera_id: str) -> CameraFile:
         draw(st.integers(0, 12_499)),
         draw(st.none() | conversions),
         draw(st.none() | st.floats(0, 1)),
+        compact=draw(st.none() | st.just(Compact(f"{camera_id}.compact", 8, (7,) * -(-planes // 8)))),
     )
 
 
@@ -109,7 +111,7 @@ def test_what_is_no_manifest_is_refused(text):
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        (("schema_version",), 2),
+        (("schema_version",), 3),
         (("tick_rate_hz",), 0),
         (("trigger",), "bell"),
         (("cameras",), []),
@@ -127,6 +129,13 @@ def test_what_is_no_manifest_is_refused(text):
         (("status",), "lost"),
         (("reason",), "no reason"),
         (("cameras", 0, "layout", "width"), -4),
+        (("cameras", 0, "compact"), {"file": "../a", "block_planes": 8, "block_bytes": [9]}),
+        (("cameras", 0, "compact"), {"file": "a", "block_planes": 0, "block_bytes": [9]}),
+        (("cameras", 0, "compact"), {"file": "a", "block_planes": 2**30, "block_bytes": [9]}),
+        (("cameras", 0, "compact"), {"file": "a", "block_planes": 8, "block_bytes": []}),
+        (("cameras", 0, "compact"), {"file": "a", "block_planes": 8, "block_bytes": [0]}),
+        (("cameras", 0, "compact"), {"file": "a", "block_planes": 8, "block_bytes": [9, 9]}),
+        (("cameras", 0, "compact"), {"file": "a", "block_planes": 8, "block_bytes": [9], "coding": "other"}),
         (("cameras", 0, "gaps", 0, "layer"), "moon"),
     ],
 )

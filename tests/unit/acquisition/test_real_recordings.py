@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from acquisition.spikes.compact import decode, encode
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import counts, pack, unpack
 from acquisition.spikes.stream import SpikeStream
@@ -75,3 +76,10 @@ def test_synthetic_recording_looks_like_its_picture(spikedata):
 
     flipped = max(likeness(mean[::-1]), likeness(mean[:, ::-1]), likeness(mean[::-1, ::-1]))
     assert likeness(mean) > max(0.9, flipped + 0.2)
+
+
+def test_real_planes_are_a_third_as_compact_blocks_and_come_back(car):
+    planes = car.window(0, 200)
+    block = encode(planes)
+    assert planes.nbytes / len(block) == pytest.approx(3.04, abs=0.05)
+    np.testing.assert_array_equal(decode(block, *planes.shape), planes)

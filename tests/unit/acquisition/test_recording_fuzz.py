@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from acquisition.recording.compaction import compact
 from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.recording.reader import Recording
@@ -44,8 +45,8 @@ values = st.recursive(
 )
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+@pytest.fixture(scope="module", params=["dat", "compact"])
+def recorded(request, tmp_path_factory):
     out = tmp_path_factory.mktemp("fuzz") / "rec"
     planes = np.random.default_rng(0).integers(0, 256, (200, LAYOUT.plane_bytes), dtype=np.uint8)
     with RecordingWriter(out, RIG) as recording:
@@ -54,6 +55,8 @@ def recorded(tmp_path_factory):
             stream.append(planes)
             stream.close()
         recording.commit(recording.entries(), "line")
+    if request.param == "compact":
+        compact(out)
     return out
 
 
@@ -92,7 +95,9 @@ def read_all(folder) -> None:
         found = verify(folder)
         recording = Recording.open(folder)
         for camera_id in recording.camera_ids:
-            assert len(recording.stream(camera_id)) == recording.manifest.camera(camera_id).planes
+            stream = recording.stream(camera_id)
+            assert len(stream) == recording.manifest.camera(camera_id).planes
+            assert stream.window(0, 1).shape == (1, stream.layout.plane_bytes)
         assert recording.planes >= 0
         assert all(str(damaged) for damaged in found)
 

@@ -50,6 +50,13 @@ def test_a_file_without_a_whole_plane_is_refused_even_when_partial_is_allowed(da
         SpikeStream.open(dat, LAYOUT, 20000, allow_partial=True)
 
 
+@pytest.mark.parametrize("name", ["cam00.compact", "cam00.dat"])
+def test_a_compact_file_is_not_taken_for_planes(tmp_path, name):
+    (tmp_path / "cam00.compact").write_bytes(bytes(12))
+    with pytest.raises(BadRecordingError, match=rf"{name}: found it compact, expected a .dat; name its recording, or"):
+        SpikeStream.open(tmp_path / name, LAYOUT, 20000)
+
+
 def test_what_cannot_be_read_is_refused(tmp_path, dat):
     with pytest.raises(BadRecordingError, match=r"none\.dat"):
         SpikeStream.open(tmp_path / "none.dat", LAYOUT, 20000)

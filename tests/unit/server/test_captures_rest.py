@@ -11,6 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 from PIL import Image
 
+from acquisition.recording.compaction import compact, restore
 from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
@@ -229,6 +230,23 @@ def test_a_damaged_recording_is_said(http: TestClient, services: Services, captu
     assert str(folder) not in http.get(f"/v1/captures/{capture_id}/preview/cam21").json()["detail"]
     (folder / "cam21.dat").write_bytes(whole)
     assert http.get(f"/v1/captures/{capture_id}/preview/cam21").status_code == 200
+
+
+def test_a_compact_capture_is_shown_as_before(http: TestClient, services: Services, capture_id: str) -> None:
+    folder, kept = services.store.folder.recording(capture_id), services.store.folder.entry(capture_id)
+    manifest, preview = (f"/v1/captures/{capture_id}/{name}" for name in ("manifest", "preview/cam02"))
+    before = http.get(manifest).json(), http.get(preview).content
+    compact(folder)
+    (kept / "preview-cam02.png").unlink()
+    assert (http.get(manifest).json(), http.get(preview).content) == before
+    data = (folder / "cam02.compact").read_bytes()
+    (folder / "cam02.compact").write_bytes(data[:-9] + bytes(9))
+    (kept / "preview-cam02.png").unlink()
+    refused(http.get(preview), 409, "cam02.compact: block 0", "verify it")
+    assert str(folder) not in http.get(preview).json()["detail"]
+    (folder / "cam02.compact").write_bytes(data)
+    restore(folder)
+    assert http.get(preview).content == before[1]
 
 
 # Rigs
