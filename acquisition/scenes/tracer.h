@@ -52,6 +52,35 @@ struct SunPlane {  // two directions across the sun's, and its own
   }
 };
 
+class Slopes {  // of the rays through samples and middles of pixels
+ public:
+  explicit Slopes(const RaycastView& view) : view_(view), across_(view.width * view.samples), down_(view.height * view.samples) {
+    const int n = view.samples;
+    for (int i = 0; i < view.width * n; ++i) across_[i] = (i / n + (i % n + 0.5) / n - view.cx) / view.fx;
+    for (int i = 0; i < view.height * n; ++i) down_[i] = (i / n + (i % n + 0.5) / n - view.cy) / view.fy;
+  }
+
+  // Those of all samples of a pixel, row by row.
+  void of_samples(int64_t x, int64_t y, double* u, double* v) const {
+    const int n = view_.samples;
+    const double* bent = view_.slopes ? view_.slopes + 2 * (y * view_.width + x) * n * n : nullptr;
+    for (int s = 0; s < n * n; ++s) {
+      u[s] = bent ? bent[2 * s] : across_[x * n + s % n];
+      v[s] = bent ? bent[2 * s + 1] : down_[y * n + s / n];
+    }
+  }
+
+  void of_middle(int64_t x, int64_t y, double* u, double* v) const {
+    const double* bent = view_.middles ? view_.middles + 2 * (y * view_.width + x) : nullptr;
+    *u = bent ? bent[0] : (x + 0.5 - view_.cx) / view_.fx;
+    *v = bent ? bent[1] : (y + 0.5 - view_.cy) / view_.fy;
+  }
+
+ private:
+  const RaycastView& view_;
+  std::vector<double> across_, down_;
+};
+
 class Tracer {
  public:
   Tracer(const RaycastScene& scene, const RaycastView& view, const double* rotations, const double* positions)
@@ -72,32 +101,8 @@ class Tracer {
 
   const Placed& operator[](int k) const { return placed_[k]; }
 
-  // The rays of `count` samples, sample s of pixel (x, y) being number (y width + x) samples^2 + s.
-  WideVec rays(const int64_t* samples, int count) const {
-    const int n = view_.samples;
-    Wide u = {}, v = {};
-    for (int i = 0; i < count; ++i) {
-      if (view_.slopes) {
-        u[i] = view_.slopes[2 * samples[i]], v[i] = view_.slopes[2 * samples[i] + 1];
-        continue;
-      }
-      const int64_t pixel = samples[i] / (n * n);
-      const int s = int(samples[i] % (n * n)), x = int(pixel % view_.width), y = int(pixel / view_.width);
-      u[i] = (x + (s % n + 0.5) / n - view_.cx) / view_.fx, v[i] = (y + (s / n + 0.5) / n - view_.cy) / view_.fy;
-    }
-    return turn_back(view_.rotation, WideVec{u, v, wide(1)});
-  }
-
-  // The rays through the middles of `count` pixels, pixel (x, y) being number y width + x.
-  WideVec middles(const int64_t* pixels, int count) const {
-    Wide u = {}, v = {};
-    for (int i = 0; i < count; ++i) {
-      const int64_t pixel = pixels[i];
-      u[i] = view_.middles ? view_.middles[2 * pixel] : (pixel % view_.width + 0.5 - view_.cx) / view_.fx;
-      v[i] = view_.middles ? view_.middles[2 * pixel + 1] : (pixel / view_.width + 0.5 - view_.cy) / view_.fy;
-    }
-    return turn_back(view_.rotation, WideVec{u, v, wide(1)});
-  }
+  // The rays of slopes u and v.
+  WideVec rays(const Wide& u, const Wide& v) const { return turn_back(view_.rotation, WideVec{u, v, wide(1)}); }
 
   // The nearest of `candidates` before `*depth`, or -1, in each lane.
   Mask nearest(uint64_t candidates, const WideVec& d, Wide* depth) const {
