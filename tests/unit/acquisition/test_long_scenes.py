@@ -4,10 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from maintenance.scene_digests import LONG_INSTANTS_S, long_evaluation_digests, scene_digest
 
 from acquisition.scenes.bodies import about, at
-from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, LONG_DEVELOPMENT, build_scene, scenes_named
+from acquisition.scenes.catalog import (
+    DEVELOPMENT_SEEDS,
+    EVALUATION_SEEDS,
+    LONG_DEVELOPMENT,
+    LONG_EVALUATION,
+    build_scene,
+    scenes_named,
+)
+from acquisition.scenes.digest import COMMITTED_LONG, committed_digests
 from acquisition.scenes.motion import Motion
+from acquisition.scenes.routes import Journeys, Paused, Route
 from acquisition.scenes.source import SceneSource
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
@@ -20,6 +30,7 @@ RATE_HZ, SPAN, SPANS = 20000.0, 400, 50  # a second
 SMALL = Camera("cam11", 400, 250, 350.0, 350.0, 200.0, 125.0, Transform.identity()).scaled(64, 40)
 STEP_S = 1 / RATE_HZ
 EVERY = 50  # planes
+CARRIED = ("crane", "arm", "hoist", "pusher", "box")  # these, and what carries them; all others pass
 
 
 class Watched:
@@ -54,8 +65,7 @@ def watched(request):
 
 
 def passers(watched: Watched) -> list[str]:
-    carried = ("crane", "arm", "box")
-    return [name for name in watched.scene.movers if not name.startswith(carried)]
+    return [name for name in watched.scene.movers if not name.startswith(CARRIED)]
 
 
 @pytest.mark.parametrize("spans", [10, SPANS])  # 4,000 and 20,000 planes
@@ -182,3 +192,42 @@ def test_seeds_differ_and_the_group_is_named():
     first, second = (build_scene("carried_boxes", seed).placements(np.array([0.01])) for seed in (1, 2))
     assert (first.positions != second.positions).any()
     assert scenes_named("long") == LONG_DEVELOPMENT
+    assert scenes_named("long-evaluation") == LONG_EVALUATION
+
+
+def area_of(scene) -> float:
+    """Return the area of the passers at their depths, as a share of the centre view."""
+    area = 0.0
+    for body in scene.bodies:
+        if body.moving and not body.name.startswith(CARRIED):
+            depth_m = body.motions[0].movement.route_of(0).stops[0].place_m[2]
+            for shape in body.shapes:
+                square_m = (
+                    np.pi * shape.size[0] ** 2 if shape.kind in ("sphere", "cylinder") else 4 * np.prod(shape.size[:2])
+                )
+                area += square_m * (350 / depth_m) ** 2 / (400 * 250)
+    return area
+
+
+def test_the_evaluation_scenes_are_built_of_the_same_parts_and_as_large_ones():
+    """Nothing of them is drawn: that a tenth of the view moves rests on the sizes of what passes."""
+    least = min(area_of(build_scene(name, 1)) for name in LONG_DEVELOPMENT)
+    for name in LONG_EVALUATION:
+        scene = build_scene(name, EVALUATION_SEEDS[0])
+        assert area_of(scene) > least
+        moving = [body for body in scene.bodies if body.moving]
+        assert {type(motion) for body in moving for motion in body.motions} == {Paused}
+        assert {type(body.motions[0].movement) for body in moving} == {Journeys, Route}
+        assert sum(body.name.startswith("box") for body in moving) >= 3
+
+
+def test_one_long_evaluation_scene_is_the_committed_one():
+    name = LONG_EVALUATION[0]
+    found = scene_digest(build_scene(name, 101), LONG_INSTANTS_S)
+    assert found == committed_digests(COMMITTED_LONG)[f"{name}-101"]
+
+
+@pytest.mark.slow
+def test_the_long_evaluation_scenes_are_the_committed_ones():
+    assert long_evaluation_digests() == committed_digests(COMMITTED_LONG)
+    assert len(set(committed_digests(COMMITTED_LONG).values())) == len(LONG_EVALUATION) * len(EVALUATION_SEEDS)
