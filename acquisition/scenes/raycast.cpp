@@ -161,7 +161,8 @@ class Row {
 
 S4_API void raycast_still(const RaycastScene* scene, const RaycastView* view, const double* rotations,
                           const double* positions, const RaycastStill* out) {
-  const Tracer tracer(*scene, *view, rotations, positions);
+  const Pyramid textures(scene->textures, scene->texture_count, scene->texture_size, scene->levels);
+  const Tracer tracer(*scene, *view, textures, rotations, positions);
   const SunPlane plane(scene->sun);
   const Slopes slopes(*view);
 #pragma omp parallel num_threads(view->threads)
@@ -177,11 +178,13 @@ S4_API void raycast_frames(const RaycastScene* scene, const RaycastView* view, c
                            const double* rotations, const double* positions, const double* gains, float* intensity,
                            float* depth, int8_t* ids) {
   const int64_t width = view->width, height = view->height, parts = (width + kSegment - 1) / kSegment;
+  const Pyramid textures(scene->textures, scene->texture_count, scene->texture_size, scene->levels);
   std::vector<Tracer> tracers;
   std::vector<std::vector<Cover>> covers(n);
   tracers.reserve(n);
   for (int64_t i = 0; i < n; ++i) {
-    tracers.emplace_back(*scene, *view, rotations + 9 * i * scene->count, positions + 3 * i * scene->count);
+    const int64_t first = i * scene->count;
+    tracers.emplace_back(*scene, *view, textures, rotations + 9 * first, positions + 3 * first);
     for (uint64_t left = tracers[i].moving; left; left &= left - 1)
       covers[i].emplace_back(tracers[i][__builtin_ctzll(left)], *view);
   }

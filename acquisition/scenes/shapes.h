@@ -1,5 +1,7 @@
 // Convex shapes, where rays enter them and what lies there; included by the ray caster alone.
 #pragma once
+#include <vector>
+
 #include "scenes/wide.h"
 
 namespace raycast {
@@ -125,12 +127,25 @@ inline Surface surface(const Placed& p, const WideVec& at) {
 // Textures [count][size][size], periodic, each level half as wide as the one before and behind it in memory.
 struct Pyramid {
   const float* data;
-  int64_t count, size;
+  int64_t size;
   int levels;
-  int64_t start(int index, int level) const {
-    int64_t from = 0;
-    for (int l = 0; l < level; ++l) from += count * (size >> l) * (size >> l);
-    return from + index * (size >> level) * (size >> level);
+  std::vector<int64_t> starts;  // of texture i at level l: number i levels + l
+
+  Pyramid(const float* texels, int64_t count, int64_t texels_a_side, int level_count)
+      : data(texels), size(texels_a_side), levels(level_count) {
+    for (int64_t i = 0; i < count; ++i)
+      for (int64_t l = 0, from = 0; l < levels; ++l) {
+        starts.push_back(from + i * (size >> l) * (size >> l));
+        from += count * (size >> l) * (size >> l);
+      }
+  }
+
+  // Where the image of a texture begins at the level of each lane.
+  Mask images(int index, const Mask& level) const {
+    const int64_t* own = starts.data() + int64_t(index) * levels;
+    Mask found;
+    for (int i = 0; i < kLanes; ++i) found[i] = own[level[i]];
+    return found;
   }
 };
 
@@ -157,26 +172,18 @@ inline Wide texel(const Pyramid& textures, const double* row, const Surface& s, 
   const Wide u = pick(lanes, s.u * row[5] + row[6] + shift, 0.0), v = pick(lanes, s.v * row[5] + row[7] + shift, 0.0);
   const int index = int(row[4]), last = textures.levels - 1;
   const Mask coarse = lanes & (spacing > 1) & every(last > 0 ? -1 : 0);
-  Mask levels = {}, starts = every(textures.start(index, 0)), next = starts;
-  Wide scales = wide(1);
-  for (int i = 0; i < kLanes; ++i) {
-    if (!coarse[i]) continue;
-    const int octave = std::ilogb(spacing[i]), level = octave < last ? octave : last;
-    levels[i] = level;
-    starts[i] = textures.start(index, level);
-    next[i] = textures.start(index, level < last ? level + 1 : last);
-    scales[i] = 1.0 / double(1 << level);
-  }
-  const auto at = [&](const Wide& scale, const Mask& from, const Mask& level) {  // texel centres are whole numbers
-    return bilinear(textures.data, from, every(textures.size) >> level, pick(coarse, (u + 0.5) * scale - 0.5, u),
-                    pick(coarse, (v + 0.5) * scale - 0.5, v));
+  const Mask octave = (Mask(spacing) >> 52) - 1023;  // of a number above 1
+  const Mask level = coarse & (octave < every(last) ? octave : every(last));
+  const auto at = [&](const Mask& here) {  // texel centres are whole numbers at every level
+    const Wide scale = Wide((1023 - here) << 52);
+    const Wide x = pick(coarse, (u + 0.5) * scale - 0.5, u), y = pick(coarse, (v + 0.5) * scale - 0.5, v);
+    return bilinear(textures.data, textures.images(index, here), every(textures.size) >> here, x, y);
   };
-  const Wide fine = at(scales, starts, levels);
-  const Mask blended = coarse & (levels < every(last));
+  const Wide fine = at(level);
+  const Mask blended = coarse & (level < every(last));
   if (!any(blended)) return fine;
-  const Mask beyond = levels + (blended & every(1));
-  const Wide rough = at(pick(blended, scales * 0.5, scales), next, beyond);
-  return pick(blended, fine + (spacing * scales - 1) * (rough - fine), fine);
+  const Wide rough = at(level - blended);  // one level further where it is blended
+  return pick(blended, fine + (spacing * Wide((1023 - level) << 52) - 1) * (rough - fine), fine);
 }
 
 }  // namespace raycast

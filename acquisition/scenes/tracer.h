@@ -83,11 +83,11 @@ class Slopes {  // of the rays through samples and middles of pixels
 
 class Tracer {
  public:
-  Tracer(const RaycastScene& scene, const RaycastView& view, const double* rotations, const double* positions)
+  Tracer(const RaycastScene& scene, const RaycastView& view, const Pyramid& textures, const double* rotations,
+         const double* positions)
       : scene_(scene), view_(view), eye_{view.center[0], view.center[1], view.center[2]},
         sun_{scene.sun[0], scene.sun[1], scene.sun[2]}, slope_{scene.slope[0], scene.slope[1], scene.slope[2]},
-        plane_(scene.sun), textures_{scene.textures, scene.texture_count, scene.texture_size, scene.levels},
-        placed_(scene.count) {
+        plane_(scene.sun), textures_(textures), placed_(scene.count) {
     for (int k = 0; k < scene.count; ++k) {
       place(k, rotations + 9 * k, {positions[3 * k], positions[3 * k + 1], positions[3 * k + 2]});
       (scene.moving[k] ? moving : still) |= uint64_t(1) << k;
@@ -223,7 +223,7 @@ class Tracer {
   const RaycastView& view_;
   Vec eye_, sun_, slope_;
   SunPlane plane_;
-  Pyramid textures_;
+  const Pyramid& textures_;
   std::vector<Placed> placed_;
 };
 

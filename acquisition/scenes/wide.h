@@ -4,6 +4,10 @@
 #include <cstdint>
 #include <limits>
 
+#if defined(__AVX512DQ__)
+#include <immintrin.h>
+#endif
+
 namespace raycast {
 
 constexpr int kLanes = 8;
@@ -20,9 +24,13 @@ inline Wide pick(const Mask& mask, double a, const Wide& b) { return mask ? wide
 inline Wide pick(const Mask& mask, const Wide& a, double b) { return mask ? a : wide(b); }
 inline Wide pick(const Mask& mask, double a, double b) { return mask ? wide(a) : wide(b); }
 inline bool any(const Mask& mask) {
+#if defined(__AVX512DQ__)
+  return _mm512_movepi64_mask((__m512i)mask) != 0;
+#else
   int64_t found = 0;
   for (int i = 0; i < kLanes; ++i) found |= mask[i];
   return found != 0;
+#endif
 }
 inline Mask first_lanes(int count) { return Mask{0, 1, 2, 3, 4, 5, 6, 7} < every(count); }
 
