@@ -46,19 +46,19 @@ MOST_GAINS, MOST_LAGS = 0.3, 100.0  # share, ticks
 class Simulation:
     """Simulated cameras: the named scene before them, its seed, the sensor model, samples x samples rays a pixel.
 
-    Truth is written for every `truth_every`-th plane. `fault` gives one camera a fault, as `noisy:cam12`. The cameras
-    stand about `rig_error` degrees, cm and percent of the focal length away from where the rig file has them. On USB
-    they are devices of the `profile` of that name. `light` is a factor of the scene's own; the sensor's dark current
-    stays. The gains of the cameras differ by `camera_gains` (standard deviation); they see up to `camera_lags` ticks
-    early or late. `traits` come on top of the sensor's. A lens of the `glass` is not in the rig file, which is then
-    nominal.
+    Truth is written for every `truth_every`-th plane, by default as `truth.stride_of` says. `fault` gives one camera a
+    fault, as `noisy:cam12`. The cameras stand about `rig_error` degrees, cm and percent of the focal length away from
+    where the rig file has them. On USB they are devices of the `profile` of that name. `light` is a factor of the
+    scene's own; the sensor's dark current stays. The gains of the cameras differ by `camera_gains` (standard
+    deviation); they see up to `camera_lags` ticks early or late. `traits` come on top of the sensor's. A lens of the
+    `glass` is not in the rig file, which is then nominal.
     """
 
     scene: str
     seed: int = 0
     sensor: SensorKind = "real"
     samples: int = 2
-    truth_every: int = 20
+    truth_every: int | None = None
     fault: str = ""
     rig_error: float = 0.0
     profile: str = "direct"
@@ -73,7 +73,7 @@ class Simulation:
             parse_fault(self.fault)
         if self.sensor not in SENSOR_KINDS:
             raise CameraSetupError(f"found the sensor {self.sensor!r}", f"one of {', '.join(SENSOR_KINDS)}")
-        if self.samples < 1 or self.truth_every < 1:
+        if self.samples < 1 or (self.truth_every is not None and self.truth_every < 1):
             raise CameraSetupError(f"found samples {self.samples}, truth_every {self.truth_every}", "at least 1 each")
         if not 0 <= self.rig_error <= MOST_RIG_ERROR:
             expected = f"0 to {MOST_RIG_ERROR:g} degrees, cm and percent"

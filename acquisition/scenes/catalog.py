@@ -3,7 +3,8 @@
 Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They are scored on EVALUATION scenes with
 EVALUATION_SEEDS, which nothing is tuned on. BACKGROUNDS develop far, even, empty and plain ones. STRESS scenes have
 one difficulty each; CALIBRATION ones calibrate a rig. REALISTIC ones, for development, and REALISTIC_EVALUATION ones
-are drawn by a path tracer, an extra that is needed only where one is drawn.
+are drawn by a path tracer, an extra that is needed only where one is drawn. LONG_DEVELOPMENT and
+LONG_EVALUATION scenes go on for any number of planes.
 Every other list of scene names, as of the command line and the benches, is made from these.
 """
 
@@ -12,11 +13,14 @@ from collections.abc import Callable
 
 from acquisition.errors import BadRecordingError
 from acquisition.scenes import calibration
+from acquisition.scenes.carried_boxes import carried_boxes
 from acquisition.scenes.collision import collision
 from acquisition.scenes.demo import fan_and_ball
 from acquisition.scenes.fan import fan
+from acquisition.scenes.hoisted_barrels import hoisted_barrels
 from acquisition.scenes.open_air import black, far, sky
 from acquisition.scenes.plain import plain
+from acquisition.scenes.pushed_blocks import pushed_blocks
 from acquisition.scenes.realistic.rooms.banner import banner
 from acquisition.scenes.realistic.rooms.chrome_table import chrome_table
 from acquisition.scenes.realistic.rooms.courtyard import courtyard
@@ -26,6 +30,7 @@ from acquisition.scenes.realistic.rooms.plain_room import plain_room
 from acquisition.scenes.realistic.rooms.robot_arm import robot_arm
 from acquisition.scenes.realistic.rooms.thrown_things import thrown_things
 from acquisition.scenes.realistic.scene import Build, DrawnScene
+from acquisition.scenes.rolling_and_sliding import rolling_and_sliding
 from acquisition.scenes.runner import runner
 from acquisition.scenes.stress import bright, burst, deforming, dim, faint, flicker, outdoor, static, stiff
 from acquisition.scenes.traffic import traffic
@@ -65,6 +70,8 @@ CALIBRATION = _listed(
     calibration.board_april,
     calibration.board_april_moving,
 )
+LONG_DEVELOPMENT = _listed(carried_boxes, rolling_and_sliding)
+LONG_EVALUATION = _listed(hoisted_barrels, pushed_blocks)
 REALISTIC = _drawn(plain_room, thrown_things, robot_arm)
 REALISTIC_EVALUATION = _drawn(chrome_table, dominoes, courtyard, banner, marbles)
 PURPOSES = (
@@ -73,10 +80,17 @@ PURPOSES = (
     ("for developing backgrounds", BACKGROUNDS),
     ("for stress", STRESS),
     ("for calibration", CALIBRATION),
+    ("for any number of planes, as 4000 or 20000, for development", LONG_DEVELOPMENT),
+    ("for evaluation and nothing else", LONG_EVALUATION),
     ("drawn by a path tracer, which takes minutes the first time, for development", REALISTIC),
     ("for evaluation and nothing else", REALISTIC_EVALUATION),
 )
-GROUPS = {"realistic": REALISTIC, "realistic-evaluation": REALISTIC_EVALUATION}
+GROUPS = {
+    "realistic": REALISTIC,
+    "realistic-evaluation": REALISTIC_EVALUATION,
+    "long": LONG_DEVELOPMENT,
+    "long-evaluation": LONG_EVALUATION,
+}
 
 
 def scenes_named(words: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 COMMITTED = Path(__file__).with_name("evaluation.json")
+COMMITTED_LONG = Path(__file__).with_name("long_evaluation.json")
 COMMITTED_REALISTIC = Path(__file__).with_name("realistic") / "evaluation.json"
 
 

@@ -24,7 +24,13 @@ from rigs.transform import Transform
 BLUR_PLANES = 32  # exposure of a blurred frame, centred on the instant
 BLUR_STRIDE = 4  # planes between the frames that a blurred frame is the mean of
 BLUR_SAMPLES = 2  # rays a side of a pixel of a blurred frame
+EVERY, MOST_INSTANTS = 20, 200  # planes between true frames, and frames of a camera: 1.6 MB each at 400x250
 NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # places in half widths of the rig: between the cameras, and beside them
+
+
+def stride_of(planes: int) -> int:
+    """Return the planes between true frames of a recording: EVERY, or as many times that as keep MOST_INSTANTS."""
+    return EVERY * max(1, -(-planes // (EVERY * MOST_INSTANTS)))
 
 
 def write_truth(

@@ -12,7 +12,7 @@ from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
 from acquisition.scenes.glass import PERFECT, write_glass
 from acquisition.scenes.own import write_own
-from acquisition.scenes.truth import write_truth
+from acquisition.scenes.truth import stride_of, write_truth
 from acquisition.session.rig_lock import rig_lock
 from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
@@ -92,7 +92,8 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
         nominal = take.sensitivity is None or take.sensitivity.gain == 1  # truth is in spikes of a nominal camera
         if isinstance(devices, Simulation) and opened.scene and nominal:
             scene = opened.scene.since(recording.first_plane / rig.tick_rate_hz)
-            planes, every, folder = max(s.planes for s in streams), devices.truth_every, recording.folder / TRUTH_FOLDER
+            planes, folder = max(s.planes for s in streams), recording.folder / TRUTH_FOLDER
+            every = devices.truth_every or stride_of(planes)
             with disk_errors(folder):
                 report = part(progress, share, _WRITTEN)
                 write_truth(scene, devices.built(rig), planes, every, folder, report, sensor=devices.sensor)
@@ -120,7 +121,7 @@ def _check_memory(rig: Rig, pre_planes: int) -> None:
 def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:
     plane_bytes = [PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras]
     planes = take.planes or 0
-    instants = -(-planes // devices.truth_every) if isinstance(devices, Simulation) else 0
+    instants = -(-planes // (devices.truth_every or stride_of(planes))) if isinstance(devices, Simulation) else 0
     truth = instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
     ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
     return DiskUse(planes * sum(plane_bytes) + truth, take.keep_free_bytes, ring, devices is not None)

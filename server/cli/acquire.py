@@ -91,7 +91,10 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     help="Rays along a side of a pixel in each plane; the truth has 4. Scenes of a path tracer have their own number.",
 )
 @click.option(
-    "--truth-every", default=20, show_default=True, type=click.IntRange(min=1), help="Planes between true frames."
+    "--truth-every",
+    type=click.IntRange(min=1),
+    metavar="PLANES",
+    help="Planes between true frames.  [default: 20; more where 4000 planes are exceeded, so that 200 frames are kept]",
 )
 @click.option(
     "--rig-error",

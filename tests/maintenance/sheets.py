@@ -1,7 +1,7 @@
 """Contact sheets of the scenes, to be looked at: three instants, depth and objects of the centre camera in one PNG.
 
 `PYTHONPATH=tests python -m maintenance.sheets --out DIR [--seed S] [NAME...]` writes DIR/NAME.png for the scenes
-named, or all that need no extra; `make sheets` writes all to runs/sheets.
+named, or all that need no extra and may be looked at; `make sheets` writes all to runs/sheets.
 """
 
 from pathlib import Path
@@ -10,7 +10,14 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, REALISTIC, REALISTIC_EVALUATION, SCENES, build_scene
+from acquisition.scenes.catalog import (
+    DEVELOPMENT_SEEDS,
+    LONG_EVALUATION,
+    REALISTIC,
+    REALISTIC_EVALUATION,
+    SCENES,
+    build_scene,
+)
 from acquisition.scenes.scene import Scene
 from reconstruction.report.display import grey
 from reconstruction.report.pictures import depth_colours, write_png
@@ -42,7 +49,8 @@ def _three(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def main(out: Path, seed: int, names: tuple[str, ...]) -> None:
     """Write one picture a scene."""
     out.mkdir(parents=True, exist_ok=True)
-    for name in names or [name for name in SCENES if name not in (*REALISTIC, *REALISTIC_EVALUATION)]:
+    apart = (*REALISTIC, *REALISTIC_EVALUATION, *LONG_EVALUATION)
+    for name in names or [name for name in SCENES if name not in apart]:
         write_png(out / f"{name}.png", contact_sheet(build_scene(name, seed)))
 
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from references.raycast import trace_reference
 
 from acquisition.errors import AcquisitionError
-from acquisition.scenes.bodies import Body, Finish, Shape, still
+from acquisition.native import code_path, code_paths
+from acquisition.scenes.bodies import KINDS, Body, Finish, Shape, still
 from acquisition.scenes.light import EVEN, Uneven
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.raycast import Raycaster, SceneArrays
@@ -122,6 +123,45 @@ def test_retracing_reaches_the_rim_of_spheres_and_of_their_shadows(seed, focal):
     assert same(ours, trace(everything, view, rotations, positions))
     off = np.abs(ours.intensity - trace_reference(geometry, view, rotations, positions, 2).intensity) > 1e-5
     assert off.mean() <= 2 / off.size
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "box", "cylinder"])
+@pytest.mark.parametrize("focal", [5.0, 40.0, 150.0])
+def test_retracing_reaches_the_corners_of_rods_and_plates_and_of_their_shadows(kind, focal):
+    """Boxes fill the boxes that bound them, and rods are far smaller than the spheres that do."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        geometry, rotations, positions = random_geometry(rng, 30)
+        geometry.shapes[:, 0] = KINDS.index(kind)
+        geometry.shapes[:, 1:4] = np.exp(rng.uniform(np.log(0.004), np.log(0.7), (30, 3)))
+        positions = rng.uniform((-0.9, -0.9, 0.2), (0.9, 0.9, 2.6), (30, 3))
+        geometry = replace(geometry, sun=np.array([0.6, 0.0, -0.8]), mipmapped=False)
+        view = camera(64, 48, focal)
+        ours = trace(geometry, view, rotations, positions)
+        assert same(ours, trace(replace(geometry, moving=np.ones(30, dtype=bool)), view, rotations, positions))
+        off = np.abs(ours.intensity - trace_reference(geometry, view, rotations, positions, 2).intensity) > 1e-5
+        assert off.mean() <= 2 / off.size
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 5])
+@pytest.mark.parametrize("width", [1, 7, 8, 9, 17])
+def test_rays_that_fill_no_eight_are_those_of_the_twin(samples, width):
+    geometry, rotations, positions = random_geometry(np.random.default_rng(7), 16)
+    view = camera(width, 5, 6.0)
+    ours = trace(geometry, view, rotations, positions, samples)
+    twin = trace_reference(geometry, view, rotations, positions, samples)
+    np.testing.assert_allclose(ours.intensity, twin.intensity, atol=1e-5)
+    assert (ours.ids == twin.ids).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_build_traces_the_same_bits(seed):
+    geometry, rotations, positions = random_geometry(np.random.default_rng(seed), 24)
+    frames = []
+    for name in code_paths():
+        with code_path(name):
+            frames.append(trace(replace(geometry, mipmapped=True), camera(), rotations, positions))
+    assert all(same(frames[0], other) for other in frames[1:])
 
 
 def test_threads_change_no_bit():

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.errors import BadRecordingError
 from acquisition.scenes.catalog import build_scene
-from acquisition.scenes.truth import novel_cameras, write_truth
+from acquisition.scenes.truth import EVERY, MOST_INSTANTS, novel_cameras, stride_of, write_truth
 from rigs.exchange.nerfstudio import load_transforms
 from rigs.toml import catalog_rig
 
@@ -105,3 +105,11 @@ def test_a_taken_folder_and_an_empty_clip_are_refused(tmp_path, truth):
         with pytest.raises(BadRecordingError, match="at least 1"):
             write_truth(SCENE, RIG, ticks, every, tmp_path / "truth")
     assert not (tmp_path / "truth").exists()
+
+
+def test_truth_of_long_recordings_is_bounded():
+    strides = {planes: stride_of(planes) for planes in (1, 400, 4000, 4001, 20_000, 72_000_000)}
+    assert [strides[planes] for planes in (1, 400, 4000, 4001, 20_000)] == [EVERY, EVERY, EVERY, 2 * EVERY, 5 * EVERY]
+    for planes, stride in strides.items():
+        assert -(-planes // stride) <= MOST_INSTANTS
+        assert stride % EVERY == 0

@@ -12,6 +12,8 @@ from acquisition.scenes.catalog import (
     DEVELOPMENT_SEEDS,
     EVALUATION,
     EVALUATION_SEEDS,
+    LONG_DEVELOPMENT,
+    LONG_EVALUATION,
     REALISTIC,
     REALISTIC_EVALUATION,
     SCENES,
@@ -183,7 +185,8 @@ def test_the_marker_is_upright_and_not_mirrored(name):
 
 
 def test_the_lists_are_closed_and_keep_development_from_evaluation():
-    lists = (DEVELOPMENT, EVALUATION, BACKGROUNDS, STRESS, CALIBRATION, REALISTIC, REALISTIC_EVALUATION)
+    ours = (DEVELOPMENT, BACKGROUNDS, STRESS, CALIBRATION, LONG_DEVELOPMENT, REALISTIC)
+    lists = (*ours, EVALUATION, REALISTIC_EVALUATION, LONG_EVALUATION)
     assert sorted(name for names in lists for name in names) == sorted(SCENES)
     assert len(EVALUATION) == 5
     assert not set(DEVELOPMENT_SEEDS) & set(EVALUATION_SEEDS)
