@@ -18,6 +18,7 @@ from reconstruction.bench.figures import (
     new_figure,
     write_figure,
 )
+from reconstruction.bench.long_page import plot_long
 from reconstruction.bench.paper.diagrams import BARS, ERROR, against_time
 from reconstruction.bench.speed_diagram import plot_speed
 
@@ -215,7 +216,7 @@ def plot_stability(path: Path, document: dict) -> None:
 
 _DRAWN = (
     *(plot_images, plot_defects, plot_leave_out, plot_poses),
-    *(plot_speed, plot_stability, plot_training, plot_viewpoints),
+    *(plot_long, plot_speed, plot_stability, plot_training, plot_viewpoints),
 )
 PLOTS: Mapping[str, Callable[[Path, dict], None]] = {  # by the bench that each is named for
     plot.__name__.removeprefix("plot_").replace("_", "-"): plot for plot in _DRAWN

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,11 +72,14 @@ class Contender:
         return done.stdout.strip()
 
 
-def run_to_end(contender: Contender, recording: Path, out: Path, budget_s: float) -> dict:
+def run_to_end(
+    contender: Contender, recording: Path, out: Path, budget_s: float, told: Callable[[Path], dict] = lambda out: {}
+) -> dict:
     """Reconstruct with a budget in a process of its own, and return seconds, memory and scores of its end.
 
     `seconds` are those from the start of the process to the last checkpoint: all but the report. `peak_mb` is the most
-    memory of the process. Deletes the run folder `out`. Raises ReconstructionError where the run fails.
+    memory of the process. `told` adds what else it reads in the run folder `out`, which is deleted. Raises
+    ReconstructionError where the run fails.
     """
     shutil.rmtree(out, ignore_errors=True)
     options = ["--out", str(out), "--holdout", HOLDOUT, "--budget-s", f"{budget_s:g}", "--json"]
@@ -85,6 +88,7 @@ def run_to_end(contender: Contender, recording: Path, out: Path, budget_s: float
         usage = _finished([*contender.words, "reconstruct", str(recording), *options], contender)
         wall_s, stolen = time.monotonic() - began, others.share()
         run, scores = (json.loads((out / name).read_text()) for name in ("run.json", "metrics.json"))
+        more = told(out)
     finally:
         shutil.rmtree(out, ignore_errors=True)
     return {
@@ -98,6 +102,7 @@ def run_to_end(contender: Contender, recording: Path, out: Path, budget_s: float
         "gaussians": sum(run["gaussians"].values()),
         **{f"seconds.{stage}": seconds for stage, seconds in run["seconds"].items()},
         **{name: scores[name] for name in SCORES if name in scores},
+        **more,
     }
 
 

@@ -8,7 +8,8 @@ import click
 
 from acquisition.durable import write_json
 from acquisition.scenes.digest import committed_digests, scenes_digest
-from server.cli.bench_runs import BENCHES, Asked
+from server.cli.bench_asked import Asked
+from server.cli.bench_runs import BENCHES
 from server.cli.options import PATH, json_option
 from server.cli.output import answer, columns
 from server.cli.progress import progress_of

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.bench import parser_rows
-from acquisition.errors import AcquisitionError
-from acquisition.progress import Progress
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
 from acquisition.recording.compact_bench import bench_compact
 from acquisition.recording.reader import Recording
@@ -21,56 +16,17 @@ from acquisition.scenes.catalog import (
     DEVELOPMENT,
     DEVELOPMENT_SEEDS,
     EVALUATION,
-    EVALUATION_SEEDS,
     REALISTIC,
     scenes_named,
 )
+from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, THIS, TICKS, Asked, Bench, recording
+from server.cli.bench_long import draw_long, long_recordings
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
     from reconstruction.bench.paper.run import Laboratory
 
 _PARSED_BYTES = 10_000_000_000
-_TICKS, _QUICK_TICKS, _QUICK_RIG = 400, 120, "ci3x3"
-_THIS = (sys.executable, "-m", "server.cli")  # this command line, in a process of its own
-
-
-@dataclass(frozen=True)
-class Asked:
-    """The options of the command; a stopped bench resumes from what is in `work`."""
-
-    work: Path
-    progress_of: Callable[[str], Progress]
-    scenes: str | None = None
-    quick: bool = False
-    metric_files: Path | None = None
-    tables: str | None = None
-    limit_s: float | None = None
-    keep: bool = False
-    against: Path | None = None
-    large: bool = False
-
-    def named(self, default: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the scenes asked for, or `default`; only the first of them with --quick."""
-        found = scenes_named(self.scenes) if self.scenes else default
-        return found[:1] if self.quick else found
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        """The seeds of the evaluation scenes; only the first of them with --quick."""
-        return EVALUATION_SEEDS[:1] if self.quick else EVALUATION_SEEDS
-
-
-class Bench(NamedTuple):
-    """One measurement: `run` measures, `draw` writes the pictures of a document into a folder.
-
-    `trains`: whether one pool of threads does all the work, in this process.
-    """
-
-    about: str
-    run: Callable[[Asked], BenchDocument]
-    draw: Callable[[Asked, Path, dict], None] = lambda asked, out, found: None
-    trains: bool = False
 
 
 def _draw(_: Asked, out: Path, found: dict) -> None:
@@ -96,7 +52,7 @@ def _poses(asked: Asked) -> BenchDocument:
     from reconstruction.bench.conventions import KnownRecording, seed_of
     from reconstruction.bench.poses import BOARD_SCENE, BOARD_TICKS, bench_poses
 
-    def known(scene: str, ticks: int = _TICKS) -> KnownRecording:
+    def known(scene: str, ticks: int = TICKS) -> KnownRecording:
         seed = seed_of(scene)
         return KnownRecording(scene, seed, recording(scene, seed, asked.work, ticks))
 
@@ -125,7 +81,7 @@ def _compact(asked: Asked) -> BenchDocument:
     from reconstruction.bench.speed import LARGE_SIZE
 
     seed, size = DEVELOPMENT_SEEDS[0], "x".join(map(str, LARGE_SIZE))
-    ticks, rig = (_QUICK_TICKS, _QUICK_RIG) if asked.quick else (_TICKS, None)
+    ticks, rig = (QUICK_TICKS, QUICK_RIG) if asked.quick else (TICKS, None)
     whole = not (asked.scenes or asked.quick)
     folders = {name: recording(name, seed, asked.work, ticks, rig) for name in asked.named((*DEVELOPMENT, *REALISTIC))}
     if whole:
@@ -219,8 +175,8 @@ def _speed(asked: Asked) -> BenchDocument:
     from reconstruction.bench.speed import FULL, LARGE_RUNS, LARGE_SIZE, QUICK, Clip, SpeedBench
     from reconstruction.bench.speed_run import NEW, Contender
 
-    extent, work, rig = (QUICK, "speed/quick", _QUICK_RIG) if asked.quick else (FULL, "speed", None)
-    ticks, place = (_QUICK_TICKS, asked.work / work) if asked.quick else (_TICKS, asked.work)
+    extent, work, rig = (QUICK, "speed/quick", QUICK_RIG) if asked.quick else (FULL, "speed", None)
+    ticks, place = (QUICK_TICKS, asked.work / work) if asked.quick else (TICKS, asked.work)
     seed = DEVELOPMENT_SEEDS[0]
     clips = [
         Clip(scene, seed, extent.runs, partial(recording, scene, seed, place, ticks, rig))
@@ -230,7 +186,7 @@ def _speed(asked: Asked) -> BenchDocument:
         scene, size = DEVELOPMENT[0], "x".join(map(str, LARGE_SIZE))
         made = partial(recording, scene, seed, asked.work / size, size=size)
         clips.append(Clip(scene, seed, LARGE_RUNS, made, LARGE_SIZE))
-    contenders = [Contender(NEW, _THIS, Path(sys.executable))]
+    contenders = [Contender(NEW, THIS, Path(sys.executable))]
     if asked.against:
         contenders.insert(0, Contender.installed(asked.against))
     progress = asked.progress_of("speed")
@@ -250,29 +206,10 @@ def _laboratory(asked: Asked, name: str) -> Laboratory:
 
     def recording_of(scene: str, seed: int) -> Path:
         if asked.quick and name == "paper":
-            return recording(scene, seed, asked.work / "paper" / "quick", _QUICK_TICKS, _QUICK_RIG)
+            return recording(scene, seed, asked.work / "paper" / "quick", QUICK_TICKS, QUICK_RIG)
         return recording(scene, seed, asked.work)
 
     return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep)
-
-
-def recording(
-    scene: str, seed: int, work: Path, ticks: int = _TICKS, rig: str | None = None, *, size: str | None = None
-) -> Path:
-    """Return the recording of a scene and seed in `work`, simulated if it is not there yet.
-
-    `simulate` runs in a process of its own, where idle threads sleep: it has a pool for each of nine cameras. Raises
-    AcquisitionError if it fails.
-    """
-    path = work / f"{scene}-{seed}"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path, "rig": rig, "size": size}
-        command = [*_THIS, "simulate"]
-        command += [word for k, v in options.items() if v is not None for word in (f"--{k}", str(v))]
-        if subprocess.run(command, stdout=sys.stderr).returncode:
-            raise AcquisitionError("found that simulate failed", "a recording", "its reason is above", where=path)
-    return path
 
 
 # In the order of `make bench`: viewpoints and leave-out use the runs of paper.
@@ -288,6 +225,7 @@ BENCHES: dict[str, Bench] = {
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
+    "long": Bench("long recordings in spans, against parts of them alone", long_recordings, draw_long),
     "speed": Bench(
         "how much sooner than an older revision: whole runs and single steps, in turns", _speed, _draw_speed
     ),

@@ -18,6 +18,7 @@ from maintenance.evidence_tables import page
 
 from acquisition.durable import write_durably
 from reconstruction.bench.diagrams import PLOTS
+from reconstruction.bench.long_page import write_page as write_long_page
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
@@ -96,6 +97,8 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
     for name, document in documents.items():
         if name == "paper":
             write_tables(folder / "paper.md", document, PROTOCOL)
+        elif name == "long":
+            write_long_page(folder / "long.md", document)
         elif name == "speed":
             write_speed_page(folder / "speed.md", document)
         else:

@@ -3,7 +3,7 @@
 import pytest
 
 from acquisition.errors import AcquisitionError
-from server.cli.bench_runs import recording
+from server.cli.bench_asked import recording
 
 
 def test_a_recording_that_is_there_is_not_made_again(tmp_path):

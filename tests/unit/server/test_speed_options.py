@@ -9,8 +9,9 @@ from acquisition.bench_document import BenchDocument
 from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, REALISTIC
 from reconstruction.bench.speed import FULL, LARGE_RUNS, LARGE_SIZE, QUICK, SpeedBench
-from server.cli import bench_runs
-from server.cli.bench_runs import BENCHES, Asked
+from server.cli import bench_asked
+from server.cli.bench_asked import Asked
+from server.cli.bench_runs import BENCHES
 
 LARGE = f"{DEVELOPMENT[0]}-1000x1000"
 
@@ -57,7 +58,7 @@ def test_a_command_to_compare_with_is_run_first(chosen):
 
 def test_a_large_recording_is_simulated_at_its_size(chosen, monkeypatch, tmp_path):
     calls = []
-    monkeypatch.setattr(bench_runs.subprocess, "run", lambda command, **_: calls.append(command) or Done())
+    monkeypatch.setattr(bench_asked.subprocess, "run", lambda command, **_: calls.append(command) or Done())
     path = chosen(scenes="robot_arm", large=True).clips[-1].recorded()
     assert path == tmp_path / "1000x1000" / "fan_and_ball-1"
     assert calls[0][-2:] == ["--size", "x".join(map(str, LARGE_SIZE))]

@@ -1,0 +1,150 @@
+"""Measures long recordings: reconstructed in spans, beside some of their parts, each reconstructed alone.
+
+A part alone is what the whole must not be worse than: the same planes as a recording of their own, with a minute. Every
+run is a process of its own, through the command line.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.bench_document import BenchDocument, device
+from acquisition.progress import Progress
+from acquisition.recording.reader import Recording
+from acquisition.revision import code_revision
+from reconstruction.bench.conventions import kept, means
+from reconstruction.bench.long_part import cut_out
+from reconstruction.bench.paper.digest import this_code
+from reconstruction.bench.speed_run import SCORES, Contender, run_to_end
+from reconstruction.run.spans import Span, cut
+from rigs.errors import Spike4dgsError
+
+WHOLE, SPAN, ALONE = "whole", "span", "alone"  # parts of the document
+FULL_S, QUICK_S = (20.0, 60.0), (3.0, 6.0)  # budgets: for each span of the whole, and of a part alone
+EVERY = 5  # spans from one that is reconstructed alone to the next
+CHECKPOINT = "checkpoint.pt"
+
+
+@dataclass(frozen=True)
+class LongClip:
+    """A long recording of a scene, made by `recorded` when it is first needed."""
+
+    scene: str
+    seed: int
+    planes: int
+    recorded: Callable[[], Path]
+
+    @property
+    def name(self) -> str:
+        """The name in rows and summaries."""
+        return f"{self.scene}-{self.planes}"
+
+    @property
+    def spans(self) -> tuple[Span, ...]:
+        """The spans that its reconstruction has."""
+        return cut(self.planes)
+
+
+@dataclass
+class LongBench:
+    """Measures `clips` as far as there is `time_left`; what was measured is kept in `work`, by code and machine.
+
+    `budgets_s`: the seconds for each span of the whole, and those of a part alone. `every`: spans from a part that is
+    reconstructed alone to the next.
+    """
+
+    clips: Sequence[LongClip]
+    contender: Contender
+    work: Path
+    progress: Progress
+    budgets_s: tuple[float, float] = FULL_S
+    every: int = EVERY
+    time_left: Callable[[], bool] = lambda: True
+
+    def run(self) -> BenchDocument:
+        """Return the document of all runs; what failed or was left out stands in its omissions."""
+        document = BenchDocument("long")
+        todo = [task for clip in self.clips for task in self._tasks(clip)]
+        for number, (name, measure) in enumerate(todo):
+            if not self.time_left():
+                document.omissions.append(f"{name}: no time was left")
+                continue
+            self.progress(number / len(todo), name)
+            try:
+                document.rows += kept(self.work / f"{name}.json", measure, self._key)["rows"]
+            except Spike4dgsError as error:
+                document.omissions.append(f"{name}: {error}")
+        document.summary = summarise(document.rows)
+        document.omissions.append("one seed a scene, one run of each; nothing on several machines")
+        self.progress(1.0, f"{len(document.rows)} rows")
+        return document
+
+    @cached_property
+    def _key(self) -> dict[str, str | int | float]:
+        """The code, the machine and the budgets that a kept row must be of."""
+        per_span_s, alone_s = self.budgets_s
+        own = {"code": this_code(), "revision": code_revision(), "per_span_s": per_span_s, "alone_s": alone_s}
+        return device() | own
+
+    def _tasks(self, clip: LongClip) -> list[tuple[str, Callable[[], dict]]]:
+        numbers = range(min(self.every // 2, len(clip.spans) - 1), len(clip.spans), self.every)
+        alone = [(f"{clip.name}-{number}", partial(self._alone, clip, number)) for number in numbers]
+        return [(clip.name, partial(self._whole, clip)), *alone]
+
+    def _whole(self, clip: LongClip) -> dict:
+        """Return the row of the whole recording, and one for each of its spans."""
+        out, budget_s = self.work / f"{clip.name}.run", self.budgets_s[0] * len(clip.spans)
+        row = run_to_end(self.contender, clip.recorded(), out, budget_s, _told)
+        spans = row.pop("spans", [])
+        about = {"clip": clip.name, "scene": clip.scene, "seed": clip.seed}
+        rows = [about | {"part": SPAN, "number": number} | span for number, span in enumerate(spans)]
+        return {"rows": [about | {"part": WHOLE, "planes": clip.planes, "budget_s": budget_s} | row, *rows]}
+
+    def _alone(self, clip: LongClip, number: int) -> dict:
+        """Return the row of one part of the recording, reconstructed as a recording of its own."""
+        part, span = self.work / f"{clip.name}-{number}", clip.spans[number]
+        if not part.exists():
+            cut_out(Recording.open(clip.recorded()), span, part)
+        row = run_to_end(self.contender, part, self.work / f"{clip.name}-{number}.run", self.budgets_s[1], _told)
+        about = {"part": ALONE, "clip": clip.name, "scene": clip.scene, "seed": clip.seed, "number": number}
+        return {"rows": [about | {"planes": len(span), "budget_s": self.budgets_s[1]} | row]}
+
+
+def _told(run: Path) -> dict:
+    """Return what a run has stored, in bytes, and the scores of its spans, if it has any."""
+    metrics = json.loads((run / "metrics.json").read_text())
+    return {"stored_bytes": (run / CHECKPOINT).stat().st_size, "spans": metrics.get("spans", [])}
+
+
+def summarise(rows: Sequence[dict]) -> dict[str, float]:
+    """Return how the whole of each clip compares with its parts alone.
+
+    `CLIP.psnr_db` and the other scores are the mean over the spans that were also reconstructed alone, less that of the
+    parts alone. `CLIP.seconds_ratio`, with the report, and `CLIP.bytes_ratio` are of a plane, `CLIP.memory_ratio` is
+    of the peaks.
+    """
+    summary: dict[str, float] = {}
+    for whole in (row for row in rows if row["part"] == WHOLE):
+        own = [row for row in rows if row["clip"] == whole["clip"]]
+        alone = [row for row in own if row["part"] == ALONE]
+        numbers = {row["number"] for row in alone}
+        spans = [row for row in own if row["part"] == SPAN and row["number"] in numbers]
+        if not alone or len(spans) != len(alone):
+            continue
+        inside, outside = means(spans, SCORES), means(alone, SCORES)
+        differences = {score: inside[score] - outside[score] for score in inside if score in outside}
+        ratios = {f"{n}_ratio": _a_plane([whole], k) / _a_plane(alone, k) for n, k in _A_PLANE.items()}
+        ratios["memory_ratio"] = whole["peak_mb"] / float(np.mean([row["peak_mb"] for row in alone]))
+        summary |= {f"{whole['clip']}.{name}": value for name, value in (differences | ratios).items()}
+    return summary
+
+
+_A_PLANE = {"seconds": "wall_s", "bytes": "stored_bytes"}
+
+
+def _a_plane(rows: Sequence[dict], key: str) -> float:
+    return sum(row[key] for row in rows) / sum(row["planes"] for row in rows)

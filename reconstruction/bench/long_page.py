@@ -1,0 +1,104 @@
+"""Writes the page and the picture of the bench of long recordings: error along them, seconds, memory, bytes."""
+
+from pathlib import Path
+
+from acquisition.durable import write_durably
+from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure, write_figure
+from reconstruction.bench.long import ALONE, SPAN, WHOLE
+from reconstruction.bench.paper.tables import markdown
+
+ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own. Every
+run is a process of its own. Seconds are wall seconds from the start of the process to the end of the report; those of a
+span are of its training alone. Bytes are those of the stored scene."""
+RUNS = (
+    ("planes", "planes", ",.0f"),
+    ("budget_s", "budget / s", ".0f"),
+    ("psnr_db", "PSNR / dB", ".2f"),
+    ("dynamic_psnr_db", "movers / dB", ".2f"),
+    ("abs_rel", "Abs Rel", ".4f"),
+    ("wall_s", "seconds", ".1f"),
+    ("steps", "steps", ",.0f"),
+    ("peak_mb", "memory / MB", ",.0f"),
+    ("stored_bytes", "bytes", ",.0f"),
+    ("stolen", "stolen", ".3f"),
+)
+SPANS = (
+    ("first_tick", "first plane", ".0f"),
+    ("last_tick", "last plane", ".0f"),
+    ("psnr_db", "PSNR / dB", ".2f"),
+    ("dynamic_psnr_db", "movers / dB", ".2f"),
+    ("abs_rel", "Abs Rel", ".4f"),
+    ("seconds", "seconds", ".1f"),
+)
+RATIOS = {
+    "psnr_db": "PSNR of the whole less that of its parts / dB",
+    "dynamic_psnr_db": "the same of movers / dB",
+    "abs_rel": "the same of the depth error",
+    "seconds_ratio": "seconds a plane, over those of the parts",
+    "memory_ratio": "peak memory, over that of the parts",
+    "bytes_ratio": "bytes a plane, over those of the parts",
+}
+LINES = (("psnr_db", "whole picture", COLOURS[0]), ("dynamic_psnr_db", "movers", COLOURS[1]))
+
+
+def write_page(path: Path, document: dict) -> None:
+    """Write the page of a document of the bench of long recordings."""
+    write_durably(path, page(document).encode())
+
+
+def page(document: dict) -> str:
+    """Return the page of a document of the bench of long recordings."""
+    device = document["device"]
+    head = (
+        f"`spike4dgs bench long`, revision {document['revision']}, {device['processor']}, {device['threads']} threads; "
+    )
+    parts = ["# Long recordings", head + "drawn from [long.json](long.json).", ABOUT.replace("\n", " ")]
+    for clip in dict.fromkeys(row["clip"] for row in document["rows"]):
+        own = [row for row in document["rows"] if row["clip"] == clip]
+        runs = [row for row in own if row["part"] in (WHOLE, ALONE)]
+        parts += [f"## {clip}", _table("run", RUNS, [(_name(row), row) for row in runs])]
+        ratios = {name: document["summary"].get(f"{clip}.{key}") for key, name in RATIOS.items()}
+        lines = [(name, f"{value:.3f}") for name, value in ratios.items() if value is not None]
+        parts += [markdown(("against the parts alone", ""), lines)] if lines else []
+        spans = [row for row in own if row["part"] == SPAN]
+        parts += [_table("span", SPANS, [(str(row["number"]), row) for row in spans])] if spans else []
+    if document["omissions"]:
+        parts += ["## Omissions", "\n".join(f"- {line}" for line in document["omissions"])]
+    return "\n\n".join(parts) + "\n"
+
+
+def plot_long(path: Path, document: dict) -> None:
+    """Draw the error along each recording, in spans and in parts alone; a document without spans has no picture."""
+    rows = document["rows"]
+    clips = list(dict.fromkeys(row["clip"] for row in rows if row["part"] == SPAN))
+    if not clips:
+        return
+    figure = new_figure("Error along a long recording", (8.6, 0.8 + 3.4 * len(clips)))
+    for axes, clip in zip(figure.subplots(len(clips), squeeze=False)[:, 0], clips, strict=True):
+        spans = [row for row in rows if row["clip"] == clip and row["part"] == SPAN]
+        alone = [row for row in rows if row["clip"] == clip and row["part"] == ALONE]
+        for score, name, colour in LINES:
+            axes.plot(
+                [(row["first_tick"] + row["last_tick"]) / 2 for row in spans if score in row],
+                [row[score] for row in spans if score in row],
+                "o-",
+                color=colour,
+                label=f"{name}, in spans",
+            )
+            middles = [(spans[row["number"]]["first_tick"] + spans[row["number"]]["last_tick"]) / 2 for row in alone]
+            found = [row[score] for row in alone]
+            axes.plot(middles, found, "s", color=colour, fillstyle="none", label=f"{name}, the part alone")
+        axes.set_title(clip, fontsize=10)
+        name_axes(axes, "plane", "PSNR of the held-out view / dB")
+        axes.legend(fontsize=8, frameon=False)
+    told = "A mark is the mean over the instants of a span that have truth."
+    write_figure(path, figure, caption(document, rows, told))
+
+
+def _name(row: dict) -> str:
+    return "in spans" if row["part"] == WHOLE else f"part {row['number']} alone"
+
+
+def _table(first: str, forms: tuple[tuple[str, str, str], ...], rows: list[tuple[str, dict]]) -> str:
+    lines = [[name, *(format(row[key], form) if key in row else "" for key, _, form in forms)] for name, row in rows]
+    return markdown((first, *(label for _, label, _ in forms)), lines)

@@ -1,0 +1,116 @@
+"""The bench of long recordings: what it makes of its rows, its page and picture, its parts, and that it resumes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.devices.open import Simulation
+from acquisition.progress import silent
+from acquisition.recording.reader import Recording
+from acquisition.session.record import simulate
+from reconstruction.bench import long
+from reconstruction.bench.long import ALONE, SPAN, WHOLE, LongBench, LongClip, summarise
+from reconstruction.bench.long_page import page, plot_long
+from reconstruction.bench.long_part import cut_out
+from reconstruction.bench.speed_run import NEW, Contender
+from reconstruction.errors import ReconstructionError
+from reconstruction.run.spans import Span
+from reconstruction.truth import Truth
+from rigs.toml import catalog_rig
+
+CONTENDER = Contender(NEW, ("spike4dgs",), Path("python"))
+SPANS = [
+    {"first_tick": 400 * i, "last_tick": 400 * i + 399, "psnr_db": 36.0 + i, "dynamic_psnr_db": 33.0, "seconds": 15.0}
+    for i in range(3)
+]
+
+
+def end(psnr_db: float, **more: object) -> dict:
+    row = {"seconds": 50.0, "wall_s": 60.0, "peak_mb": 500.0, "stored_bytes": 4_000_000, "steps": 900, "stolen": 0.0}
+    return row | {"psnr_db": psnr_db, "dynamic_psnr_db": 32.5, "abs_rel": 0.01, "revision": "abc"} | more
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A bench of one clip whose runs are not run, and the recordings that it asked to be reconstructed."""
+    asked = []
+
+    def run_to_end(contender, recording, out, budget_s, told):
+        asked.append((recording.name, budget_s))
+        whole = recording.name == "rec"
+        return end(37.0, wall_s=75.0, stored_bytes=6_000_000, spans=list(SPANS)) if whole else end(36.5)
+
+    def cut_out(recording, span, out):
+        out.mkdir(parents=True)
+
+    monkeypatch.setattr(long, "run_to_end", run_to_end)
+    monkeypatch.setattr(long, "cut_out", cut_out)
+    monkeypatch.setattr(long.Recording, "open", lambda path: None)
+    clip = LongClip("carried_boxes", 1, 1200, lambda: tmp_path / "rec")
+    return LongBench([clip], CONTENDER, tmp_path / "work", silent), asked
+
+
+def test_the_whole_and_every_so_many_parts_are_run_once(bench):
+    measured, asked = bench
+    document = measured.run()
+    assert asked == [("rec", 60.0), ("carried_boxes-1200-2", 60.0)]
+    assert [row["part"] for row in document.rows] == [WHOLE, SPAN, SPAN, SPAN, ALONE]
+    measured.run()
+    assert len(asked) == 2
+    assert "spans" not in document.rows[0]
+
+
+def test_the_whole_is_compared_with_its_parts(bench):
+    summary = bench[0].run().summary
+    clip = "carried_boxes-1200"
+    assert summary[f"{clip}.psnr_db"] == pytest.approx(38.0 - 36.5)
+    assert summary[f"{clip}.dynamic_psnr_db"] == pytest.approx(0.5)
+    assert summary[f"{clip}.seconds_ratio"] == pytest.approx(75 / 1200 / (60 / 400))
+    assert summary[f"{clip}.bytes_ratio"] == pytest.approx(6 / 1200 / (4 / 400))
+    assert summary[f"{clip}.memory_ratio"] == pytest.approx(1.0)
+
+
+def test_a_clip_without_parts_or_spans_says_nothing():
+    whole = {"part": WHOLE, "clip": "a"} | end(30.0, planes=1200)
+    assert summarise([whole]) == {}
+    assert summarise([whole, {"part": ALONE, "clip": "a", "number": 1, "planes": 400} | end(30.0)]) == {}
+
+
+def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
+    def fails(*_: object) -> dict:
+        raise ReconstructionError("found exit code 1")
+
+    measured, _ = bench
+    monkeypatch.setattr(long, "run_to_end", fails)
+    assert any("found exit code 1" in line for line in measured.run().omissions)
+    measured.time_left = lambda: False
+    assert any("no time was left" in line for line in measured.run().omissions)
+
+
+def test_page_and_picture_have_every_run(bench, tmp_path):
+    document = bench[0].run().to_json()
+    text = page(document)
+    for words in ("## carried_boxes-1200", "| in spans | 1,200 |", "| part 2 alone | 400 |", "| seconds a plane, over"):
+        assert words in text
+    plot_long(tmp_path / "long.png", document)
+    assert (tmp_path / "long.png").read_bytes().startswith(b"\x89PNG")
+    plot_long(tmp_path / "none.png", document | {"rows": []})
+    assert not (tmp_path / "none.png").exists()
+
+
+@pytest.mark.slow
+def test_a_part_has_the_planes_and_the_truth_of_the_whole(tmp_path):
+    simulate(Simulation("fan_and_ball", seed=1), catalog_rig("ci3x3"), 120, tmp_path / "rec")
+    whole = Recording.open(tmp_path / "rec")
+    cut_out(whole, Span(30, 90), tmp_path / "part")
+    part = Recording.open(tmp_path / "part")
+    assert part.planes == 60
+    for camera_id in whole.camera_ids:
+        assert np.array_equal(part.stream(camera_id).planes(0, 60), whole.stream(camera_id).planes(30, 90))
+    assert whole.truth is not None
+    assert part.truth is not None
+    known, own = Truth.open(whole.truth), Truth.open(part.truth)
+    assert own.planes("cam11") == [plane - 30 for plane in known.planes("cam11") if 30 <= plane < 90]
+    for plane in own.planes("cam11"):
+        assert np.array_equal(own.frame("cam11", plane).depth, known.frame("cam11", plane + 30).depth, equal_nan=True)
