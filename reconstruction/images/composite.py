@@ -100,6 +100,10 @@ class CompositeSource:
         """Return a recorded image [h, w] as this source has it [H, W]."""
         return image
 
+    def carried_mask(self, pixels: Mask) -> Mask:
+        """Return the pixels [H, W] of this source that a mask of recorded ones [h, w] touches."""
+        return pixels
+
     def recorded_mask(self, moving: Mask) -> Mask:
         """Return the recorded pixels [h, w] under a mask [H, W] of this source."""
         return moving

@@ -82,6 +82,10 @@ class StraightSource(CompositeSource):
         """Return a recorded image [h, w] as the view has it [H, W]."""
         return _filled(self._way.light(image), self._way.covered)
 
+    def carried_mask(self, pixels: Mask) -> Mask:
+        """Return the pixels [H, W] of the view that a mask of recorded ones [h, w] touches."""
+        return self._way.covered & self._way.touched(pixels)
+
     def recorded_mask(self, moving: Mask) -> Mask:
         """Return the recorded pixels [h, w] under a mask [H, W] of the view."""
         return self._way.touching(moving)

@@ -99,6 +99,21 @@ class Bodies:
     def __len__(self) -> int:
         return len(self.seen)
 
+    def beside(self, resting: int) -> "Bodies":
+        """Return the same bodies and one at rest, on which as many points more ride; themselves for 0."""
+        if not resting:
+            return self
+        instants = len(self.instants_s)
+        upright = np.tile([1.0, 0.0, 0.0, 0.0], (1, instants, 1))
+        return Bodies(
+            np.concatenate([self.owners, np.full(resting, len(self))]),
+            np.concatenate([self.quats_wxyz, upright]),
+            np.concatenate([self.centers, np.zeros((1, instants, 3))]),
+            self.instants_s,
+            np.concatenate([self.seen, [[0, instants - 1]]]),
+            np.concatenate([self.reasons, np.zeros(resting, self.reasons.dtype)]),
+        )
+
 
 def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
     """Return the rigid bodies among the points of movers that were swept at I instants (s), largest first.

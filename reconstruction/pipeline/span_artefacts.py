@@ -12,12 +12,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.recording.reader import Recording
+from reconstruction.images.background import Background
 from reconstruction.images.composite import CompositeSource
+from reconstruction.images.mending import mended
 from reconstruction.images.straightened import straightened
 from reconstruction.pipeline.artefacts import read_sources, read_views, short_images
 from reconstruction.run.folder import SPANS, RunFolder
@@ -30,8 +33,22 @@ PLANNED = "plan/moving_spans_{view}"  # pixels of a view that see something move
 MASKS = "images/moving_spans_{view}"  # the same, with those that show something else than the background
 BLIND = "images/blind_spans_{view}"  # spans [S] in which a view is dark
 Masks = NDArray[np.bool_]
+Mask = NDArray[np.bool_]
 Sources = dict[str, CompositeSource]
 Views = dict[str, tuple[Camera, CompositeSource]]
+
+
+class SpanView(NamedTuple):
+    """A training camera, what it sees in a span, and the pixels [H, W] of what stands there and not in most others."""
+
+    camera: Camera
+    source: CompositeSource
+    stays: Mask
+
+    @property
+    def shown(self) -> Mask:
+        """The pixels [H, W] that show something else than the still scene."""
+        return self.source.moving | self.stays
 
 
 def write_masks(run: RunFolder, name: str, view: str, masks: Masks) -> None:
@@ -62,18 +79,34 @@ def read_still_views(run: RunFolder, recording: Recording) -> Views:
     return _straight(run, recording, sources)
 
 
-def read_span_views(run: RunFolder, recording: Recording, number: int, span: Span) -> Views:
-    """Return the training cameras and what they see in the planes of `span`, where the span `number` shows movers."""
-    return _straight(run, recording, _span_sources(run, recording, number, span))
+def read_span_views(run: RunFolder, recording: Recording, number: int, span: Span) -> dict[str, SpanView]:
+    """Return the training cameras and what they see in the planes of `span`, as the span `number` shows it."""
+    sources = _span_sources(run, recording, number, span)
+    views = _straight(run, recording, sources)
+    stays = {view: _stays(run, view, number, source.moving.shape) for view, source in sources.items()}
+    return {view: SpanView(*seen, seen[1].carried_mask(stays[view])) for view, seen in views.items()}
+
+
+def _stays(run: RunFolder, view: str, number: int, size: tuple[int, ...]) -> Mask:
+    """Return the recorded pixels [H, W] that show what stands there in the span `number`, and not the background."""
+    shown, moving = (read_masks(run, name, view, (size[0], size[1]))[number] for name in (MASKS, PLANNED))
+    return shown & ~moving
 
 
 def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span) -> Sources:
-    sources = {}
+    """Return the images of `span`; where something stands in the span `number`, that is their background."""
+    own, sources = run.plan.spans[number], {}
     for view, whole in read_sources(run, recording).items():
         if run.read_array(BLIND.format(view=view))[number]:
             continue
-        mask = read_masks(run, MASKS, view, whole.moving.shape)[number]
-        sources[view] = whole.part(span.first, span.last).retargeted(mask, partial(short_images, run.plan))
+        moving = read_masks(run, PLANNED, view, whole.moving.shape)[number]
+        stays, part = _stays(run, view, number, moving.shape), whole.part(span.first, span.last)
+        if stays.any():
+            light = whole.counts(own.first, own.last) / np.float32(len(own) * whole.light.over(own.first, own.last))
+            still = whole.background
+            image = np.where(stays, mended(light, whole.useless(own.last)), still.image)
+            part = replace(part, background=Background(image, still.trusted | stays, still.stuck))
+        sources[view] = part.retargeted(moving, partial(short_images, run.plan))
     return sources
 
 
@@ -91,7 +124,9 @@ def read_targets(run: RunFolder, recording: Recording) -> Views:
     views = read_views(run, recording)
     if not run.plan.spans:
         return views
-    parts = _parts(lambda number, span: {v: s for v, (_, s) in read_span_views(run, recording, number, span).items()})
+    parts = _parts(
+        lambda number, span: {v: seen.source for v, seen in read_span_views(run, recording, number, span).items()}
+    )
     return {v: (camera, _spanned(run, source, parts, v)) for v, (camera, source) in views.items()}
 
 

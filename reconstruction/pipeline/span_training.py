@@ -3,7 +3,7 @@
 Nothing of a span depends on another, so they can be learnt in any order; each ends in a file of its own.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,24 +16,25 @@ from acquisition.recording.reader import Recording
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanCloud, SpanContent
-from reconstruction.images.composite import CompositeSource
+from reconstruction.images.background import dimming
 from reconstruction.initialization.bodies import Bodies, find_bodies
-from reconstruction.initialization.points import Points, Seeds
+from reconstruction.initialization.points import Points, Seeds, sample_points
+from reconstruction.initialization.pyramid import swept_maps
+from reconstruction.initialization.sweep import NOISE, SweepOptions, depth_range_m
 from reconstruction.losses.picture import inverse_depth
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.artefacts import short_images
 from reconstruction.pipeline.points_stage import moving_planes, moving_points
-from reconstruction.pipeline.span_artefacts import Views, read_span_views, read_still_views
+from reconstruction.pipeline.span_artefacts import SpanView, read_span_views, read_still_views
 from reconstruction.pipeline.train_stage import settings_of
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
-from reconstruction.run.spans import OVERLAP
+from reconstruction.run.spans import OVERLAP, STILL_SHARE
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.changed_pixels import look_again, unsettled
 from reconstruction.training.trainer import Trainer, train
 from reconstruction.training.view import TrainingView
-from rigs.camera import Camera
 
 OnStep = Callable[[Trainer, float, float], None]  # of a trainer, the share that is done, and the loss
 Done = Callable[[int], float]  # the share of a training that is done after so many steps
@@ -76,9 +77,8 @@ def learn_span(
     span, rate_hz = run.plan.spans[number], recording.rig.tick_rate_hz
     grown = span.grown(OVERLAP, recording.planes)
     seen = _looked_at_again(run, read_span_views(run, recording, number, grown))
-    views = [TrainingView(camera, source, focus=_around(source.moving)) for camera, source in seen.values()]
-    share = float(np.mean([view.source.moving.mean() for view in views]))
-    cloud, changed = _started(run, recording, seen, still, (len(grown), _movers(run, share)))
+    views = [TrainingView(one.camera, one.source, focus=_around(one.shown)) for one in seen]
+    cloud, changed = _started(run, recording, seen, still, len(grown))
     light = artefacts.read_light(run)
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains[grown.first : grown.last])
@@ -89,14 +89,14 @@ def learn_span(
     return SpanContent.of(TimeSpan(span.first / rate_hz, span.last / rate_hz), changed, cloud)
 
 
-def _looked_at_again(run: RunFolder, seen: Views) -> Views:
+def _looked_at_again(run: RunFolder, seen: Mapping[str, SpanView]) -> list[SpanView]:
     """Return the views with those pixels among the moving ones that change too little for the plan to tell."""
-    views, changed = list(seen), look_again([TrainingView(*one) for one in seen.values()])
-    found = dict(seen)
-    for i, mask in changed.items():
-        camera, source = seen[views[i]]
-        found[views[i]] = camera, source.retargeted(source.moving | mask, partial(short_images, run.plan))
-    return found
+    views = list(seen.values())
+    for i, mask in look_again([TrainingView(one.camera, one.source) for one in views]).items():
+        source = views[i].source
+        source = source.retargeted(source.moving | mask, partial(short_images, run.plan))
+        views[i] = views[i]._replace(source=source, stays=views[i].stays & ~mask)
+    return views
 
 
 def _around(moving: NDArray[np.bool_]) -> torch.Tensor:
@@ -104,38 +104,47 @@ def _around(moving: NDArray[np.bool_]) -> torch.Tensor:
     return torch.from_numpy(cv2.dilate(moving.astype(np.float32), np.ones((2 * FOCUS_PX + 1,) * 2, np.uint8)))
 
 
-def _movers(run: RunFolder, share: float) -> int:
-    """Return the number of moving Gaussians of a span in which movers have this share of the pixels."""
-    facts = next(d.facts for d in run.plan.decisions if d.about == "spans")
-    usual = float(facts["moving_share"])
-    return round(run.plan.moving_gaussians * min(MOST_MOVING, share / max(usual, 1e-9)))
-
-
 def _started(
-    run: RunFolder, recording: Recording, seen: Views, still: GaussianCloud, size: tuple[int, int]
+    run: RunFolder, recording: Recording, seen: Sequence[SpanView], still: GaussianCloud, planes: int
 ) -> tuple[SpanCloud, torch.Tensor]:
-    """Return the start of a span of so many planes with so many movers, and which still Gaussians it may change."""
-    planes, count = size
-    sources, cameras = {view: source for view, (_, source) in seen.items()}, [camera for camera, _ in seen.values()]
-    swept, clock = moving_planes(planes, run.plan.model), recording.rig.clock
-    instants = [clock.instant_s(plane) for plane in swept]
-    rng = np.random.default_rng(run.config.seed)
-    parts = [moving_points(sources, cameras, at, count // INSTANTS, rng) for at in zip(swept, instants, strict=True)]
-    moving = Points.joined(parts)
+    """Return the start of a span of so many planes, and which still Gaussians [C] it may change."""
+    rng, clock, cameras = np.random.default_rng(run.config.seed), recording.rig.clock, [one.camera for one in seen]
+    instants = {plane: clock.instant_s(plane) for plane in moving_planes(planes, run.plan.model)}
+    moving, resting = _moving(run, seen, instants, rng), _resting(run, seen, rng)
     clip = TimeSpan(0.0, planes / recording.rig.tick_rate_hz)
-    bodies = lambda: find_bodies(moving, instants)  # noqa: E731
-    seeds = Seeds(Points.none(), moving, clip, INSTANTS, run.config.seed, cameras, bodies)
+    bodies = lambda: find_bodies(moving, list(instants.values())).beside(len(resting))  # noqa: E731
+    points = Points.joined([moving, resting])
+    seeds = Seeds(Points.none(), points, clip, INSTANTS, run.config.seed, cameras, bodies)
     begun = METHODS[run.plan.model].start(seeds)
     assert isinstance(begun, DynamicCloud)
-    near = _near(still, cameras, list(sources.values()))
-    changed = torch.nonzero(near).squeeze(1)
-    own = still.select(near)
+    near = unsettled(still.means, cameras, {i: one.shown for i, one in enumerate(seen)})
+    own, changed = still.select(near), torch.nonzero(near).squeeze(1)
     return SpanCloud(own, begun.moving, begun.motion, clip, common=still.select(~near)), changed
 
 
-def _near(still: GaussianCloud, cameras: list[Camera], sources: list[CompositeSource]) -> torch.Tensor:
-    """Return which still Gaussians [N] a span may show otherwise: those seen where it differs from the background."""
-    return unsettled(still.means, cameras, {i: source.moving for i, source in enumerate(sources)})
+def _moving(
+    run: RunFolder, seen: Sequence[SpanView], instants: Mapping[int, float], rng: np.random.Generator
+) -> Points:
+    """Return the points of what moves at `instants` (s) of planes: as many as the plan has for so many pixels."""
+    share = float(np.mean([one.source.moving.mean() for one in seen]))
+    usual = float(next(d.facts for d in run.plan.decisions if d.about == "spans")["moving_share"])
+    count = round(run.plan.moving_gaussians * min(MOST_MOVING, share / max(usual, 1e-9))) // INSTANTS
+    if not count:
+        return Points.none()
+    sources, cameras = {one.camera.id: one.source for one in seen}, [one.camera for one in seen]
+    return Points.joined([moving_points(sources, cameras, at, count, rng) for at in instants.items()])
+
+
+def _resting(run: RunFolder, seen: Sequence[SpanView], rng: np.random.Generator) -> Points:
+    """Return the points of what stands in the span and not in others: as dense as those of the still scene."""
+    share = float(np.mean([one.stays.mean() for one in seen]))
+    if share < STILL_SHARE:
+        return Points.none()
+    cameras, images = [one.camera for one in seen], [one.source.background.image for one in seen]
+    noise = NOISE * dimming(float(np.mean([one.source.white for one in seen])))
+    masks = [one.stays for one in seen]
+    maps = swept_maps(cameras, images, SweepOptions(*depth_range_m(cameras), noise=noise), masks)
+    return sample_points(maps, images, masks, round(share * run.plan.still_gaussians), 0.0, rng)
 
 
 def _no_bodies() -> Bodies:
