@@ -6,134 +6,158 @@ evaluated by the browser: `means` are at each Gaussian's own instant, `opacities
 `keyframes`, K even instants over the clip: `means` to `scales` are those of the middle key, `opacities` the largest of
 any key, and neighbouring quaternions lie in one hemisphere, so that they can be interpolated as numbers. Flickering
 light is shown steady. Gaussians that are under 1/255 all the time are left out.
+
+A scene of spans has version 2. Its `arrays` are those of the still Gaussians alone, at the beginning of `viewer.bin`.
+Each of `spans` has its own bytes, `length` from `offset` on, and says where its arrays begin in them. `changed` [C]
+uint32 are still Gaussians, numbered as they are stored, that have `changed_opacities` and `changed_intensities` in this
+span. The other arrays are those of M movers as above, over a clip of their own, `clip_s`, which may reach over the ends
+of the span.
 """
 
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from acquisition.durable import write_durably, write_json
+from acquisition.durable import made_aside, write_durably, write_json
 from reconstruction.export.scene import Choices, Scene
-from reconstruction.export.splats import Floats, floats, linear_scales
-from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
-from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.polynomial import PolynomialMotion
-from reconstruction.quaternions import unit
+from reconstruction.export.splats import floats
+from reconstruction.export.viewer_arrays import Arrays, motion_of, moving_arrays, still_arrays
+from reconstruction.gaussians.spanned import SpanContent, SpannedScene
 from reconstruction.rendering.reference import ALPHA_MIN
 from reconstruction.report.display import depth_span_m
 from rigs.camera import Camera
 
 VERSION = 1
-KEYFRAMES = 24
+SPANNED_VERSION = 2
 EMPTY_M = 1.5  # distance to look at where nothing is seen, m
-
-Arrays = dict[str, Floats]
 
 
 def write_viewer(folder: Path, scene: Scene) -> None:
     """Write both files into `folder`, last the one that names the other's contents."""
-    document, data = viewer_of(scene)
-    write_durably(folder / "viewer.bin", data)
+    path = folder / "viewer.bin"
+    if isinstance(scene.cloud, SpannedScene):
+        document = _write_spans(path, scene, scene.cloud)
+    else:
+        document, data = viewer_of(scene)
+        write_durably(path, data)
     write_json(folder / "viewer.json", document)
 
 
 @torch.no_grad()
 def viewer_of(scene: Scene) -> tuple[dict, bytes]:
-    """Return the document of `viewer.json` and the bytes of `viewer.bin`."""
+    """Return the document of `viewer.json` and the bytes of `viewer.bin` of a scene without spans."""
     cloud = scene.gaussians_at(scene.cloud.clip.middle_s)
-    still = _still(cloud)
-    moving = _polynomial(cloud, cloud.motion) if type(cloud.motion) is PolynomialMotion else _keyframes(cloud)
+    still = still_arrays(cloud.still.select(cloud.still.opacity_logits.sigmoid() >= ALPHA_MIN))
+    moving = moving_arrays(cloud)
     count, movers = len(still["means"]), len(moving["means"])
     arrays = {name: np.concatenate([array, moving[name]]) for name, array in still.items()}
     arrays["intensities"] = arrays["intensities"] / np.float32(scene.white)
     arrays |= {name: array for name, array in moving.items() if name not in still and movers}
     places, data = {}, b""
     for name, array in arrays.items():
-        places[name] = {"offset": len(data), "shape": list(array.shape), "dtype": "float32"}
-        data += np.ascontiguousarray(array, "<f4").tobytes()
-    clip = scene.cloud.clip
-    document = {
-        "version": VERSION,
-        "count": count + movers,
-        "still": count,
+        places[name] = _place(array, len(data))
+        data += _raw(array)
+    return {**_counts(scene, VERSION, count, movers), **motion_of(arrays), **_surroundings(scene, places)}, data
+
+
+@torch.no_grad()
+def _write_spans(path: Path, scene: Scene, cloud: SpannedScene) -> dict:
+    """Write the bytes of a scene of spans, one span in memory at a time; return its document."""
+    kept = _ever_seen(cloud)
+    still, spans = still_arrays(cloud.still.select(kept)), []
+    still["intensities"] = still["intensities"] / np.float32(scene.white)
+    with made_aside(path) as aside, aside.open("wb") as file:
+        places = {
+            name: _place(array, start) for (name, array), start in zip(still.items(), _append(file, still), strict=True)
+        }
+        for content in cloud.spans:
+            spans.append(_write_span(file, content, kept, scene.white))
+    counts = _counts(scene, SPANNED_VERSION, len(still["means"]), sum(span["moving"] for span in spans))
+    return {**counts, **_surroundings(scene, places), "spans": spans}
+
+
+def _ever_seen(cloud: SpannedScene) -> Tensor:
+    """Return which still Gaussians [N] are seen in the recording as a whole or in any span."""
+    seen = cloud.still.opacity_logits.sigmoid() >= ALPHA_MIN
+    for content in cloud.spans:
+        seen[content.changed[content.opacity_logits.sigmoid() >= ALPHA_MIN]] = True
+    return seen
+
+
+def _write_span(file: IO[bytes], content: SpanContent, kept: Tensor, white: float) -> dict:
+    """Append the arrays of a span; return what the document says of it."""
+    moving = moving_arrays(content.cloud) if content.cloud else {}
+    movers = len(moving["means"]) if moving else 0
+    arrays = _changed(content, kept)
+    changed = len(arrays["changed"]) if arrays else 0
+    arrays |= moving if movers else {}
+    for name in {"intensities", "changed_intensities"} & arrays.keys():
+        arrays[name] = arrays[name] / np.float32(white)
+    offset = file.tell()
+    starts = _append(file, arrays)
+    clip = content.cloud.clip if content.cloud else content.clip
+    return {
+        "first_s": content.clip.first_s,
+        "last_s": content.clip.last_s,
+        "offset": offset,
+        "length": file.tell() - offset,
+        "changed": changed,
         "moving": movers,
+        "clip_s": [clip.first_s, clip.last_s],
+        **motion_of(arrays),
+        "arrays": {name: start - offset for name, start in zip(arrays, starts, strict=True)},
+    }
+
+
+def _changed(content: SpanContent, kept: Tensor) -> Arrays:
+    """Return what a span shows otherwise of the still Gaussians that are kept, numbered among these."""
+    own = kept[content.changed]
+    if not own.any():
+        return {}
+    return {
+        "changed": (kept.cumsum(0) - 1)[content.changed[own]].numpy(),
+        "changed_opacities": floats(content.opacity_logits[own].sigmoid()),
+        "changed_intensities": floats(content.intensities[own, 0]),
+    }
+
+
+def _append(file: IO[bytes], arrays: Arrays) -> list[int]:
+    """Append arrays to a file; return where each begins."""
+    starts = []
+    for array in arrays.values():
+        starts.append(file.tell())
+        file.write(_raw(array))
+    return starts
+
+
+def _raw(array: NDArray[Any]) -> bytes:
+    return np.ascontiguousarray(array, "<f4" if array.dtype.kind == "f" else "<u4").tobytes()
+
+
+def _place(array: NDArray[Any], offset: int) -> dict:
+    return {"offset": offset, "shape": list(array.shape), "dtype": "float32"}
+
+
+def _counts(scene: Scene, version: int, still: int, moving: int) -> dict:
+    clip = scene.cloud.clip
+    return {
+        "version": version,
+        "count": still + moving,
+        "still": still,
+        "moving": moving,
         "clip_s": [clip.first_s, clip.last_s],
         "white": scene.white,
         "model": scene.model,
-        **_motion_of(arrays),
-        "arrays": places,
-        "cameras": [_camera_table(camera, scene.holdout) for camera in scene.rig.cameras],
-        **_seen(scene),
-    }
-    return document, data
-
-
-def _still(cloud: DynamicCloud) -> Arrays:
-    still = cloud.still
-    still = still.select(still.opacity_logits.sigmoid() >= ALPHA_MIN)
-    return _base(still.means, still.quats_wxyz, still.log_scales, still.opacity_logits.sigmoid(), still.intensities)
-
-
-def _base(means: Tensor, quats: Tensor, log_scales: Tensor, opacities: Tensor, intensities: Tensor) -> Arrays:
-    """Return the arrays that still and moving Gaussians share."""
-    return {
-        "means": floats(means),
-        "quats_wxyz": floats(unit(quats)),
-        "scales": linear_scales(log_scales),
-        "opacities": floats(opacities),
-        "intensities": floats(intensities[:, 0]),
     }
 
 
-def _polynomial(cloud: DynamicCloud, motion: PolynomialMotion) -> Arrays:
-    moving, opacities = cloud.moving, cloud.moving.opacity_logits.sigmoid()
-    durations = motion.log_durations.exp().clamp(LEAST_DURATION, MOST_DURATION)
-    away = (motion.instants - motion.instants.clamp(0, 1)) / durations  # from the clip, where an instant is beyond it
-    kept = opacities * torch.exp(-away.square() / 2) >= ALPHA_MIN
-    arrays = _base(moving.means, moving.quats_wxyz, moving.log_scales, opacities, moving.intensities)
-    arrays |= {"velocities": floats(motion.velocities)}
-    if len(motion.accelerations):
-        arrays |= {"accelerations": floats(motion.accelerations), "jerks": floats(motion.jerks)}
-    arrays |= {"instants": floats(motion.instants), "durations": floats(durations)}
-    return {name: array[kept.numpy()] for name, array in arrays.items()}
-
-
-def _keyframes(cloud: DynamicCloud) -> Arrays:
-    moving = cloud.moving
-    keys = [cloud.motion.at(moving, k / (KEYFRAMES - 1)) for k in range(KEYFRAMES)] if len(moving) else []
-    if not keys:
-        return _base(moving.means, moving.quats_wxyz, moving.log_scales, moving.opacity_logits, moving.intensities)
-    opacities = torch.stack([key.opacities for key in keys])
-    most = opacities.amax(dim=0)
-    kept = most >= ALPHA_MIN
-    middle = keys[KEYFRAMES // 2]
-    arrays = _base(middle.means, middle.quats_wxyz, middle.log_scales, most, middle.intensities)
-    tracks = {
-        "key_means": floats(torch.stack([key.means for key in keys])),
-        "key_quats": _one_hemisphere(floats(torch.stack([unit(key.quats_wxyz) for key in keys]))),
-        "key_opacities": floats(opacities),
-    }
-    if any(not torch.equal(key.log_scales, middle.log_scales) for key in keys):
-        tracks["key_scales"] = np.stack([linear_scales(key.log_scales) for key in keys])
-    chosen = kept.numpy()
-    return {name: a[chosen] for name, a in arrays.items()} | {name: a[:, chosen] for name, a in tracks.items()}
-
-
-def _one_hemisphere(quats: Floats) -> Floats:
-    """Return quaternions [K, M, 4] with signs that put each into the hemisphere of the one before it."""
-    turned = np.where((quats[1:] * quats[:-1]).sum(axis=-1) < 0, -1, 1).astype(np.float32)
-    signs = np.concatenate([np.ones_like(turned[:1]), turned]).cumprod(axis=0)
-    return quats * signs[..., None]
-
-
-def _motion_of(arrays: Arrays) -> dict:
-    """Return what the document says of the motion, told by the arrays there are."""
-    if "key_means" in arrays:
-        return {"motion": "keyframes", "degree": 0, "keyframes": KEYFRAMES}
-    degree = 3 if "jerks" in arrays else 1 if "velocities" in arrays else 0
-    return {"motion": "polynomial" if degree else "static", "degree": degree, "keyframes": 0}
+def _surroundings(scene: Scene, places: dict) -> dict:
+    cameras = [_camera_table(camera, scene.holdout) for camera in scene.rig.cameras]
+    return {"arrays": places, "cameras": cameras, **_seen(scene)}
 
 
 def _camera_table(camera: Camera, holdout: str | None) -> dict:

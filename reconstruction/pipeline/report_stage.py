@@ -98,7 +98,7 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
         curve = aside.submit(_write_curve, trained, rows, metrics)
         write_orbit(orbit, trained.cloud, rig, trained.camera, trained.white, part(progress, 0.5, 0.9))
         narrow_curve = curve.result()
-    if isinstance(trained.cloud, DynamicCloud):
+    if isinstance(trained.cloud, DynamicCloud | SpannedScene):
         write_viewer(run.path, scene_of(run, trained.recording, trained.cloud))
     _write_page(trained, metrics, narrow_curve)
     progress(1.0, f"{run.path / 'report.html'}")

@@ -26,7 +26,7 @@ _FILES = {  # address: (file, content security policy)
     "/large.css": ("large.css", _PLAIN),
     "/page.js": ("page.js", _PLAIN),
 }
-_VIEWER_SCRIPTS = "viewer scene motion splats picture view cameras compare controls sharing vendor/spark"
+_VIEWER_SCRIPTS = "viewer scene spans motion splats picture view cameras compare controls sharing vendor/spark"
 _OPERATOR_FILES = sorted(path.name for path in (_FOLDER / "operator").glob("*.js"))
 _VIEWER_FILES = ["viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS.split())]
 

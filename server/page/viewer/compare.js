@@ -4,12 +4,12 @@ import { byId } from '../operator/dom.js';
 import { fit } from './view.js';
 
 const MOST_KEPT = 400; // pictures in this browser
-const PLAYED = 50; // pictures of a pass while the clip plays
+const PLAYED = 50; // pictures of a span while the clip plays
 
 export class Compare {
-  /** `job` is its id, `clip` its first and last second; `changed` is called when another frame is due. */
-  constructor(job, clip, changed) {
-    Object.assign(this, { job: encodeURIComponent(job), clip, changed, wanted: false, about: null, fault: '' });
+  /** `job` is its id, `clip` its first and last second, in so many spans; `changed` is called when a frame is due. */
+  constructor(job, clip, spans, changed) {
+    Object.assign(this, { job: encodeURIComponent(job), clip, spans, changed, wanted: false, about: null, fault: '' });
     this.canvas = byId('shot');
     this.kept = new Map(); // "camera/plane" to a bitmap
     this.shown = null; // what the canvas has
@@ -65,7 +65,7 @@ export class Compare {
   #plane(u, running) {
     const [first, last] = this.clip;
     const rate = this.about.tick_rate_hz;
-    const step = running ? Math.max(1, Math.ceil((last - first) * rate / PLAYED)) : 1;
+    const step = running ? Math.max(1, Math.ceil((last - first) * rate / this.spans / PLAYED)) : 1;
     const plane = Math.floor((first + u * (last - first)) * rate + 1e-6);
     return Math.min(Math.max(Math.floor(plane / step) * step, 0), this.about.planes - 1);
   }

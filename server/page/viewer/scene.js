@@ -1,31 +1,67 @@
-// Fetches viewer.json and viewer.bin of a job and checks that they fit together.
+// Fetches viewer.json and viewer.bin of a job, whole or span by span, and checks that they fit together.
 import { request } from '../operator/api.js';
 import { artefact } from '../operator/media.js';
 
-const VERSION = 1;
+const [VERSION, SPANNED_VERSION] = [1, 2];
 const OPTIONAL = ['accelerations', 'jerks', 'key_scales'];
 const MOTIONS = ['static', 'polynomial', 'keyframes'];
 
 export class SceneError extends Error {}
 
-/** Return the scene of a job: {manifest, arrays}, each array a Float32Array. Throws SceneError. */
+/**
+ * Return the scene of a job: {manifest, arrays}, each array a Float32Array. Throws SceneError.
+ * A scene of spans has the arrays of what stands still, and beside them `job` and the `tag` of viewer.bin.
+ */
 export async function loadScene(job, progress = () => {}) {
   const manifest = await (await fetched(job, 'viewer.json')).json().catch(() => fault('no JSON', 'a manifest'));
   checkManifest(manifest);
+  if (manifest.spans) return loadStill(job, manifest, progress);
   const bytes = await download(await fetched(job, 'viewer.bin'), progress);
   return { manifest, arrays: arraysOf(manifest, bytes) };
 }
 
-async function fetched(job, name) {
+async function loadStill(job, manifest, progress) {
+  const shapes = { ...manifest, count: manifest.still, moving: 0 };
+  const length = Math.min(...manifest.spans.map(({ offset }) => offset));
+  const { bytes, tag } = await downloadRange(job, { offset: 0, length }, { progress });
+  return { manifest, arrays: arraysOf(shapes, bytes), job, tag };
+}
+
+/** Return span `number` of a scene as a scene of its movers, with what it `changed`. Throws SceneError, or AbortError. */
+export async function loadSpan({ manifest: { spans, still }, job, tag }, number, { signal, progress }) {
+  const span = spans[number];
+  const manifest = { ...span, count: span.moving, still: 0 };
+  const { bytes } = await downloadRange(job, span, { signal, progress, tag });
+  const arrays = arraysOf(manifest, bytes, { ...changesOf(span), ...(span.moving > 0 && shapesOf(manifest)) });
+  if (arrays.changed?.some((index) => index >= still)) fault('a changed Gaussian beyond the still ones', `${still} of them`);
+  return { manifest, arrays };
+}
+
+/** Return the bytes of a range of viewer.bin and the file's tag, which must be `tag` where there is one. */
+async function downloadRange(job, { offset, length }, { signal, progress = () => {}, tag }) {
+  if (length === 0) return { bytes: new ArrayBuffer(0), tag };
+  const response = await fetched(job, 'viewer.bin', { signal, headers: { Range: `bytes=${offset}-${offset + length - 1}` } });
+  const found = response.headers.get('ETag');
+  if (response.status !== 206 || (tag && found !== tag)) {
+    await response.body.cancel();
+    throw new SceneError(`viewer.bin: found ${response.status === 206 ? 'another one than before; reload' : 'a server without ranges'}`);
+  }
+  const bytes = await download(response, progress, '');
+  if (bytes.byteLength !== length) fault(`${bytes.byteLength} bytes at ${offset}`, `${length}`, 'viewer.bin');
+  return { bytes, tag: found };
+}
+
+async function fetched(job, name, options) {
   try {
-    return await request(artefact(encodeURIComponent(job), name));
+    return await request(artefact(encodeURIComponent(job), name), options);
   } catch (error) {
+    if (error.name === 'AbortError') throw error;
     if (error.status === 401) throw new SceneError('The service asks for a token; enter it on the first page.');
     throw new SceneError(error.status ? `Job ${job} has no ${name} to show: ${error.message}` : error.message);
   }
 }
 
-async function download(response, progress) {
+async function download(response, progress, advice = '; reload') {
   const total = Number(response.headers.get('Content-Length')) || 0;
   const parts = [];
   let received = 0;
@@ -37,7 +73,8 @@ async function download(response, progress) {
       progress(received, total);
     }
   } catch (error) {
-    throw new SceneError(`viewer.bin: found ${received} bytes and a broken connection (${error.message}); reload`);
+    if (error.name === 'AbortError') throw error;
+    throw new SceneError(`viewer.bin: found ${received} bytes and a broken connection (${error.message})${advice}`);
   }
   return new Blob(parts).arrayBuffer();
 }
@@ -47,8 +84,10 @@ function fault(found, expected, name = 'viewer.json') {
 }
 
 function checkManifest(manifest) {
-  if (manifest?.version !== VERSION) fault(`version ${manifest?.version}`, VERSION);
-  if (!MOTIONS.includes(manifest.motion)) fault(`motion ${manifest.motion}`, MOTIONS.join(', '));
+  const expected = manifest?.spans ? SPANNED_VERSION : VERSION;
+  if (manifest?.version !== expected) fault(`version ${manifest?.version}`, expected);
+  if (manifest.spans) checkSpans(manifest);
+  else if (!MOTIONS.includes(manifest.motion)) fault(`motion ${manifest.motion}`, MOTIONS.join(', '));
   const { count, still, moving, clip_s: clip, cameras, centre, depth_m: depth } = manifest;
   if (![count, still, moving].every((n) => Number.isInteger(n) && n >= 0) || still + moving !== count || count === 0) {
     fault(`${still} still and ${moving} moving Gaussians of ${count}`, 'counts that add up to one or more');
@@ -60,6 +99,17 @@ function checkManifest(manifest) {
     fault('cameras that cannot be used', 'size, fx fy cx cy and cam_from_rig of each');
   }
 }
+
+function checkSpans({ spans, moving }) {
+  if (!Array.isArray(spans) || spans.length === 0 || !spans.every(isSpan)) {
+    fault('spans that cannot be used', 'first_s, last_s, clip_s, offset, length and counts of each');
+  }
+  if (!spans.every(({ first_s: first }, k) => k === 0 || spans[k - 1].first_s < first)) fault('spans in disorder', 'them in order of time');
+  if (spans.reduce((sum, span) => sum + span.moving, 0) !== moving) fault(`${moving} moving Gaussians`, 'as many as in all spans');
+}
+
+const isSpan = (span) => numbers([span.first_s, span.last_s, ...(span.clip_s ?? [])], 4) && MOTIONS.includes(span.motion)
+  && [span.offset, span.length, span.changed, span.moving].every((n) => Number.isInteger(n) && n >= 0);
 
 const numbers = (list, length) => Array.isArray(list) && list.length === length && list.every(Number.isFinite);
 
@@ -76,10 +126,13 @@ function shapesOf({ count, moving, motion, keyframes }) {
   return { ...stored, ...keys };
 }
 
-function arraysOf(manifest, bytes) {
+const changesOf = ({ changed }) => (changed > 0 ? { changed: [changed], changed_opacities: [changed], changed_intensities: [changed] } : {});
+
+function arraysOf(manifest, bytes, shapes = shapesOf(manifest)) {
   const arrays = {};
-  for (const [name, shape] of Object.entries(shapesOf(manifest))) {
-    const entry = manifest.arrays?.[name];
+  for (const [name, shape] of Object.entries(shapes)) {
+    const place = manifest.arrays?.[name]; // a span says where an array begins and no more
+    const entry = Number.isInteger(place) ? { offset: place, shape, dtype: 'float32' } : place;
     if (entry) arrays[name] = view(name, entry, shape, bytes);
     else if (!OPTIONAL.includes(name)) fault(`no array ${name}`, 'one');
   }
@@ -92,5 +145,5 @@ function view(name, entry, shape, bytes) {
   const length = shape.reduce((product, n) => product * n, 1);
   const end = entry.offset + 4 * length;
   if (end > bytes.byteLength) fault(`${bytes.byteLength} bytes`, `${end} or more for ${name}`, 'viewer.bin');
-  return new Float32Array(bytes, entry.offset, length);
+  return new (name === 'changed' ? Uint32Array : Float32Array)(bytes, entry.offset, length);
 }

@@ -4,15 +4,18 @@ import { headingOf } from '../operator/naming.js';
 import { SceneError, loadScene } from './scene.js';
 
 const SAID_MS = 8000;
-const PASS_S = 4; // seconds that a clip lasts on the screen at speed 1
+const PASS_S = 4; // seconds that a clip, or a span of a long one, lasts on the screen at speed 1
+const FASTER = [64, 16, 4]; // speeds of recordings of as many spans
 
 function say(text, failed = false) {
   Object.assign(byId('message'), { textContent: text, hidden: !text, className: failed ? 'failed' : '', role: failed ? 'alert' : 'status' });
 }
 
-/** The time shown: u in [0, 1] of the clip, and whether it runs. */
+/** The time shown: u in [0, 1] of the clip, whether it runs, and whether it waits for what is to be shown. */
 class Clock {
-  constructor([first, last], changed) {
+  constructor([first, last], pass_s, changed) {
+    this.pass_s = pass_s;
+    this.waits = false;
     this.lasts_ms = (last - first) * 1000;
     this.changed = changed;
     this.clip = [first, last];
@@ -26,7 +29,7 @@ class Clock {
 
   set instant_s(value) { this.seek((value - this.clip[0]) / Math.max(this.clip[1] - this.clip[0], Number.MIN_VALUE)); }
 
-  get factor() { return PASS_S * 1000 / this.speed / this.lasts_ms; }
+  get factor() { return this.pass_s * 1000 / this.speed / this.lasts_ms; }
 
   tell() {
     const text = `${(this.u * this.lasts_ms).toFixed(2)} of ${this.lasts_ms.toFixed(2)} ms`;
@@ -48,11 +51,17 @@ class Clock {
     this.seek(this.u);
   }
 
+  stop() {
+    this.running = false;
+    this.tell();
+  }
+
   /** Advance to `now`; return whether the time changed. */
   tick(now) {
-    if (!this.running) return false;
-    this.u = (this.u + Math.max(now - this.before, 0) / 1000 / PASS_S * this.speed) % 1;
+    const [before, passes] = [this.before, this.running && !this.waits];
     this.before = now;
+    if (!passes) return false;
+    this.u = (this.u + Math.max(now - before, 0) / 1000 / this.pass_s * this.speed) % 1;
     this.tell();
     return true;
   }
@@ -64,11 +73,14 @@ class Player {
     const { cameras } = scene.manifest;
     this.view = new parts.View(cameras, scene.manifest.centre);
     this.view.enter(cameras.find((camera) => camera.held_out) ?? cameras[0]);
-    this.compare = new parts.Compare(job, scene.manifest.clip_s, () => this.request());
+    const spans = scene.manifest.spans?.length ?? 1;
+    this.compare = new parts.Compare(job, scene.manifest.clip_s, spans, () => this.request());
     this.cameras = new parts.Cameras(scene.manifest, byId('names'), byId('edge'));
     this.splats = parts.makeSplats(scene);
     this.picture = new parts.Picture(canvas, this.splats.mesh, this.cameras.scene, scene.manifest, () => this.request());
-    this.clock = new Clock(scene.manifest.clip_s, () => { this.moved = true; this.request(); });
+    this.spans = scene.manifest.spans && new parts.Spans(scene, this.splats, () => this.request(), (line) => this.fail(line));
+    this.clock = new Clock(scene.manifest.clip_s, PASS_S * spans, () => this.seek());
+    this.moved = true;
     this.depths = scene.manifest.depth_m;
     this.due = false;
     this.frames = 0;
@@ -76,6 +88,26 @@ class Player {
     this.size = this.picture.resize();
     parts.steer(canvas, this.view, () => this.size, () => this.request());
     canvas.addEventListener('webglcontextlost', () => say('found the graphics device gone; reload the page', true));
+  }
+
+  seek() {
+    this.moved = true;
+    if (this.spans?.again()) tell('');
+    this.request();
+  }
+
+  fail(line) {
+    this.clock.stop();
+    tell(line, true);
+  }
+
+  /** Show the instant of the clock, or let it wait until that is here. */
+  arrive() {
+    const { clock, spans, splats } = this;
+    if (spans) clock.waits = !spans.moveTo(clock.instant_s, clock.running);
+    else splats.moveTo(clock.u);
+    byId('save').disabled = clock.waits; // its name would have another instant than its picture
+    this.moved = false;
   }
 
   request() {
@@ -87,8 +119,7 @@ class Player {
 
   frame(now) {
     this.due = false;
-    if (this.clock.tick(now) || this.moved) this.splats.moveTo(this.clock.u);
-    this.moved = false;
+    if (this.clock.tick(now) || this.moved || this.clock.waits) this.arrive();
     this.cameras.place(this.view, this.size);
     const [near, far] = this.view.depths(this.depths);
     byId('near').textContent = `${near.toPrecision(3)} m`;
@@ -99,6 +130,7 @@ class Player {
     byId('from').value = this.view.camera?.id ?? '';
     this.frames += 1;
     byId('picture').dataset.frames = this.frames;
+    if (this.clock.waits) return;
     if (this.clock.running) this.request();
     else if (this.picture.settled && !this.due) byId('picture').dataset.settled = 'yes';
   }
@@ -106,10 +138,20 @@ class Player {
 
 function fillForm(manifest, nameOf) {
   byId('from').append(...manifest.cameras.map((camera) => new Option(nameOf(camera), camera.id)));
-  const moves = manifest.moving > 0 && manifest.motion !== 'static';
+  const { spans } = manifest;
+  const moves = spans ? spans.some((span) => span.length > 0) : manifest.moving > 0 && manifest.motion !== 'static';
   for (const id of ['play', 'time', 'speed']) byId(id).disabled = !moves;
-  const what = moves ? `${manifest.moving.toLocaleString('en')} of them moving` : 'nothing moves';
+  if (spans) offerSpeeds(spans.length);
+  const what = moves ? `${manifest.moving.toLocaleString('en')} of them moving${spans ? `, in ${spans.length} spans` : ''}` : 'nothing moves';
   byId('what').textContent = `${manifest.count.toLocaleString('en')} Gaussians, ${what} · model ${manifest.model}`;
+}
+
+/** Let a recording of many spans be passed through faster, and its slider be moved as finely as that of one. */
+function offerSpeeds(spans) {
+  byId('time').step /= spans;
+  byId('speed').prepend(...FASTER.filter((speed) => speed <= spans).map((speed) => new Option('', speed)));
+  for (const option of byId('speed').options) option.text = `${option.value}x, ${PASS_S * spans / option.value} s a pass`;
+  byId('speed').value = 1;
 }
 
 function toggle(id, action) {
@@ -204,7 +246,7 @@ async function loadParts() {
   await import('./vendor/spark.js').catch((error) => {
     throw new SceneError(`found no renderer (${error.message}); run "make viewer" and reload this page`);
   });
-  const modules = ['view', 'cameras', 'splats', 'picture', 'compare', 'controls', 'sharing'].map((name) => import(`./${name}.js`));
+  const modules = ['view', 'cameras', 'splats', 'picture', 'compare', 'controls', 'sharing', 'spans'].map((name) => import(`./${name}.js`));
   return Object.assign({}, ...await Promise.all(modules));
 }
 
