@@ -69,7 +69,7 @@ class SpanCloud(DynamicCloud):
 
 @dataclass
 class SpanContent:
-    """What one span of a recording has of its own: movers, and C still Gaussians that it shows otherwise.
+    """The own content of one span of a recording: movers, and C still Gaussians that it shows otherwise.
 
     `clip`: the span on the rig clock. `changed` [C] int64: which of the still ones; `opacity_logits` [C] and
     `intensities` [C, 1] are those that they have here. `cloud`: the movers alone, in their own clip, which may reach

@@ -24,7 +24,7 @@ Masks = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What stands still in one view: its `background`, and the pixels `differs` [S, H, W] that show else in a span."""
+    """The still content of a view: `background`, and where a span shows other things, `differs` [S, H, W]."""
 
     background: Background
     differs: Masks

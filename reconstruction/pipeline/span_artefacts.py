@@ -39,7 +39,7 @@ Views = dict[str, tuple[Camera, CompositeSource]]
 
 
 class SpanView(NamedTuple):
-    """A training camera, what it sees in a span, and the pixels [H, W] of what stands there and not in most others."""
+    """A training camera and its images of a span; `stays` [H, W] are pixels of things that stand in few other spans."""
 
     camera: Camera
     source: CompositeSource
@@ -68,7 +68,7 @@ def still_file(run: RunFolder) -> Path:
 
 
 def span_file(run: RunFolder, number: int) -> Path:
-    """Return the file of what a span has of its own."""
+    """Return the file of a span's own content."""
     return run.path / SPANS / f"{number:06d}.pt"
 
 

@@ -125,7 +125,7 @@ def _started(
 def _moving(
     run: RunFolder, seen: Sequence[SpanView], instants: Mapping[int, float], rng: np.random.Generator
 ) -> Points:
-    """Return the points of what moves at `instants` (s) of planes: as many as the plan has for so many pixels."""
+    """Return the points of movers at `instants` (s) of planes: as many as the plan has for so many pixels."""
     share = float(np.mean([one.source.moving.mean() for one in seen]))
     usual = float(next(d.facts for d in run.plan.decisions if d.about == "spans")["moving_share"])
     count = round(run.plan.moving_gaussians * min(MOST_MOVING, share / max(usual, 1e-9))) // INSTANTS
@@ -136,7 +136,7 @@ def _moving(
 
 
 def _resting(run: RunFolder, seen: Sequence[SpanView], rng: np.random.Generator) -> Points:
-    """Return the points of what stands in the span and not in others: as dense as those of the still scene."""
+    """Return the points of things that stand in few other spans, as dense as those of the still scene."""
     share = float(np.mean([one.stays.mean() for one in seen]))
     if share < STILL_SHARE:
         return Points.none()

@@ -17,7 +17,7 @@ from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Decision, Plan
 from reconstruction.run.document import SCHEMA, RunDocument
 
-SPANS = "spans"  # folder of what a recording in spans has learnt so far, a file for each part
+SPANS = "spans"  # folder of the parts of a training in spans, a file each
 PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
 
 

@@ -1,4 +1,4 @@
-"""What the benches are asked for: their options, their recordings, and what a bench is."""
+"""Options, recordings and the form of all benches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the bench of long recordings measures and draws. Imports are late, for a capture host has no torch."""
+"""Runs and draws the bench of long recordings. Imports are late, for a capture host has no torch."""
 
 import sys
 from functools import partial

@@ -10,7 +10,7 @@ export class SceneError extends Error {}
 
 /**
  * Return the scene of a job: {manifest, arrays}, each array a Float32Array. Throws SceneError.
- * A scene of spans has the arrays of what stands still, and beside them `job` and the `tag` of viewer.bin.
+ * A scene of spans has the arrays of its still part, and beside them `job` and the `tag` of viewer.bin.
  */
 export async function loadScene(job, progress = () => {}) {
   const manifest = await (await fetched(job, 'viewer.json')).json().catch(() => fault('no JSON', 'a manifest'));

@@ -1,4 +1,4 @@
-"""What stands still in a long recording: crossed once, put down, taken away, or never still."""
+"""Pixels of a long recording that are crossed once, put down, taken away, or never still."""
 
 import numpy as np
 
