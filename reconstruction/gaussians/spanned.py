@@ -22,6 +22,8 @@ from reconstruction.scene_model import Rate, TimeSpan, View
 from rigs.camera import Camera
 
 OWN = ("opacity_logits", "intensities")  # of a still Gaussian, what a span may change: its presence and its light
+PRECISE = ("means", "velocities", "accelerations", "jerks", "knot_quats", "knot_centers")  # kept in 32 bits
+HALF_MAX = 6e4  # within what 16 bits hold
 LEARNT = tuple(f"still.{kind}" for kind in OWN)
 
 
@@ -95,20 +97,33 @@ class SpanContent:
         return cls(clip, changed, **own, cloud=movers)
 
     def state(self) -> dict[str, Any]:
-        """Return tensors and numbers, for a checkpoint."""
-        return {
-            "clip": [self.clip.first_s, self.clip.last_s],
-            "changed": self.changed,
-            **{kind: getattr(self, kind) for kind in OWN},
-            "cloud": self.cloud.state() if self.cloud else None,
-        }
+        """Return tensors and numbers, for a checkpoint: half as large, since no picture needs more."""
+        own = {kind: _stored(kind, getattr(self, kind)) for kind in ("changed", *OWN)}
+        cloud = self.cloud.state() if self.cloud else None
+        if cloud:
+            cloud["tensors"] = {name: _stored(name, tensor) for name, tensor in cloud["tensors"].items()}
+        return {"clip": [self.clip.first_s, self.clip.last_s], **own, "cloud": cloud}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> SpanContent:
         """Return the content whose `state` this is."""
         cloud = state["cloud"]
-        own = {kind: state[kind] for kind in ("changed", *OWN)}
-        return cls(TimeSpan(*state["clip"]), **own, cloud=DynamicCloud.from_state(cloud) if cloud else None)
+        if cloud:
+            tensors = {name: _restored(tensor) for name, tensor in cloud["tensors"].items()}
+            cloud = DynamicCloud.from_state({**cloud, "tensors": tensors})
+        own = {kind: _restored(state[kind]) for kind in ("changed", *OWN)}
+        return cls(TimeSpan(*state["clip"]), **own, cloud=cloud)
+
+
+def _stored(name: str, tensor: Tensor) -> Tensor:
+    """Return a tensor as it is stored: whole numbers in 32 bits, and numbers in 16, but for places and poses."""
+    if not tensor.is_floating_point():
+        return tensor.to(torch.int32)
+    return tensor if name.rpartition(".")[2] in PRECISE else tensor.clamp(-HALF_MAX, HALF_MAX).half()
+
+
+def _restored(tensor: Tensor) -> Tensor:
+    return tensor.float() if tensor.is_floating_point() else tensor.long()
 
 
 def _detached_movers(learnt: DynamicCloud) -> dict[str, Tensor]:
