@@ -215,6 +215,9 @@ def _write_curve(trained: Trained, rows: Sequence[dict], metrics: dict) -> bytes
 
 
 def _write_page(trained: Trained, metrics: dict, narrow_curve: bytes) -> None:
+    from reconstruction.report.curve import along_png
+
+    along = along_png(metrics.get("spans", ()))
     run, recording, cloud = trained.run, trained.recording, trained.cloud
     curve, told = run.path / "error_vs_time.png", run.document
     document = {
@@ -230,6 +233,7 @@ def _write_page(trained: Trained, metrics: dict, narrow_curve: bytes) -> None:
         ),
         "curve": embed(curve.read_bytes()) if curve.exists() else "",
         "narrow_curve": embed(narrow_curve),
+        "along": embed(along) if along else "",
         "orbit": embed((run.path / "orbit.mp4").read_bytes(), "video/mp4"),
         "seconds": told.seconds,
         "warnings": list(told.warnings.values()),

@@ -9,6 +9,7 @@ from matplotlib.ticker import LogFormatter
 
 WIDE_IN, NARROW_IN = (7.0, 4.2), (3.4, 3.2)  # sizes of the picture for a screen, and for a telephone
 WIDE_DPI, NARROW_DPI = 110, 220
+ALONG = {"psnr_db": "whole picture", "dynamic_psnr_db": "movers"}  # scores of a span and their names
 LABELS = {"psnr_db": "PSNR / dB", "counts.rmse": "count error / spikes"}
 
 
@@ -41,3 +42,23 @@ def curve_figure(
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(fontsize=9 if narrow else None)
     return figure
+
+
+def along_png(spans: Sequence[dict]) -> bytes:
+    """Plot the PSNR of spans, rows of `metrics.json`, along the recording as PNG; empty where none was scored."""
+    scored = [span for span in spans if "psnr_db" in span]
+    if not scored:
+        return b""
+    figure, data = Figure(figsize=WIDE_IN, layout="constrained"), io.BytesIO()
+    axes = figure.add_subplot()
+    for score, name in ALONG.items():
+        rows = [span for span in scored if score in span]
+        axes.plot(
+            [(row["first_tick"] + row["last_tick"]) / 2 for row in rows], [row[score] for row in rows], "o-", label=name
+        )
+    axes.set_xlabel("plane")
+    axes.set_ylabel("PSNR / dB")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(data, format="png", dpi=WIDE_DPI)
+    return data.getvalue()

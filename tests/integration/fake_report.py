@@ -39,6 +39,7 @@ def report_page() -> str:
         "note": "Linear intensity, data range 0.412 spikes per tick; means over instants.",
         "curve": embed(curve_png(*curve)),
         "narrow_curve": embed(curve_png(*curve, narrow=True)),
+        "along": "",
         "orbit": "",
         "seconds": {"plan": 3.31, "points": 28.73, "train": 14.79},
         "warnings": ["cam02 is out of focus: its edges are twice as wide as its neighbours'"],

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
-from reconstruction.report.curve import NARROW_IN, WIDE_IN, curve_figure, curve_png
+from reconstruction.report.curve import NARROW_IN, WIDE_IN, along_png, curve_figure, curve_png
 
 SHOWN_PX = {True: 368, False: 770}  # widths in the report: on a telephone of 400 px, and on a screen
 LEAST_PX = 11.5
@@ -57,3 +57,11 @@ def test_it_is_a_picture_of_its_size(narrow: bool) -> None:
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image is not None
     assert image.shape[1] >= SHOWN_PX[narrow] * (2 if narrow else 1)
+
+
+def test_a_long_recording_has_a_curve_along_it():
+    spans = [{"first_tick": 400 * i, "last_tick": 400 * i + 399, "psnr_db": 30.0 + i} for i in range(3)]
+    spans[1]["dynamic_psnr_db"] = 25.0
+    assert along_png(spans).startswith(b"\x89PNG")
+    assert along_png([{"first_tick": 0, "last_tick": 9, "seconds": 1.0}]) == b""
+    assert along_png([]) == b""
