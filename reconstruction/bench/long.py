@@ -4,6 +4,7 @@ A part alone is what the whole must not be worse than: the same planes as a reco
 run is a process of its own, through the command line.
 """
 
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from reconstruction.bench.long_part import cut_out
 from reconstruction.bench.paper.digest import this_code
 from reconstruction.bench.speed_run import SCORES, Contender, run_to_end
 from reconstruction.run.spans import Span, cut
+from reconstruction.training.checkpoint import load_checkpoint
 from rigs.errors import Spike4dgsError
 
 WHOLE, SPAN, ALONE = "whole", "span", "alone"  # parts of the document
@@ -115,9 +117,12 @@ class LongBench:
 
 
 def _told(run: Path) -> dict:
-    """Return what a run has stored, in bytes, and the scores of its spans, if it has any."""
-    metrics = json.loads((run / "metrics.json").read_text())
-    return {"stored_bytes": (run / CHECKPOINT).stat().st_size, "spans": metrics.get("spans", [])}
+    """Return the bytes of the scene of a run, without its optimiser's, and the scores of its spans, if it has any."""
+    import torch
+
+    metrics, scene = json.loads((run / "metrics.json").read_text()), io.BytesIO()
+    torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
+    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", [])}
 
 
 def summarise(rows: Sequence[dict]) -> dict[str, float]:
