@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from rigs.transform import Transform
 
 pytestmark = VIEWER
 SPANS, PLANES = 5, 60  # the planes are those of a span
+GAP = 2
 CONFIG = ReconstructionConfig(holdout="cam11", steps=12, budget_s=None, seed=1, gaussians=600, span=PLANES)
 KEPT = "document.getElementById('picture').dataset.kept.split(',')"
 
@@ -59,6 +61,15 @@ class Long:
         return f"bytes=0-{self.document['spans'][0]['offset'] - 1}"
 
 
+def with_a_gap(document: dict[str, Any]) -> dict[str, Any]:
+    """The document of a recording in whose third span nothing differs from the still scene."""
+    spans = [*document["spans"]]
+    moving = document["moving"] - spans[GAP]["moving"]
+    nothing = {"length": 0, "changed": 0, "moving": 0, "motion": "static", "keyframes": 0, "arrays": {}}
+    spans[GAP] = spans[GAP] | nothing
+    return document | {"spans": spans, "moving": moving, "count": document["still"] + moving}
+
+
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Long:
     folder = tmp_path_factory.mktemp("long")
@@ -69,9 +80,13 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Long:
     job.mkdir(parents=True)
     for name in ("viewer.json", "viewer.bin"):
         shutil.copy(run.path / name, job)
+    document = json.loads((job / "viewer.json").read_text())
+    for name, made in (("gap", with_a_gap(document)), ("odd", document | {"moving": 1})):
+        shutil.copytree(job, job.with_name(name))
+        (job.with_name(name) / "viewer.json").write_text(json.dumps(made))
     cloud = load_cloud(run.checkpoint)
     assert isinstance(cloud, SpannedScene)
-    return Long(cloud, json.loads((job / "viewer.json").read_text()), job.parent)
+    return Long(cloud, document, job.parent)
 
 
 @pytest.fixture(scope="module")
@@ -203,3 +218,33 @@ def test_a_link_opens_at_its_span_alone(opened, open_page, long: Long) -> None:
     assert other.inner_text("#instant") == "10.50 of 15.00 ms"
     seek(view, middle(3))
     np.testing.assert_array_equal(pixels(other), pixels(view))
+
+
+def test_a_span_of_nothing_is_not_asked_for(open_page) -> None:
+    view, asked = open_page("?job=gap", width=600, height=560), []
+    settle(view)
+    view.on("request", lambda one: asked.append(one.headers.get("range")) if "viewer.bin" in one.url else None)
+    seen = [pixels(view)]
+    for number in (GAP, 3):
+        seek(view, middle(number))
+        seen.append(pixels(view))
+    assert len(asked) == 1
+    assert all(np.abs(one.astype(int) - other).mean() > 0.5 for one, other in pairwise(seen))
+
+
+def test_spans_that_do_not_add_up_are_refused_in_a_line(open_page) -> None:
+    view = open_page("?job=odd")
+    view.locator("#message[role=alert]").wait_for()
+    words = "viewer.json: found 1 moving Gaussians, expected as many as in all spans; export the job again"
+    assert view.inner_text("#message") == words
+
+
+def test_a_scene_that_was_made_anew_meanwhile_is_not_mixed_with_the_old_one(open_page, long: Long) -> None:
+    view = open_page("?job=gap", width=600, height=560)
+    settle(view)
+    file = long.jobs / "gap" / "viewer.bin"
+    file.write_bytes(file.read_bytes() + b"more")
+    put(view, middle(4))
+    until(view, "document.getElementById('told').textContent !== ''")
+    words = "12.00 to 15.00 ms cannot be shown. viewer.bin: found another one than before; reload."
+    assert view.inner_text("#told") == words
