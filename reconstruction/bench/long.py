@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from acquisition.bench_document import BenchDocument, device
 from acquisition.progress import Progress
@@ -118,8 +119,6 @@ class LongBench:
 
 def _told(run: Path) -> dict:
     """Return the bytes of the scene of a run, without its optimiser's, and the scores of its spans, if it has any."""
-    import torch
-
     metrics, scene = json.loads((run / "metrics.json").read_text()), io.BytesIO()
     torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
     return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", [])}

@@ -68,14 +68,13 @@ def viewer_of(scene: Scene) -> tuple[dict, bytes]:
 def _write_spans(path: Path, scene: Scene, cloud: SpannedScene) -> dict:
     """Write the bytes of a scene of spans, one span in memory at a time; return its document."""
     kept = _ever_seen(cloud)
-    still, spans = still_arrays(cloud.still.select(kept)), []
+    still = still_arrays(cloud.still.select(kept))
     still["intensities"] = still["intensities"] / np.float32(scene.white)
     with made_aside(path) as aside, aside.open("wb") as file:
         places = {
             name: _place(array, start) for (name, array), start in zip(still.items(), _append(file, still), strict=True)
         }
-        for content in cloud.spans:
-            spans.append(_write_span(file, content, kept, scene.white))
+        spans = [_write_span(file, content, kept, scene.white) for content in cloud.spans]
     counts = _counts(scene, SPANNED_VERSION, len(still["means"]), sum(span["moving"] for span in spans))
     return {**counts, **_surroundings(scene, places), "spans": spans}
 

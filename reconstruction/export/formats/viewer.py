@@ -18,7 +18,7 @@ def export_viewer(folder: Path, scene: Scene, choices: Choices, progress: Progre
 
 VIEWER = Format(
     "viewer",
-    "`viewer.json`, `viewer.bin`: what a browser plays in 4D; the report stage writes them too",
+    "`viewer.json`, `viewer.bin`: what a browser plays in 4D, span by span; the report stage writes them too",
     "viewer",
     export_viewer,
     (),

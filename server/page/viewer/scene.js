@@ -10,7 +10,7 @@ export class SceneError extends Error {}
 
 /**
  * Return the scene of a job: {manifest, arrays}, each array a Float32Array. Throws SceneError.
- * A scene of spans has the arrays of its still part, and beside them `job` and the `tag` of viewer.bin.
+ * A scene of spans has the arrays of still Gaussians, and beside them `job` and the `tag` of viewer.bin.
  */
 export async function loadScene(job, progress = () => {}) {
   const manifest = await (await fetched(job, 'viewer.json')).json().catch(() => fault('no JSON', 'a manifest'));
@@ -44,7 +44,7 @@ async function downloadRange(job, { offset, length }, { signal, progress = () =>
   const found = response.headers.get('ETag');
   if (response.status !== 206 || (tag && found !== tag)) {
     await response.body.cancel();
-    throw new SceneError(`viewer.bin: found ${response.status === 206 ? 'another one than before; reload' : 'a server without ranges'}`);
+    throw new SceneError(`viewer.bin: found ${tag && found !== tag ? 'another one than before; reload' : 'a server without ranges'}`);
   }
   const bytes = await download(response, progress, '');
   if (bytes.byteLength !== length) fault(`${bytes.byteLength} bytes at ${offset}`, `${length}`, 'viewer.bin');

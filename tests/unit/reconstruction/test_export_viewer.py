@@ -9,7 +9,8 @@ import torch
 
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
-from reconstruction.export.viewer import KEYFRAMES, viewer_of
+from reconstruction.export.viewer import viewer_of
+from reconstruction.export.viewer_arrays import KEYFRAMES
 from reconstruction.rendering.render import render
 from rigs.camera import Camera
 from rigs.transform import Transform
