@@ -389,7 +389,7 @@ def test_a_device_uri_that_cannot_be_is_refused(uri, message):
 
 def test_a_device_uri_says_what_simulated_cameras_see():
     assert parse_devices("usb:") is None
-    assert parse_devices("mock:fan_and_ball") == Simulation("fan_and_ball", 0, "real", 2, 20)
+    assert parse_devices("mock:fan_and_ball") == Simulation("fan_and_ball", 0, "real", 2, None)
     assert parse_devices("mock:x?seed=7&sensor=ideal&samples=1&truth_every=5") == Simulation("x", 7, "ideal", 1, 5)
 
 
