@@ -6,7 +6,8 @@ from dataclasses import replace
 from acquisition.recording.reader import Recording
 from reconstruction.bench.conventions import HOLDOUT, truth_of
 from reconstruction.evaluation.evaluate import HeldOut, held_out_camera, score_against_truth, score_floors
-from reconstruction.pipeline.artefacts import posed, read_views
+from reconstruction.pipeline.artefacts import posed
+from reconstruction.pipeline.span_artefacts import read_targets
 from reconstruction.run import configuration
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, model_from_state
@@ -49,7 +50,7 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
         "held_out_used": bool((run.document.poses or {}).get("held_out_used")),
         **{m: last[m] for m in METRICS if m in last},
         **{f"seconds.{s}": told.seconds[s] for s in STAGES},
-        **(score_floors(held_out, truth, read_views(run, own)) if floors else {}),
+        **(score_floors(held_out, truth, read_targets(run, own)) if floors else {}),
         "curve": [
             {"seconds": state["seconds"], **{m: level[m] for m in ("psnr_db", "abs_rel") if m in level}}
             for state, level in zip(states, [*levels, last], strict=True)

@@ -72,12 +72,24 @@ def read_views(
 
     They are the cameras and the sources of `read_sources`, but straightened where a lens bends.
     """
-    cameras, sources = views_of(recording.rig, run.plan.views), read_sources(run, recording, gained=gained)
-    views = {}
+    return straight_views(recording, read_sources(run, recording, gained=gained))
+
+
+def straight_views(
+    recording: Recording, sources: Mapping[str, CompositeSource]
+) -> dict[str, tuple[Camera, CompositeSource]]:
+    """Return the pinhole of every source's camera, by its id, and the source straightened where a lens bends."""
+    cameras, views = views_of(recording.rig, tuple(sources)), {}
     for view, source in sources.items():
         own, pinhole = recording.rig.camera(view), cameras[view]
         views[view] = pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))
     return views
+
+
+def read_empty(run: RunFolder, view: str) -> NDArray[np.float32] | None:
+    """Read where nothing is in a view [H, W]: 1 there, else 0; None where something is everywhere."""
+    name = EMPTY.format(view=view)
+    return run.read_array(name).astype(np.float32) if run.has_array(name) else None
 
 
 def read_sources(run: RunFolder, recording: Recording, *, gained: bool = True) -> dict[str, CompositeSource]:

@@ -21,13 +21,11 @@ from acquisition.recording.reader import Recording
 from reconstruction.images.background import Background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.mending import mended
-from reconstruction.images.straightened import straightened
-from reconstruction.pipeline.artefacts import read_sources, read_views, short_images
+from reconstruction.pipeline.artefacts import read_sources, read_views, short_images, straight_views
 from reconstruction.run.folder import SPANS, RunFolder
 from reconstruction.run.plan import LEAST_VIEWS
 from reconstruction.run.spans import STILL_SHARE, Span
 from rigs.camera import Camera
-from rigs.straight import straightening, views_of
 
 PLANNED = "plan/moving_spans_{view}"  # pixels of a view that see something move, by span
 MASKS = "images/moving_spans_{view}"  # the same, with those that show something else than the background
@@ -76,13 +74,13 @@ def read_still_views(run: RunFolder, recording: Recording) -> Views:
     """Return the training cameras and what they see of the still scene, without anything that moves."""
     nowhere = lambda source: np.zeros_like(source.moving)  # noqa: E731
     sources = {view: replace(source, moving=nowhere(source)) for view, source in read_sources(run, recording).items()}
-    return _straight(run, recording, sources)
+    return straight_views(recording, sources)
 
 
 def read_span_views(run: RunFolder, recording: Recording, number: int, span: Span) -> dict[str, SpanView]:
     """Return the training cameras and what they see in the planes of `span`, as the span `number` shows it."""
     sources = _span_sources(run, recording, number, span)
-    views = _straight(run, recording, sources)
+    views = straight_views(recording, sources)
     stays = {view: _stays(run, view, number, source.moving.shape) for view, source in sources.items()}
     return {view: SpanView(*seen, seen[1].carried_mask(stays[view])) for view, seen in views.items()}
 
@@ -169,11 +167,3 @@ class SpannedSource(CompositeSource):
         """Return the image [H, W] at `plane` in spikes per tick."""
         number = bisect.bisect_right([span.first for span in self.spans], plane) - 1
         return self.part_of(number).at(plane - self.spans[number].first)
-
-
-def _straight(run: RunFolder, recording: Recording, sources: Sources) -> Views:
-    cameras, views = views_of(recording.rig, tuple(sources)), {}
-    for view, source in sources.items():
-        own, pinhole = recording.rig.camera(view), cameras[view]
-        views[view] = pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))
-    return views

@@ -33,7 +33,7 @@ SNAPSHOT_AT = (0.0, 0.25, 0.5, 0.75)  # shares of the spans after which the curv
 
 @dataclass
 class _Part:
-    """One training of the stage: how much of the stage is done before it and after it, and what to say of it."""
+    """One training of the stage: its name, and the share of the stage that is done before it and after it."""
 
     name: str
     begins: float

@@ -44,9 +44,8 @@ MOST_MOVING = 2.0  # times the plan's moving Gaussians that a span may have, whe
 
 def learn_still(run: RunFolder, recording: Recording, done: Done, on_step: OnStep) -> GaussianCloud:
     """Return the still scene, learnt from the backgrounds of all training views."""
-    views, cameras = _still_views(run, recording), []
-    for view in views:
-        cameras.append(view.camera)
+    views = _still_views(run, recording)
+    cameras = [view.camera for view in views]
     clip = TimeSpan(0.0, recording.planes / recording.rig.tick_rate_hz)
     points = artefacts.read(run, artefacts.STILL, Points)
     method = METHODS["static"]
@@ -62,11 +61,11 @@ def _still_views(run: RunFolder, recording: Recording) -> list[TrainingView]:
     """Return the training views of the still scene; where no background is sure, nothing is compared."""
     found = []
     for view, (camera, source) in read_still_views(run, recording).items():
-        depth, void = run.read_array(artefacts.DEPTH.format(view=view)), artefacts.EMPTY.format(view=view)
-        empty = torch.from_numpy(run.read_array(void).astype(np.float32)) if run.has_array(void) else None
-        sure = source.background.trusted
+        depth = inverse_depth(run.read_array(artefacts.DEPTH.format(view=view)))
+        void, sure = artefacts.read_empty(run, view), source.background.trusted
+        empty = None if void is None else torch.from_numpy(void)
         known = None if sure.all() else torch.from_numpy(sure.astype(np.float32))
-        found.append(TrainingView(camera, source, inverse_depth=inverse_depth(depth), empty=empty, known=known))
+        found.append(TrainingView(camera, source, inverse_depth=depth, empty=empty, known=known))
     return found
 
 

@@ -48,8 +48,8 @@ def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView]
     for view, (camera, source) in artefacts.read_views(run, recording).items():
         known = inverse_depth(np.where(source.moving, np.nan, run.read_array(artefacts.DEPTH.format(view=view))))
         shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
-        void = artefacts.EMPTY.format(view=view)
-        empty = torch.from_numpy(run.read_array(void).astype(np.float32)) if run.has_array(void) else None
+        void = artefacts.read_empty(run, view)
+        empty = None if void is None else torch.from_numpy(void)
         views.append(TrainingView(camera, shown, inverse_depth=known, empty=empty))
     still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
     clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
