@@ -19,7 +19,8 @@ from reconstruction.bench.conventions import kept
 from reconstruction.bench.paper.digest import this_code
 from reconstruction.bench.paper.run import QUIET, TRIES
 from reconstruction.bench.speed_run import NEW, OLD, Contender, Steppers, StepSize, busy_thread, run_to_end
-from reconstruction.bench.speed_summary import LOADED, STEPS, summarise
+from reconstruction.bench.speed_summary import LOADED, PART, STEPS, summarise
+from reconstruction.bench.step_times import WHOLE
 from rigs.errors import Spike4dgsError
 
 TURNS = 7  # times that each contender steps
@@ -128,20 +129,20 @@ class SpeedBench:
     def _in_turns(self, steppers: Steppers, kind: str, size: StepSize, threads: int) -> dict:
         """Return a row for each contender, or one beside a busy process and one without; all of them step in turns."""
         loads = (False, True) if kind == LOADED else (False,)
-        taken: dict[tuple[Contender, bool], list[float]] = {(c, load): [] for load in loads for c in self.contenders}
+        taken: dict[tuple[Contender, bool], list[dict]] = {(c, load): [] for load in loads for c in self.contenders}
         others = Stolen()
         for _ in range(self.extent.turns):
             for load in loads:
                 with busy_thread() if load else nullcontext():
                     for contender in self.contenders:
-                        taken[contender, load] += steppers.seconds(contender, size, threads)
+                        taken[contender, load] += steppers.steps(contender, size, threads)
         about = {"part": kind, "size": size.label, "threads": threads, "stolen": round(others.share(), 4)}
         return {
             "rows": [
                 about
                 | {"which": c.name, "command": c.said, "revision": steppers.revisions[c.name], "loaded": load}
-                | {"seconds": min(seconds), "median_s": sorted(seconds)[len(seconds) // 2], "steps": len(seconds)}
-                for (c, load), seconds in taken.items()
+                | _of_steps(steps)
+                for (c, load), steps in taken.items()
             ]
         }
 
@@ -164,3 +165,10 @@ class SpeedBench:
         about = {"part": "ends", "which": contender.name, "command": contender.said, "clip": clip.name}
         about |= {"scene": clip.scene, "seed": clip.seed, "budget_s": budget_s}
         return {"rows": [about | min(tried, key=lambda row: row["stolen"])]}
+
+
+def _of_steps(steps: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Return the least and the median seconds of whole steps, and the least of each of their parts."""
+    seconds = sorted(step[WHOLE] for step in steps)
+    parts = {f"{PART}{name}": min(step[name] for step in steps) for name in steps[0] if name != WHOLE}
+    return {"seconds": seconds[0], "median_s": seconds[len(seconds) // 2], "steps": len(steps), **parts}

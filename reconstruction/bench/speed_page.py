@@ -11,6 +11,7 @@ from reconstruction.bench.speed_run import NEW, OLD
 from reconstruction.bench.speed_summary import (
     LEVELS,
     LOADED,
+    PART,
     STAGE,
     STEPS,
     clips_of,
@@ -128,6 +129,20 @@ def _steps(document: dict) -> str:
     return _table((*columns, "old: serial share", "new: serial share"), lines)
 
 
+def _profile(document: dict) -> str:
+    """Return the milliseconds of each part of a step, and how many times as fast it is."""
+    own = {(r["size"], r["threads"], r["which"]): r for r in document["rows"] if r["part"] == STEPS}
+    lines = []
+    for (size, threads, which), new in own.items():
+        old = own.get((size, threads, OLD))
+        if which != NEW or old is None:
+            continue
+        for key in (key for key in new if key.startswith(PART) and key in old):
+            numbers = [f"{1e3 * old[key]:.2f}", f"{1e3 * new[key]:.2f}", f"{old[key] / new[key]:.2f}"]
+            lines.append([size, str(threads), key.removeprefix(PART), *numbers])
+    return _table(("Gaussians and picture", "threads", "part", "old / ms", "new / ms", "old / new"), lines)
+
+
 def _loaded(document: dict) -> str:
     summary, lines = document["summary"], []
     for which in (OLD, NEW):
@@ -147,5 +162,6 @@ TABLES: dict[str, Callable[[dict], str]] = {
     "Seconds to a level": _times,
     "Stages": _stages,
     "Single steps": _steps,
+    "Parts of a step": _profile,
     "Beside a busy process": _loaded,
 }

@@ -184,8 +184,8 @@ class Steppers:
         for process in self._running.values():
             _end(process)
 
-    def seconds(self, contender: Contender, size: StepSize, threads: int) -> list[float]:
-        """Return the seconds of each step of a turn; raises ReconstructionError if the process has ended."""
+    def steps(self, contender: Contender, size: StepSize, threads: int) -> list[dict[str, float]]:
+        """Return the seconds of each step of a turn and its parts; raises ReconstructionError if the process ended."""
         if contender.name not in self._running:
             self._running[contender.name] = _stepper(contender)
             self.revisions[contender.name] = _answer(self._running[contender.name], contender)

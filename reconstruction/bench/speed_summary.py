@@ -9,6 +9,7 @@ ENDS, STEPS, LOADED = "ends", "steps", "loaded"
 LEVELS = (("psnr_db", "seconds_to"), ("dynamic_psnr_db", "movers_seconds_to"))
 END_FIGURES = (*SCORES, "seconds", "steps", "peak_mb")
 LEAST_STAGE_S = 0.1  # seconds below which the ratio of a stage is left out
+PART = "part_s."  # start of the name of the seconds of a part of a step in a row
 STAGE = "seconds."  # start of the name of a stage's seconds in a row
 
 

@@ -1,8 +1,8 @@
 """Times single steps of training, as a script for the Python of any revision: run it by path, and not as a module.
 
 It imports what that Python has installed, and of the bench only what revisions have in common. Each line of standard
-input is a JSON object with the arguments of `seconds_of_steps`; its answer is a line with the seconds of each step. The
-first line that is printed is the revision.
+input is a JSON object with the arguments of `steps_taken`; its answer is a line with the seconds of each step and
+its parts. The first line that is printed is the revision.
 """
 
 import functools
@@ -16,6 +16,7 @@ from acquisition.revision import code_revision
 from reconstruction.bench.rasterizer import Step, random_cloud
 from rigs.toml import catalog_rig
 
+WHOLE = "step"  # the name of a whole step among its parts
 WARM_UP = 2  # steps that are not timed
 
 
@@ -26,14 +27,14 @@ def step_of(gaussians: int, width: int, height: int) -> Step:
     return Step(random_cloud(gaussians, camera), camera)
 
 
-def seconds_of_steps(gaussians: int, width: int, height: int, threads: int, repeats: int) -> list[float]:
-    """Return the seconds of each of `repeats` whole steps on so many threads."""
+def steps_taken(gaussians: int, width: int, height: int, threads: int, repeats: int) -> list[dict[str, float]]:
+    """Return the seconds of each of `repeats` whole steps (WHOLE), and of the parts of one more, on so many threads."""
     torch.set_num_threads(threads)
     step, seconds = step_of(gaussians, width, height), []
     for _ in range(WARM_UP + repeats):
         began = time.perf_counter()
         step.whole()
-        seconds.append(time.perf_counter() - began)
+        seconds.append({WHOLE: time.perf_counter() - began} | step.parts())
     return seconds[WARM_UP:]
 
 
@@ -41,10 +42,10 @@ def main() -> None:
     """Answer every line of standard input."""
     _say(code_revision())
     for line in sys.stdin:
-        _say(seconds_of_steps(**json.loads(line)))
+        _say(steps_taken(**json.loads(line)))
 
 
-def _say(answer: str | list[float]) -> None:
+def _say(answer: str | list[dict[str, float]]) -> None:
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 

@@ -49,8 +49,8 @@ ROWS = [
     end("b", NEW, 20, 35.5, 30.5),
     step(OLD, 1, 0.040, 0.050),
     step(NEW, 1, 0.020, 0.030),
-    step(OLD, 2, 0.030, 0.036),
-    step(NEW, 2, 0.012, 0.018),
+    step(OLD, 2, 0.030, 0.036, **{"part_s.renderer": 0.010, "part_s.Adam": 0.003}),
+    step(NEW, 2, 0.012, 0.018, **{"part_s.renderer": 0.004}),
     *(
         step(which, 2, seconds, median_s, part="loaded", loaded=load)
         for which, load, seconds, median_s in (
@@ -142,6 +142,8 @@ def test_the_page_has_every_table_and_names_both_revisions(tmp_path):
     assert "| a | whole | 28 | 20 | 20 |" in text
     assert "| a | 60 | points | 8.00 | 4.00 | 2.00 |" in text
     assert f"| {SMALL.label} | 2 | 30.0 | 12.0 | 2.50 | 2.00 | 0.50 | 0.20 |" in text
+    assert f"| {SMALL.label} | 2 | renderer | 10.00 | 4.00 | 2.50 |" in text
+    assert "Adam" not in text  # one revision alone has it
     assert "| new | 20.0 | 30.0 | 1.50 |" in text
     assert "- one seed" in text
 
@@ -194,9 +196,9 @@ def made(monkeypatch):
         def __exit__(self, *_):
             pass
 
-        def seconds(self, contender, size, threads):
+        def steps(self, contender, size, threads):
             calls.append(f"{contender.name} steps")
-            return [0.02, 0.01, 0.03]
+            return [{"step": s, "renderer": s / 2} for s in (0.02, 0.01, 0.03)]
 
     monkeypatch.setattr(speed, "run_to_end", told)
     monkeypatch.setattr(speed, "Steppers", Told)
@@ -214,6 +216,7 @@ def test_both_revisions_are_run_in_turns_and_nothing_twice(made, tmp_path):
     assert {(row["which"], row["loaded"]) for row in document.rows if row["part"] == "loaded"} == {
         (which, load) for which in (OLD, NEW) for load in (False, True)
     }
+    assert {row["part_s.renderer"] for row in document.rows if row["part"] != "ends"} == {0.005}
     assert all(row["seconds"] > 0 and row["command"] and row["revision"] for row in document.rows)
     assert document.summary["a.new@2-old@6.psnr_db"] == 0.0
     made.clear()

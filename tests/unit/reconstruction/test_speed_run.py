@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from reconstruction.bench.rasterizer import PARTS
 from reconstruction.bench.speed_run import NEW, OLD, Contender, Steppers, StepSize, busy_thread, run_to_end
+from reconstruction.bench.step_times import WHOLE
 from reconstruction.errors import BadRunError, ReconstructionError
 
 COMMAND = Path(sys.executable).with_name("spike4dgs")
@@ -82,7 +84,7 @@ def test_steps_that_end_early_are_no_answer(tmp_path):
     python = script(tmp_path / "python", "print('\"r\"', flush=True)")
     old = Contender.installed(script(tmp_path / "spike4dgs", "", f"#!{python}"))
     with Steppers() as steppers, pytest.raises(ReconstructionError, match="the steps ended"):
-        steppers.seconds(old, StepSize(10, 40, 25, 1), 1)
+        steppers.steps(old, StepSize(10, 40, 25, 1), 1)
 
 
 def test_a_busy_thread_is_busy_and_ends_with_its_block():
@@ -99,9 +101,9 @@ def test_steps_are_timed_by_the_python_of_either_revision():
     with Steppers() as steppers:
         for contender in (old, new, old):
             for threads in (1, 2):
-                seconds = steppers.seconds(contender, StepSize(500, 80, 50, 3), threads)
-                assert len(seconds) == 3
-                assert min(seconds) > 0
+                steps = steppers.steps(contender, StepSize(500, 80, 50, 3), threads)
+                assert len(steps) == 3
+                assert all(step.keys() == {WHOLE, *PARTS} and min(step.values()) > 0 for step in steps)
     assert steppers.revisions == {OLD: old.revision(), NEW: new.revision()}
 
 
