@@ -3,9 +3,9 @@
 Letters: I instants, n points. A body begins as a connected cluster, first where most are apart, and is followed from
 instant to instant both ways by soft registration, in which points match that are near and alike in brightness; it
 claims the points it explains, so clusters that touch elsewhere stay apart. What goes badly in one piece is tried in
-parts, by a shorter link. What no body explains, or only badly (what bends, or moves too far between two instants),
-stays free. Cost: a second of one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set
-registration: coherent point drift", PAMI 2010, with an intensity term.
+parts, by a shorter link. What no body explains stays free; `judging` tells which bodies are none. Cost: a second of
+one core for 1,500 points at 8 instants. Source: Myronenko & Song, "Point set registration: coherent point drift", PAMI
+2010, with an intensity term.
 """
 
 from collections.abc import Sequence
@@ -27,15 +27,13 @@ REACH = 2.5  # spacings within which a body explains a point
 LEAST_SHARE = 0.4  # least share of its points that a body finds again; with fewer it is lost
 SURE = 0.6  # share of points explained above which no second guess is tried
 LEAST_INSTANTS = 3  # instants at which a body is seen at least
-LEAST_LIKENESS = 0.4  # least correlation of brightness between points and their body, where it has texture
-BETTER = 0.05  # least gain in that correlation over standing still, and of a body's parts over the body
-DOUBTFUL = 0.6  # correlation of brightness below which a body may be several
+DOUBTFUL = 0.6  # correlation of brightness between points and their body below which it may be several
+BETTER = 0.05  # least gain in that correlation of a body's parts over the body
 TEXTURE = 0.02  # spread of brightness, spikes per tick, below which a body has no texture
 LONE = f"in no cluster of {LEAST_POINTS} points"
 SHORT = f"followed over fewer than {LEAST_INSTANTS} instants"
-UNLIKE = f"not rigid: brightness correlates below {LEAST_LIKENESS}"
-STILL = "stands still: its light changes, not its place"
-LONGEST = max(map(len, (LONE, SHORT, UNLIKE, STILL)))
+UNLIKE = "explains the counts between worse than points at rest"
+LONGEST = max(map(len, (LONE, SHORT, UNLIKE)))
 START = 0.15  # share of a body's radius by which a first guess may be off
 
 
@@ -48,7 +46,6 @@ class Body:
     poses: dict[int, Transform]  # by number of the instant
     members: dict[int, NDArray[np.int64]] = field(default_factory=dict)  # indices into the points, by instant
     likeness: float = 1.0  # in brightness, of the points of one instant and those of the others, carried along
-    at_rest: float = 0.0  # the same if the others stay where they were
 
     @property
     def size(self) -> int:
@@ -99,6 +96,14 @@ class Bodies:
     def __len__(self) -> int:
         return len(self.seen)
 
+    def only(self, kept: NDArray[np.int64]) -> "Bodies":
+        """Return the bodies with the numbers `kept`, which rise; the points of the others are free."""
+        numbers = np.full(len(self) + 1, -1)
+        numbers[kept] = np.arange(len(kept))
+        owners = numbers[self.owners]
+        reasons = np.where((owners < 0) & (self.owners >= 0), np.array(UNLIKE, self.reasons.dtype), self.reasons)
+        return Bodies(owners, self.quats_wxyz[kept], self.centers[kept], self.instants_s, self.seen[kept], reasons)
+
     def beside(self, resting: int) -> "Bodies":
         """Return the same bodies and one at rest, on which as many points more ride; themselves for 0."""
         if not resting:
@@ -128,7 +133,7 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
     whole = _tracked(single, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
     parts = [part for one in whole for part in _torn(one, single, instants)]
     for body in sorted(parts, key=lambda body: -body.size):
-        reason = _fault(body, instants)
+        reason = SHORT if _is_short(body, instants) else ""
         for members in body.members.values():
             reasons[members], owners[members] = reason, -1 if reason else len(bodies)
         if not reason:
@@ -146,11 +151,11 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
 
 def _torn(body: Body, points: Points, instants: int) -> list[Body]:
     """Return the parts of a doubtful body where most of it moves better in parts; else the body alone."""
-    if len(body.members) < 2 or (body.likeness >= DOUBTFUL and not _fault(body, instants)):
+    if len(body.members) < 2 or (body.likeness >= DOUBTFUL and not _is_short(body, instants)):
         return [body]
     nowhere = np.zeros(0, dtype=np.int64)
     parts = _tracked(points, [np.sort(body.members.get(i, nowhere)) for i in range(instants)], LINK_APART)
-    sure = [part for part in parts if not _fault(part, instants)]
+    sure = [part for part in parts if not _is_short(part, instants)]
     sizes = np.array([part.size for part in sure], dtype=np.float64)
     if sizes.sum() < body.size / 2:
         return [body]
@@ -177,13 +182,9 @@ def _tracked(points: Points, swept: Sequence[NDArray[np.int64]], link: float) ->
     return bodies
 
 
-def _fault(body: Body, instants: int) -> str:
-    """Return why a body is not to be trusted; empty where it is."""
-    if len(body.members) < min(LEAST_INSTANTS, instants):
-        return SHORT
-    if body.likeness < LEAST_LIKENESS:
-        return UNLIKE
-    return STILL if body.likeness < min(1.0, body.at_rest + BETTER) else ""
+def _is_short(body: Body, instants: int) -> bool:
+    """Return whether a body was followed too briefly to be trusted."""
+    return len(body.members) < min(LEAST_INSTANTS, instants)
 
 
 def clusters(points: Points, which: NDArray[np.int64], gap_m: float) -> list[NDArray[np.int64]]:
@@ -247,15 +248,13 @@ def _explained(own: Points, others: Points, reach: float) -> float:
 
 def _settle(body: Body, points: Points) -> None:
     """Register every instant once more against all others, so that errors do not add up, and judge the outcome."""
-    carried, resting = [], []
+    carried = []
     for instant in sorted(body.members):
         own, others = points.select(body.members[instant]), sampled(body.model(points, but=instant))
         pose = register(others, sampled(own), body.poses[instant], 1.5 * body.spacing, body.spacing)
         body.poses[instant] = pose
         carried.append(_likeness(own, others.moved(pose)))
-        elsewhere = np.concatenate([m for i, m in body.members.items() if i != instant])
-        resting.append(_likeness(own, sampled(points.select(elsewhere))))
-    body.likeness, body.at_rest = float(np.median(carried)), float(np.median(resting))
+    body.likeness = float(np.median(carried))
 
 
 def _likeness(own: Points, others: Points) -> float:

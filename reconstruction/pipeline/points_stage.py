@@ -23,7 +23,6 @@ from reconstruction.parallel import each
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.gains import even_cameras
 from reconstruction.run.decisions import Decision
-from reconstruction.run.document import BodyCounts
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
 from rigs.camera import Camera
@@ -53,11 +52,9 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     moving = Points.joined(parts)
     artefacts.write(run, artefacts.MOVERS, moving)
     if plan.model == "bases" and not plan.spans:
-        from reconstruction.initialization.bodies import find_bodies  # torch, which no other model needs here
+        from reconstruction.pipeline.found_bodies import keep_bodies  # torch, which no other model needs here
 
-        bodies = find_bodies(moving, [recording.rig.clock.instant_s(plane) for plane in planes])
-        artefacts.write(run, artefacts.BODIES, bodies)
-        run.document.bodies = BodyCounts(len(bodies), bodies.attached, bodies.free)
+        bodies = keep_bodies(run, recording, moving, planes)
         progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
 
 

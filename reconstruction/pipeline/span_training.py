@@ -18,6 +18,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanCloud, SpanContent
 from reconstruction.images.background import dimming
 from reconstruction.initialization.bodies import Bodies, find_bodies
+from reconstruction.initialization.judging import judge
 from reconstruction.initialization.points import Points, Seeds, sample_points
 from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.sweep import NOISE, SweepOptions, depth_range_m
@@ -111,7 +112,13 @@ def _started(
     instants = {plane: clock.instant_s(plane) for plane in moving_planes(planes, run.plan.model)}
     moving, resting = _moving(run, seen, instants, rng), _resting(run, seen, rng)
     clip = TimeSpan(0.0, planes / recording.rig.tick_rate_hz)
-    bodies = lambda: find_bodies(moving, list(instants.values())).beside(len(resting))  # noqa: E731
+
+    def bodies() -> Bodies:
+        found = find_bodies(moving, list(instants.values()))
+        own = replace(seeds, moving=moving, bodies=lambda: found)
+        return found.only(judge(own, views, clock, still).kept).beside(len(resting))
+
+    views = [(one.camera, one.source) for one in seen]
     points = Points.joined([moving, resting])
     seeds = Seeds(Points.none(), points, clip, INSTANTS, run.config.seed, cameras, bodies)
     begun = METHODS[run.plan.model].start(seeds)

@@ -18,7 +18,6 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
-from reconstruction.pipeline.points_stage import moving_planes
 from reconstruction.pipeline.preview import Preview
 from reconstruction.pipeline.watch import Watch
 from reconstruction.rendering import gsplat_backend
@@ -31,7 +30,6 @@ from reconstruction.run.prices import INSTANTS, Work
 from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
-from reconstruction.training.choice import WINDOW, between, count_error
 from reconstruction.training.exposure import FROM
 from reconstruction.training.lags import Lags
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
@@ -115,37 +113,14 @@ def _shown(run: RunFolder, recording: Recording, trainer: Trainer, budget: Budge
     return preview
 
 
-def _settle_motion(run: RunFolder, recording: Recording, views: list[TrainingView], seeds: Seeds) -> None:
-    """Amend the plan's motion, where it was left open, to the one that explains the training cameras better.
-
-    Rigid bodies are held against straight paths at instants between those that movers were swept at.
-    """
-    if run.checkpoint.exists() or run.config.model != "auto" or run.plan.model != "bases":
-        return
-    planes = between(moving_planes(recording.planes, "bases"))
-    errors = {
-        model: count_error(METHODS[model].start(seeds), views, planes, recording.rig.clock)
-        for model in ("bases", "linear")
-    }
-    model, bodies = min(errors, key=errors.__getitem__), run.document.bodies
-    rigid = bodies.rigid if bodies else 0
-    reason = (
-        f"between the swept instants {rigid} rigid bodies miss the counts of {WINDOW} "
-        f"planes by {errors['bases']:.3f} spikes a moving pixel, points at rest by {errors['linear']:.3f}"
-    )
-    facts = {"rigid_bodies": rigid, **{f"{name}_error_spikes": error for name, error in errors.items()}}
-    run.amend("train", Decision("motion", model, reason, "--model", facts=facts), model=model)
-
-
 def trainer_of(
     run: RunFolder, recording: Recording, backend: Backend | None = None, dtype: torch.dtype = torch.float32
 ) -> Trainer:
-    """Return the trainer as a run starts it, its motion settled; float64 takes the reference as its backend.
+    """Return the trainer as a run starts it; float64 takes the reference as its backend.
 
     Without a backend it is that of the device that the run was asked to train on.
     """
     views, seeds = _beginning(run, recording)
-    _settle_motion(run, recording, views, seeds)
     method = METHODS[run.plan.model]
     own, device = ("gsplat", gsplat_backend.DEVICE) if run.config.device == CUDA else ("native", "cpu")
     cloud = method.start(seeds)

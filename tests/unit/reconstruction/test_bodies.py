@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from references.stereo import linked_reference, matches_of, soft_matches_reference
 
-from reconstruction.initialization.bodies import LONE, STILL, UNLIKE, Bodies, find_bodies
+from reconstruction.initialization.bodies import LONE, UNLIKE, Bodies, find_bodies
 from reconstruction.initialization.points import Points, spacing
 from reconstruction.initialization.registration import linked, register, rigid_fit, soft_matches
 from rigs.transform import Transform
@@ -175,17 +175,25 @@ def test_a_body_that_leaves_keeps_the_poses_it_had_and_goes_on(strays):
     assert errors(bodies)[1] < 12  # two instants beyond the last one seen
 
 
-def test_what_changes_its_texture_or_only_its_light_is_no_body():
-    rng = np.random.default_rng(2)
-    noise, still = [], []
-    for i in range(INSTANTS):
-        positions, light = board(rng, 250)
-        noise.append(seen([(pose(i).apply(positions), rng.random(250))], i))
-        still.append(seen([(positions, light + 0.02 * i)], i))
-    for parts, reason in ((noise, UNLIKE), (still, STILL)):
-        bodies = find_bodies(Points.joined(parts), TIMES_S)
-        assert len(bodies) == 0
-        assert reason in bodies.free
+def test_what_moves_slowly_is_a_body():
+    """By less than half of the gap between its points from one instant to the next."""
+    rng, step = np.random.default_rng(2), np.array([0.006, 0.0, 0.0])
+    boards = [board(rng, 250) for _ in range(INSTANTS)]
+    swept = [seen([(positions + i * step, light)], i) for i, (positions, light) in enumerate(boards)]
+    assert step[0] < 0.5 * np.median(swept[0].spacing)
+    bodies = find_bodies(Points.joined(swept), TIMES_S)
+    assert len(bodies) == 1
+    assert bodies.attached > 0.95 * 250 * INSTANTS
+    moved = bodies.centers[0, -1] - bodies.centers[0, 0]
+    assert moved == pytest.approx((INSTANTS - 1) * step, abs=0.004)
+
+
+def test_bodies_that_are_left_out_leave_their_points_free():
+    bodies = find_bodies(clip(), TIMES_S)
+    none = bodies.only(np.zeros(0, np.int64))
+    assert len(none) == none.attached == 0
+    assert none.free[UNLIKE] == bodies.attached
+    assert bodies.only(np.arange(len(bodies))).owners.tolist() == bodies.owners.tolist()
 
 
 @pytest.mark.parametrize("n", [0, 1, 30])
