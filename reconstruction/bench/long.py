@@ -21,6 +21,7 @@ from acquisition.revision import code_revision
 from reconstruction.bench.conventions import kept, means
 from reconstruction.bench.long_part import cut_out
 from reconstruction.bench.paper.digest import this_code
+from reconstruction.bench.seams import seam_ratio
 from reconstruction.bench.speed_run import SCORES, Contender, run_to_end
 from reconstruction.run.spans import Span, cut
 from reconstruction.training.checkpoint import load_checkpoint
@@ -121,7 +122,9 @@ def _told(run: Path) -> dict:
     """Return the bytes of the scene of a run, without its optimiser's, and the scores of its spans, if it has any."""
     metrics, scene = json.loads((run / "metrics.json").read_text()), io.BytesIO()
     torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
-    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", [])}
+    seams = seam_ratio(run)
+    own = {} if seams is None else {"seam_ratio": seams}
+    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", []), **own}
 
 
 def summarise(rows: Sequence[dict]) -> dict[str, float]:
@@ -129,7 +132,7 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
 
     `CLIP.psnr_db` and the other scores are the mean over the spans that were also reconstructed alone, less that of the
     parts alone. `CLIP.seconds_ratio`, with the report, and `CLIP.bytes_ratio` are of a plane, `CLIP.memory_ratio` is
-    of the peaks.
+    of the peaks. `CLIP.seam_ratio` is of the steps of movers' errors at seams and within spans.
     """
     summary: dict[str, float] = {}
     for whole in (row for row in rows if row["part"] == WHOLE):
@@ -142,6 +145,7 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
         inside, outside = means(spans, SCORES), means(alone, SCORES)
         differences = {score: inside[score] - outside[score] for score in inside if score in outside}
         ratios = {f"{n}_ratio": _a_plane([whole], k) / _a_plane(alone, k) for n, k in _A_PLANE.items()}
+        ratios |= {name: whole[name] for name in ("seam_ratio",) if name in whole}
         ratios["memory_ratio"] = whole["peak_mb"] / float(np.mean([row["peak_mb"] for row in alone]))
         summary |= {f"{whole['clip']}.{name}": value for name, value in (differences | ratios).items()}
     return summary

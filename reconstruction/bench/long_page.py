@@ -37,6 +37,7 @@ RATIOS = {
     "seconds_ratio": "seconds a plane, over those of the parts",
     "memory_ratio": "peak memory, over that of the parts",
     "bytes_ratio": "bytes a plane, over those of the parts",
+    "seam_ratio": "step of movers' errors at seams, over that within spans",
 }
 LINES = (("psnr_db", "whole picture", COLOURS[0]), ("dynamic_psnr_db", "movers", COLOURS[1]))
 

@@ -1,0 +1,55 @@
+"""Measures seams: how far the error of movers jumps where one span ends and the next begins."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.recording.reader import Recording
+from reconstruction.evaluation.evaluate import HeldOut
+from reconstruction.gaussians.spanned import SpannedScene
+from reconstruction.pipeline.artefacts import posed
+from reconstruction.pipeline.report_stage import judged
+from reconstruction.run.folder import RunFolder
+from reconstruction.truth import Truth
+
+
+def seam_ratio(path: Path) -> float | None:
+    """Return by how much more the error of a finished run steps at seams than within spans; None without either.
+
+    A step is the root mean square, over pixels that move, of what render minus truth changes by from one instant of
+    truth to the next.
+    """
+    run = RunFolder.open(path)
+    recording = posed(run, Recording.open(run.recording), refined=True)
+    if recording.truth is None:
+        return None
+    trained = judged(run, recording, Truth.open(recording.truth))
+    if not isinstance(trained.cloud, SpannedScene) or trained.held_out is None or trained.truth is None:
+        return None
+    at_seams, within = steps_of_error(trained.cloud, trained.held_out, trained.truth)
+    return float(np.mean(at_seams) / np.mean(within)) if at_seams and within else None
+
+
+def steps_of_error(scene: SpannedScene, held_out: HeldOut, truth: Truth) -> tuple[list[float], list[float]]:
+    """Return the steps of the error over all instants of truth, in spikes per tick: those at seams, and the others."""
+    at_seams: list[float] = []
+    within: list[float] = []
+    looks = (_look(scene, held_out, truth, plane) for plane in truth.planes(held_out.camera.id))
+    for (span, gap, moving), (next_span, next_gap, next_moving) in pairwise(looks):
+        either = moving | next_moving
+        if either.any():
+            step = float(np.sqrt(np.mean(np.square(next_gap - gap)[either])))
+            (within if span == next_span else at_seams).append(step)
+    return at_seams, within
+
+
+def _look(
+    scene: SpannedScene, held_out: HeldOut, truth: Truth, plane: int
+) -> tuple[int, NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the span that a plane lies in, render minus truth [H, W] there, and the pixels [H, W] that move."""
+    instant_s = held_out.recording.rig.clock.instant_s(plane - truth.lag_ticks)
+    frame = truth.frame(held_out.camera.id, plane)
+    shown = scene.look(held_out.camera, instant_s).intensity
+    return scene.number_at(instant_s), shown - frame.intensity, frame.moving
