@@ -18,6 +18,7 @@ from reconstruction.parallel import each
 WINDOW = 4  # planes counted together
 BLOCK_PX = 8
 LEAST_SPIKES = 4.0  # a block and window, on average; dimmer blocks say little
+TOGETHER = 4096  # windows compared at a time
 MEDIAN_NOISE = 1.25  # deviation of a median over that of the mean of as many spikes, were they a Poisson process
 SURE = 3.0  # deviations by which the gains must vary: a few dim blocks tell nothing
 FLICKER = 0.01  # standard deviation of the gain from which light is said to flicker; noise alone leaves some 0.002
@@ -50,14 +51,14 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     starts = range(0, planes - WINDOW + 1, WINDOW)
     if len(starts) < 3:
         return Light.steady(planes)
-    blocks = np.concatenate(
-        list(each(lambda stream: spikes_of_blocks(stream, starts), streams)), axis=1
-    )  # [windows, blocks]
-    mostly = np.median(blocks, axis=0)
+    counted = each(lambda stream: spikes_of_blocks(stream, starts).astype(np.uint16), streams)
+    blocks = np.concatenate(list(counted), axis=1)  # [windows, blocks]
+    mostly = np.median(blocks, axis=0).astype(np.float32)
     seen = mostly >= LEAST_SPIKES
     if not seen.any():
         return Light.steady(planes)
-    ratios = np.median(blocks[:, seen] / mostly[seen], axis=1)
+    parts = (blocks[first : first + TOGETHER] for first in range(0, len(blocks), TOGETHER))
+    ratios = np.concatenate([np.median(part[:, seen] / mostly[seen], axis=1) for part in parts])
     if ratios.std() < SURE * MEDIAN_NOISE / np.sqrt(mostly[seen].sum()):
         return Light.steady(planes)
     middles = np.array(starts) + (WINDOW - 1) / 2
