@@ -60,9 +60,16 @@ class Truth:
     def _first_tick(self) -> int:
         return self.ticks.start if self.ticks else 0
 
+    def knows(self, camera_id: str) -> bool:
+        """Tell whether there is truth of a camera in any of the planes at hand."""
+        return any(self.ticks is None or tick in self.ticks for tick in self._known(camera_id))
+
+    def _known(self, camera_id: str) -> list[int]:
+        return sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
+
     def planes(self, camera_id: str) -> list[int]:
         """Return the planes a camera has truth for; raises BadRunError where it has none."""
-        ticks = sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
+        ticks = self._known(camera_id)
         planes = [tick - self._first_tick for tick in ticks if self.ticks is None or tick in self.ticks]
         if not planes:
             found = f"found no truth of {camera_id}"

@@ -87,7 +87,7 @@ class Trained:
 
 def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Score the run on its held-out camera and write everything a person looks at."""
-    known = Truth.open(recording.truth) if recording.truth and run.config.holdout else None
+    known = _truth_of(run, recording)
     progress(0.0, "metrics")
     trained = judged(run, recording, known, again=True)
     metrics = _metrics(trained, known, part(progress, 0, 0.4))
@@ -103,6 +103,14 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
         write_viewer(run.path, scene_of(run, trained.recording, trained.cloud))
     _write_page(trained, metrics, narrow_curve)
     progress(1.0, f"{run.path / 'report.html'}")
+
+
+def _truth_of(run: RunFolder, recording: Recording) -> Truth | None:
+    """Return the truth of a simulated recording; None where there is none, or none in the part that was learnt."""
+    if recording.truth is None or run.config.holdout is None:
+        return None
+    truth = Truth.open(recording.truth).within(recording.ticks)
+    return truth if recording.part_planes is None or truth.knows(run.config.holdout) else None
 
 
 def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, progress: Progress) -> dict:

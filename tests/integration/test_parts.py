@@ -123,6 +123,15 @@ def test_a_part_is_resumed_as_the_same_part_alone(recording, tmp_path):
     assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"] + 2
 
 
+@pytest.mark.slow
+def test_a_part_between_the_instants_of_the_truth_is_scored_by_its_counts(recording, tmp_path):
+    between = replace(PART, from_tick=101, to_tick=119, steps=8)
+    done = reconstruct(recording, tmp_path / "run", between, quiet)
+    metrics = json.loads((done.path / "metrics.json").read_text())
+    assert metrics["counts.mae"] > 0
+    assert "no truth" in metrics["note"]
+
+
 @pytest.mark.parametrize(
     ("ticks", "said"),
     [

@@ -173,6 +173,13 @@ def test_the_truth_of_a_part_is_numbered_from_its_first_plane(truth):
     assert own.within(range(80, 100)).planes("cam00") == [0]
     with pytest.raises(BadRunError, match=r"no truth of cam00 in ticks 41 to 60.* from 0 to 80"):
         truth.within(range(41, 60)).planes("cam00")
+    assert [truth.within(range(*ticks)).knows("cam00") for ticks in ((40, 41), (41, 60), (81, 200))] == [
+        True,
+        False,
+        False,
+    ]
+    assert truth.knows("cam00")
+    assert not truth.knows("cam99")
     with pytest.raises(BadRunError, match="plane 45"):
         own.frame("cam00", 15)
 
