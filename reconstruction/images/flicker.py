@@ -51,7 +51,7 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     starts = range(0, planes - WINDOW + 1, WINDOW)
     if len(starts) < 3:
         return Light.steady(planes)
-    counted = each(lambda stream: spikes_of_blocks(stream, starts).astype(np.uint16), streams)
+    counted = each(lambda stream: spikes_of_blocks(stream, starts), streams)
     blocks = np.concatenate(list(counted), axis=1)  # [windows, blocks]
     mostly = np.median(blocks, axis=0).astype(np.float32)
     seen = mostly >= LEAST_SPIKES
@@ -71,16 +71,19 @@ def estimate_light(streams: Sequence[SpikeStream]) -> Light:
     return light if light.flickers else Light.steady(planes)
 
 
-def spikes_of_blocks(stream: SpikeStream, starts: range) -> NDArray[np.float32]:
+def spikes_of_blocks(stream: SpikeStream, starts: range) -> NDArray[np.uint16]:
     """Count the spikes of each block over each window, to [windows, blocks]."""
     layout = stream.layout
     rows, columns = (np.arange(n := max(1, size // BLOCK_PX)) * size // n for size in (layout.height, layout.width))
-    if layout.stored_width == layout.width == BLOCK_PX * len(columns):  # a block's row is a byte
-        rows_of_bytes = (layout.height, len(columns))
-        counts = (np.bitwise_count(stream.window(s, s + WINDOW)).sum(axis=0, dtype=np.uint8) for s in starts)
-        flip = slice(None, None, -1 if layout.row_order == "bottom" else 1)
-        sums = [np.add.reduceat(c.reshape(rows_of_bytes)[flip], rows, axis=0, dtype=np.uint32) for c in counts]
-    else:
-        counts = (stream.counts(start, start + WINDOW) for start in starts)
-        sums = [np.add.reduceat(np.add.reduceat(c, rows, axis=0), columns, axis=1) for c in counts]
-    return np.stack(sums).reshape(len(starts), -1).astype(np.float32)
+    found = np.empty((len(starts), len(rows) * len(columns)), np.uint16)
+    bytewise = layout.stored_width == layout.width == BLOCK_PX * len(columns)  # a block's row is a byte
+    flip = slice(None, None, -1 if layout.row_order == "bottom" else 1)
+    for number, start in enumerate(starts):
+        if bytewise:
+            counts = np.bitwise_count(stream.window(start, start + WINDOW)).sum(axis=0, dtype=np.uint8)
+            sums = np.add.reduceat(counts.reshape(layout.height, -1)[flip], rows, axis=0, dtype=np.uint32)
+        else:
+            counts = stream.counts(start, start + WINDOW)
+            sums = np.add.reduceat(np.add.reduceat(counts, rows, axis=0), columns, axis=1)
+        found[number] = sums.ravel()
+    return found

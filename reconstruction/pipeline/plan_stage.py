@@ -16,7 +16,7 @@ from reconstruction.run.plan import make_plan
 def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Make the plan, and keep the light and each training view's moving pixels."""
     streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
-    plan, masks, light = make_plan(run.config, recording.rig, streams)
+    plan, masks, light = make_plan(run.config, recording.rig, streams, progress)
     run.write_array(LIGHT, light.gains)
     for view, mask in masks.items():
         run.write_array(MOVING.format(view=view), np.logical_or.reduce(mask))
