@@ -52,6 +52,9 @@ def learn_still(run: RunFolder, recording: Recording, done: Done, on_step: OnSte
     method = METHODS["static"]
     cloud = method.start(Seeds(points, Points.none(), clip, 1, run.config.seed, cameras, _no_bodies))
     assert isinstance(cloud, DynamicCloud)
+    light = artefacts.read_light(run)
+    if light.flickers:
+        cloud.light = torch.from_numpy(light.gains)
     settings = replace(settings_of(run, method, views), times=False, image_planes=1, ends_early=False)
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
