@@ -72,9 +72,10 @@ class Recording:
     def part(self, from_tick: int | None, to_tick: int | None) -> Recording:
         """Return the recording of the ticks [from_tick, to_tick) alone, None for an end of it, on the same clock.
 
-        Raises BadRecordingError for ticks that are reversed, or that it does not have.
+        Every camera has all of its planes, also where some were cut off before others. Raises BadRecordingError for
+        ticks that are reversed, or that it does not have.
         """
-        if from_tick is to_tick is None:
+        if from_tick is to_tick is None and len({camera.planes for camera in self.manifest.cameras}) == 1:
             return self
         ticks = ticks_between(self.ticks, from_tick, to_tick, self.path)
         return replace(self, rig=replace(self.rig, first_tick=ticks.start), part_planes=len(ticks))
