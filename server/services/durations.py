@@ -13,7 +13,7 @@ _LOOK_AT = 20  # newest finished jobs of a type
 _LEAST_FRACTION = 0.05  # of a stage, before its own speed tells anything
 _NOT_ALIKE = ("capture", "job", "name", "priority", "seed", "holdout")  # options that hardly change the duration
 _LENGTHS = ("from_tick", "to_tick")  # options that change it by the planes alone
-_GROWS_FROM = {"verify": 1, "images": 1, "reconstruct": PLANES}  # planes from which a type takes longer, in proportion
+_SAMPLED = ("calibrate", "check-rig")  # types that read as many planes of any capture
 _SCORING = "report"  # the stage that a budget does not count
 Seconds = dict[str, float]
 _Earlier = tuple[dict[str, Any], float | None, Seconds]  # the options of a job, its length, and what its stages took
@@ -77,14 +77,14 @@ class Durations:
     def _length(self, entry_type: str, request: Mapping[str, Any]) -> float | None:
         """Return in what proportion a job takes longer, by the planes that it reads; None where nothing tells."""
         capture = request.get("capture")
-        if entry_type not in _GROWS_FROM or capture is None or request.get("ticks") is not None:
+        if entry_type in _SAMPLED or capture is None or request.get("ticks") is not None:
             return None
         planes = self._planes_of(capture)
         if planes is None:
             return None
         first, last = (request.get(name) for name in _LENGTHS)
         read = min(planes, planes if last is None else last) - max(0, first or 0)
-        return max(1.0, read / _GROWS_FROM[entry_type])
+        return max(1.0, read / (PLANES if entry_type == "reconstruct" else 1))  # a span takes what a part of it does
 
 
 def _as_long(seconds: Seconds, then: float | None, now: float | None) -> Seconds:

@@ -80,7 +80,7 @@ class Told:
         self.fractions.append(fraction)
 
     def went_on(self, blocks):
-        """Whether it went from 0 to 1 without a step back, nor one of more than a few blocks or a camera's share."""
+        """Tell whether it went from 0 to 1 without a step back, nor one of more than a few blocks."""
         steps = [later - earlier for earlier, later in pairwise([0.0, *self.fractions])]
         return min(steps) >= 0 and self.fractions[-1] == 1 and max(steps) <= max(0.02, 2 / blocks)
 
