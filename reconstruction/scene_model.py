@@ -1,5 +1,7 @@
 """The protocol of a scene that is trained, rendered and scored: Gaussians or a radiance field."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping, Sized
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from rigs.camera import Camera
+from rigs.clock import RigClock
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,11 @@ class TimeSpan:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.first_s) and self.last_s > self.first_s):
             raise ReconstructionError(f"found a clip from {self.first_s} to {self.last_s} s", "a positive length")
+
+    @classmethod
+    def of_planes(cls, clock: RigClock, first: int, last: int) -> TimeSpan:
+        """Return the time that planes [first, last) on `clock` are exposed."""
+        return cls(clock.begins_s(first), clock.begins_s(last))
 
     @property
     def middle_s(self) -> float:

@@ -31,7 +31,8 @@ class Truth:
     """A truth folder; `white` is the data range of every metric, `movers` the object ids that move.
 
     `metre` is the length of a metre of the truth in the frame it is compared in, `gain` a light of 1 in units
-    of that frame, and `lag_ticks` how much later it is there.
+    of that frame, and `lag_ticks` how much later it is there. `ticks` are those of the planes at hand, None for all:
+    planes are numbered from the first of them on, files by tick.
     """
 
     path: Path
@@ -40,6 +41,7 @@ class Truth:
     metre: float = 1.0
     gain: float = 1.0
     lag_ticks: float = 0.0
+    ticks: range | None = None
 
     @classmethod
     def open(cls, path: Path) -> Truth:
@@ -50,26 +52,47 @@ class Truth:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise BadRunError("found no usable scene.json", "a simulated recording's truth", where=path) from error
 
+    def within(self, ticks: range) -> Truth:
+        """Return the truth of a recording, or a part of one, that has these ticks."""
+        return replace(self, ticks=ticks)
+
+    @property
+    def _first_tick(self) -> int:
+        return self.ticks.start if self.ticks else 0
+
+    def knows(self, camera_id: str) -> bool:
+        """Tell whether there is truth of a camera in any of the planes at hand."""
+        return any(self.ticks is None or tick in self.ticks for tick in self._known(camera_id))
+
+    def _known(self, camera_id: str) -> list[int]:
+        return sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
+
     def planes(self, camera_id: str) -> list[int]:
         """Return the planes a camera has truth for; raises BadRunError where it has none."""
-        planes = sorted(int(f.stem) for f in (self.path / camera_id).glob("[0-9]*.npy"))
+        ticks = self._known(camera_id)
+        planes = [tick - self._first_tick for tick in ticks if self.ticks is None or tick in self.ticks]
         if not planes:
-            raise BadRunError(f"found no truth of {camera_id}", f"{camera_id}/000000.npy and so on", where=self.path)
+            found = f"found no truth of {camera_id}"
+            expected = f"{camera_id}/000000.npy and so on"
+            if ticks and self.ticks:
+                found = f"found no truth of {camera_id} in ticks {self.ticks.start} to {self.ticks.stop}"
+                expected = f"some as from {ticks[0]} to {ticks[-1]}"
+            raise BadRunError(found, expected, where=self.path)
         return planes
 
     def frame(self, camera_id: str, plane: int) -> TruthFrame:
         """Return the truth of one camera at one plane; raises BadRunError where it cannot be read."""
-        folder = self.path / camera_id
+        folder, tick = self.path / camera_id, plane + self._first_tick
         try:
-            intensity, depth, ids = (np.load(folder / f"{kind}{plane:06d}.npy") for kind in ("", "depth_", "id_"))
+            intensity, depth, ids = (np.load(folder / f"{kind}{tick:06d}.npy") for kind in ("", "depth_", "id_"))
         except (OSError, ValueError, EOFError) as error:
-            raise BadRunError(f"found no readable truth at plane {plane}", "it whole", where=folder) from error
+            raise BadRunError(f"found no readable truth at plane {tick}", "it whole", where=folder) from error
         intensity = intensity if self.gain == 1 else intensity * np.float32(self.gain)
         return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
         """Return the mean light [H, W] of the exposure centred on a plane, whose length `scene.json` states."""
-        file = self.path / camera_id / f"blur_{plane:06d}.npy"
+        file = self.path / camera_id / f"blur_{plane + self._first_tick:06d}.npy"
         try:
             return np.load(file)
         except (OSError, ValueError, EOFError) as error:

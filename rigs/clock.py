@@ -8,9 +8,13 @@ from rigs.errors import RigError
 
 @dataclass(frozen=True)
 class RigClock:
-    """Converts ticks to seconds and back; zero is the first recorded plane of the trigger."""
+    """Converts planes to seconds and back; zero is the first recorded plane of the trigger.
+
+    `first_tick` is the tick of plane 0: the planes at hand may be a part of those recorded.
+    """
 
     tick_rate_hz: float
+    first_tick: int = 0
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.tick_rate_hz) or self.tick_rate_hz <= 0:
@@ -18,9 +22,14 @@ class RigClock:
 
     def instant_s(self, plane: float) -> float:
         """Return the middle of plane `plane`, in seconds."""
-        return (plane + 0.5) / self.tick_rate_hz
+        return (self.first_tick + plane + 0.5) / self.tick_rate_hz
+
+    def begins_s(self, plane: float) -> float:
+        """Return the instant at which the exposure of plane `plane` begins, in seconds."""
+        return (self.first_tick + plane) / self.tick_rate_hz
 
     def plane(self, instant_s: float) -> int:
         """Return the plane whose exposure holds `instant_s`."""
         ticks = instant_s * self.tick_rate_hz
-        return math.floor(ticks + max(1e-9, 2 * math.ulp(ticks)))  # an edge belongs to the plane that begins there
+        tick = math.floor(ticks + max(1e-9, 2 * math.ulp(ticks)))  # an edge belongs to the plane that begins there
+        return tick - self.first_tick

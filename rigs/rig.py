@@ -28,6 +28,7 @@ class Calibration:
 class Rig:
     """Cameras in row-major order, their tick rate in Hz, and whether their poses are calibrated or nominal.
 
+    `first_tick` is the tick of plane 0 of the streams that come with the rig; no rig file has it.
     Raises RigError for no cameras, a repeated id, or a tick rate that is not positive.
     """
 
@@ -36,6 +37,7 @@ class Rig:
     cameras: tuple[Camera, ...]
     poses: Poses = "calibrated"
     calibration: Calibration | None = None
+    first_tick: int = 0
 
     def __post_init__(self) -> None:
         RigClock(self.tick_rate_hz)
@@ -56,7 +58,7 @@ class Rig:
     @property
     def clock(self) -> RigClock:
         """The clock all cameras are stated on."""
-        return RigClock(self.tick_rate_hz)
+        return RigClock(self.tick_rate_hz, self.first_tick)
 
     def camera(self, camera_id: str) -> Camera:
         """Return the camera named `camera_id`; raises RigError listing the known ones."""

@@ -115,7 +115,7 @@ def _require_own_names(path: Path, manifest: Manifest) -> None:
 
 
 def _require_room(path: Path, needed: int) -> None:
-    free = free_bytes(path)
+    free, needed = free_bytes(path), needed + 2 * (path / MANIFEST_FILE).stat().st_size  # beside the one that is there
     if free < needed + MARGIN_BYTES:
         raise DiskError(f"found {free} bytes free", f"at least {needed + MARGIN_BYTES}", "free some space", where=path)
 

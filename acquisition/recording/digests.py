@@ -9,6 +9,8 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
+from acquisition.progress import Progress, silent
+
 Digests = tuple[str, tuple[str, ...]]  # SHA-256 of all planes, xxh3-64 of each block
 
 
@@ -72,14 +74,16 @@ def _zeros_digest(size: int) -> str:
     return xxhash.xxh3_64_hexdigest(bytes(size))
 
 
-def digests_of(path: Path, block_bytes: int, size: int | None = None) -> Digests:
+def digests_of(path: Path, block_bytes: int, size: int | None = None, progress: Progress = silent) -> Digests:
     """Read the SHA-256 of a file, or of its first `size` bytes, and the xxh3-64 of each of their blocks."""
-    sha256, blocks, left = hashlib.sha256(), [], path.stat().st_size if size is None else size
+    total = path.stat().st_size if size is None else size
+    sha256, blocks, left = hashlib.sha256(), [], total
     with path.open("rb") as file:
         while data := file.read(min(block_bytes, left)):
             sha256.update(data)
             blocks.append(xxhash.xxh3_64_hexdigest(data))
             left -= len(data)
+            progress(1 - left / total, path.name)
     return sha256.hexdigest(), tuple(blocks)
 
 

@@ -1,6 +1,7 @@
 """Makes a recording from the files of a killed recorder: the blocks that its journals prove, and no more."""
 
 import dataclasses
+import functools
 import hashlib
 import os
 import shutil
@@ -11,7 +12,7 @@ import xxhash
 
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
-from acquisition.progress import Progress, silent
+from acquisition.progress import Progress, part, silent
 from acquisition.recording.digests import digests_of
 from acquisition.recording.journal import SUFFIX, read_journal
 from acquisition.recording.losses import clip_gaps
@@ -26,6 +27,7 @@ from acquisition.recording.manifest import (
 from acquisition.recording.reader import read_any_manifest
 from acquisition.recording.writer import disk_errors, lock_folder, partial_of, publish, refuse_taken
 
+_JOURNALS = 1024  # journals whose planes stay known: lists ask for those of every failed capture
 _REASON = "the recorder was killed; its journal proves what is kept"
 
 
@@ -78,10 +80,22 @@ def left_planes(path: Path) -> int | None:
         return 0
     if manifest.status not in UNFINISHED:
         return max(camera.planes for camera in manifest.cameras)
-    return max(
-        read_journal((folder / camera.file).with_suffix(SUFFIX), camera.block_planes).planes
-        for camera in manifest.cameras
-    )
+    return max(_journalled(folder / camera.file, camera.block_planes) for camera in manifest.cameras)
+
+
+def _journalled(file: Path, block_planes: int) -> int:
+    """Return the planes of a `.dat` that its journal lists, read again only where it has grown."""
+    journal = file.with_suffix(SUFFIX)
+    try:
+        stat = journal.stat()
+    except OSError:
+        return 0
+    return _planes_listed(journal, block_planes, (stat.st_ino, stat.st_mtime_ns, stat.st_size))
+
+
+@functools.lru_cache(_JOURNALS)
+def _planes_listed(journal: Path, block_planes: int, stamp: tuple[int, ...]) -> int:
+    return read_journal(journal, block_planes).planes
 
 
 def _complete(path: Path, progress: Progress) -> Finalised:
@@ -96,7 +110,9 @@ def _complete(path: Path, progress: Progress) -> Finalised:
     for number, camera in enumerate(manifest.cameras):
         progress(number / len(manifest.cameras), camera.file)
         if camera in bare:
-            sha256, digests = digests_of(path / camera.file, camera.block_planes * camera.layout.plane_bytes)
+            own = part(progress, number / len(manifest.cameras), (number + 1) / len(manifest.cameras))
+            block_bytes = camera.block_planes * camera.layout.plane_bytes
+            sha256, digests = digests_of(path / camera.file, block_bytes, progress=own)
             if digests != camera.block_digests:
                 found = "found other bytes than were recorded"
                 raise BadRecordingError(found, do="verify it", where=path / camera.file)
@@ -111,8 +127,8 @@ def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
     """Write the manifest of the blocks that the journals prove into `folder`, and cut its files to it."""
     cameras = []
     for number, camera in enumerate(manifest.cameras):
-        progress(number / len(manifest.cameras), camera.file)
-        cameras.append(_prove(folder, camera))
+        own = part(progress, number / len(manifest.cameras), (number + 1) / len(manifest.cameras))
+        cameras.append(_prove(folder, camera, own))
     if not any(camera.planes for camera in cameras):
         raise BadRecordingError("found no whole block in its journals", "one", "remove the folder", where=folder)
     with disk_errors(folder):
@@ -127,12 +143,13 @@ def _repair(folder: Path, manifest: Manifest, progress: Progress) -> Manifest:
     return manifest
 
 
-def _prove(folder: Path, camera: CameraFile) -> CameraFile:
+def _prove(folder: Path, camera: CameraFile, progress: Progress) -> CameraFile:
     """Return the entry of the blocks from the first on that are whole and are on the disk as the journal says."""
     path = folder / camera.file
     journalled = read_journal(path.with_suffix(SUFFIX), camera.block_planes)
     plane_bytes = camera.layout.plane_bytes
     sha256, sound, planes = hashlib.sha256(), 0, 0
+    progress(0.0, camera.file)
     with BadRecordingError.reading(path), path.open("rb") as file:
         for digest in journalled.digests:
             wanted = min(camera.block_planes, journalled.planes - planes)
@@ -141,6 +158,7 @@ def _prove(folder: Path, camera: CameraFile) -> CameraFile:
                 break
             sha256.update(data)
             sound, planes = sound + 1, planes + wanted
+            progress(planes / journalled.planes, camera.file)
     return dataclasses.replace(
         camera,
         planes=planes,

@@ -11,9 +11,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from acquisition.errors import BadRecordingError
-from acquisition.progress import Progress, silent
+from acquisition.progress import Progress, part, silent
 from acquisition.recording.flip import suspected_flip
-from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of
+from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of, note_bytes
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes import m1k40
@@ -90,15 +90,17 @@ def import_recording(
             warn(doubt)
     skews = align(streams) if align else {}
     total = sum(len(stream) * stream.layout.plane_bytes for stream in streams.values())
-    with RecordingWriter(out, rig, total) as recording:
+    notes = sum(note_bytes(len(stream), stream.layout) for stream in streams.values())
+    with RecordingWriter(out, rig, total + notes) as recording:
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)
             writer = recording.stream(camera_id, stream.layout, len(stream))
-            _copy(stream, writer)
+            size = len(stream) * writer.layout.plane_bytes
+            _copy(stream, writer, part(progress, done / total, (done + size) / total))
             skew_s, skew_sd_s = skews.get(camera_id, (None, None))
             entries.append(dataclasses.replace(_entry(stream, writer), skew_s=skew_s, skew_sd_s=skew_sd_s))
-            done += len(stream) * writer.layout.plane_bytes
+            done += size
         manifest = recording.commit(entries, "import")
     progress(1.0, f"{len(streams)} cameras")
     return manifest
@@ -173,11 +175,12 @@ def _missing(stream: m1k40.M1K40Stream) -> str | None:
     return f"{sum(stream.missing.values())} segments are missing and will be zero, in the planes {some}"
 
 
-def _copy(stream: Stream, writer: StreamWriter) -> None:
+def _copy(stream: Stream, writer: StreamWriter, progress: Progress) -> None:
     step = block_planes_of(writer.layout)
     try:
         for first in range(0, len(stream), step):
             writer.append(stream.window(first, min(first + step, len(stream))))
+            progress(min(first + step, len(stream)) / len(stream), writer.camera_id)
     finally:
         writer.close()
 

@@ -13,6 +13,7 @@ MANIFEST_FILE = "recording.json"
 RIG_FILE = "rig.toml"
 TRUTH_FOLDER = "truth"
 BLOCK_PLANES, BLOCK_BYTES = 80, 1_000_000  # most planes and bytes of a block that are written
+NOTE_BYTES = 128  # most bytes of a block's line in the journal and of its digest in the manifest
 MAX_BLOCK_BYTES = 1 << 30  # most bytes of a block that are read, where it is more than one plane
 MAX_SIDE = (1 << 16) - 1  # most pixels a side
 
@@ -25,6 +26,11 @@ UNFINISHED: tuple[Status, ...] = ("armed", "recording")
 def block_planes_of(layout: PlaneLayout) -> int:
     """Return how many planes share one digest: 80, or as many as make a megabyte."""
     return max(1, min(BLOCK_PLANES, BLOCK_BYTES // layout.plane_bytes))
+
+
+def note_bytes(planes: int, layout: PlaneLayout) -> int:
+    """Return the bytes that the journal and the manifest of so many planes take at most, where none is lost."""
+    return -(-planes // block_planes_of(layout)) * NOTE_BYTES
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from acquisition.errors import BadRecordingError
@@ -23,11 +23,15 @@ from rigs.toml import load_rig
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording folder: its rig, its manifest and its streams. Build with `open`."""
+    """A recording folder: its rig, its manifest and its streams. Build with `open`.
+
+    `part_planes`: how many planes are at hand, from the tick at which the rig's clock begins; None for all of them.
+    """
 
     path: Path
     rig: Rig
     manifest: Manifest
+    part_planes: int | None = None
 
     def __post_init__(self) -> None:
         known = {camera.id for camera in self.manifest.cameras}
@@ -40,7 +44,8 @@ class Recording:
     def open(cls, path: Path) -> Recording:
         """Read manifest and rig; raises BadRecordingError when `path` is no recording. The planes are not touched."""
         manifest = read_manifest(path)
-        return cls(path, load_rig(path / RIG_FILE), manifest)
+        rig = replace(load_rig(path / RIG_FILE), first_tick=manifest.cameras[0].first_tick)
+        return cls(path, rig, manifest)
 
     @property
     def tick_rate_hz(self) -> float:
@@ -54,8 +59,26 @@ class Recording:
 
     @property
     def planes(self) -> int:
-        """The number of planes that every camera has."""
+        """The number of planes at hand that every camera has."""
+        if self.part_planes is not None:
+            return self.part_planes
         return min(camera.planes for camera in self.manifest.cameras)
+
+    @property
+    def ticks(self) -> range:
+        """The ticks of the planes at hand."""
+        return range(self.rig.first_tick, self.rig.first_tick + self.planes)
+
+    def part(self, from_tick: int | None, to_tick: int | None) -> Recording:
+        """Return the recording of the ticks [from_tick, to_tick) alone, None for an end of it, on the same clock.
+
+        Every camera has all of its planes, also where some were cut off before others. Raises BadRecordingError for
+        ticks that are reversed, or that it does not have.
+        """
+        if from_tick is to_tick is None and len({camera.planes for camera in self.manifest.cameras}) == 1:
+            return self
+        ticks = ticks_between(self.ticks, from_tick, to_tick, self.path)
+        return replace(self, rig=replace(self.rig, first_tick=ticks.start), part_planes=len(ticks))
 
     @property
     def truth(self) -> Path | None:
@@ -65,6 +88,13 @@ class Recording:
 
     def stream(self, camera_id: str) -> SpikeStream:
         """Map the planes of one camera; raises BadRecordingError where the file is not what was recorded."""
+        whole = self._stream(camera_id)
+        if self.part_planes is None:
+            return whole
+        first = self.rig.first_tick - self.manifest.cameras[0].first_tick
+        return whole.mapped(first, first + self.part_planes)
+
+    def _stream(self, camera_id: str) -> SpikeStream:
         entry = self.manifest.camera(camera_id)
         if not (self.path / entry.stored_file).exists():  # it may have become compact since the manifest was read
             entry = read_manifest(self.path).camera(camera_id)
@@ -78,6 +108,21 @@ class Recording:
             found, expected = f"found {len(stream)} planes", str(entry.planes)
             raise BadRecordingError(found, expected, "verify the recording", where=self.path / entry.file)
         return stream
+
+
+def ticks_between(known: range, from_tick: int | None, to_tick: int | None, where: Path | None = None) -> range:
+    """Return the ticks [from_tick, to_tick), None for an end of those `known`.
+
+    Raises BadRecordingError for none, for ticks that are reversed, or for some outside `known`.
+    """
+    first = known.start if from_tick is None else from_tick
+    last = known.stop if to_tick is None else to_tick
+    if not known.start <= first < last <= known.stop:
+        expected = f"ticks from {known.start} to {known.stop}, the end excluded, and at least one"
+        raise BadRecordingError(
+            f"found the ticks {first} to {last}", expected, "change --from-tick or --to-tick", where=where
+        )
+    return range(first, last)
 
 
 def compact_planes(folder: Path, camera: CameraFile) -> CompactPlanes:

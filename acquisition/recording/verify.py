@@ -7,7 +7,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from acquisition.errors import BadRecordingError
-from acquisition.progress import Progress, silent
+from acquisition.progress import Progress, part, silent
 from acquisition.recording.digests import digests_of, planes_digests
 from acquisition.recording.manifest import RIG_FILE, CameraFile
 from acquisition.recording.reader import compact_planes, read_manifest
@@ -41,7 +41,8 @@ def verify(path: Path, progress: Progress = silent) -> list[Damaged]:
     done = 0
     for camera in manifest.cameras:
         progress(done / total, camera.stored_file)
-        damages += (_verify_compact if camera.compact else _verify_stream)(path, camera)
+        own = part(progress, done / total, (done + camera.planes) / total)
+        damages += (_verify_compact if camera.compact else _verify_stream)(path, camera, own)
         done += camera.planes
     progress(1.0, f"{len(manifest.cameras)} files")
     return damages
@@ -55,11 +56,11 @@ def _verify_whole(path: Path, sha256: str) -> list[Damaged]:
     return [] if found == sha256 else [Damaged(path.name, None, "its SHA-256 is not the recorded one")]
 
 
-def _verify_stream(folder: Path, camera: CameraFile) -> list[Damaged]:
+def _verify_stream(folder: Path, camera: CameraFile, progress: Progress) -> list[Damaged]:
     path = folder / camera.file
     try:
         size = path.stat().st_size
-        sha256, found = digests_of(path, camera.block_planes * camera.layout.plane_bytes, camera.bytes)
+        sha256, found = digests_of(path, camera.block_planes * camera.layout.plane_bytes, camera.bytes, progress)
     except OSError as error:
         return [Damaged(path.name, None, f"cannot be read ({error.strerror})")]
     damages = _differing(camera, found)
@@ -68,12 +69,13 @@ def _verify_stream(folder: Path, camera: CameraFile) -> list[Damaged]:
     return damages or _unlike(camera, sha256)
 
 
-def _verify_compact(folder: Path, camera: CameraFile) -> list[Damaged]:
+def _verify_compact(folder: Path, camera: CameraFile, progress: Progress) -> list[Damaged]:
     """Find the blocks that cannot be decoded or, where all can, planes that are not the recorded ones."""
     damages: list[Damaged] = []
 
     def decoded(planes: CompactPlanes) -> Iterator[Bytes]:
         for number in range(planes.blocks):
+            progress(number / planes.blocks, camera.stored_file)
             try:
                 yield planes.block(number)
             except BadRecordingError as error:

@@ -21,13 +21,21 @@ from acquisition.errors import BadRecordingError, DiskError
 from acquisition.recording.chunk_writer import RING_BYTES, StreamSpace
 from acquisition.recording.flusher import Flusher
 from acquisition.recording.journal import SUFFIX
-from acquisition.recording.manifest import MANIFEST_FILE, RIG_FILE, CameraFile, Manifest, Trigger, dump_manifest
+from acquisition.recording.manifest import (
+    MANIFEST_FILE,
+    RIG_FILE,
+    CameraFile,
+    Manifest,
+    Trigger,
+    dump_manifest,
+    note_bytes,
+)
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 from rigs.toml import dump_rig
 
-MARGIN_BYTES = 1 << 20  # the manifest and the rig
+MARGIN_BYTES = 1 << 20  # the rig, and what a manifest says of no block
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -153,8 +161,10 @@ class RecordingWriter:
     def _allows(self, size: int) -> bool:
         """Return whether `size` more bytes leave free what is to be kept free: the disk guard."""
         free = free_bytes(self.folder)
-        if free - size < self._use.keep_free_bytes and not self.full:
-            self.full = f"the disk had {free} bytes free, {self._use.keep_free_bytes} are kept free"
+        notes = sum(note_bytes(s.planes + size // s.layout.plane_bytes, s.layout) for s in self._streams)
+        kept = self._use.keep_free_bytes + notes
+        if free - size < kept and not self.full:
+            self.full = f"the disk had {free} bytes free, {kept} are kept free"
         return not self.full
 
     def _refuse_left_over(self) -> None:

@@ -8,7 +8,7 @@ from acquisition.devices.open import Devices, Simulation, open_cameras, parse_de
 from acquisition.devices.registers import Sensitivity
 from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.progress import Progress, part, silent
-from acquisition.recording.manifest import TRUTH_FOLDER, Manifest
+from acquisition.recording.manifest import TRUTH_FOLDER, Manifest, note_bytes
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
 from acquisition.scenes.glass import PERFECT, write_glass
 from acquisition.scenes.own import write_own
@@ -124,4 +124,5 @@ def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:
     instants = -(-planes // (devices.truth_every or stride_of(planes))) if isinstance(devices, Simulation) else 0
     truth = instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
     ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
-    return DiskUse(planes * sum(plane_bytes) + truth, take.keep_free_bytes, ring, devices is not None)
+    notes = sum(note_bytes(planes, PlaneLayout(camera.width, camera.height)) for camera in rig.cameras)
+    return DiskUse(planes * sum(plane_bytes) + notes + truth, take.keep_free_bytes, ring, devices is not None)

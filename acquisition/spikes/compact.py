@@ -6,6 +6,7 @@ length and a checksum. Blocks lie one behind another; the manifest holds how lon
 
 from __future__ import annotations
 
+import copy
 import functools
 import itertools
 from collections.abc import Iterator
@@ -70,7 +71,7 @@ class _Blocks(NamedTuple):
 class CompactPlanes:
     """The planes [T, B] of a compact file, indexed like an array; an index decodes the blocks that it touches.
 
-    `sizes` are the bytes of each block. Build with `open`.
+    `sizes` are the bytes of each block. Build with `open`. Of a `part`, `block` and `blocks` are the whole file's.
     """
 
     dtype, ndim = np.dtype(np.uint8), 2
@@ -82,6 +83,7 @@ class CompactPlanes:
         data = np.memmap(path, dtype=np.uint8, mode="r")
         self._stored = _Blocks(path, data, (0, *itertools.accumulate(sizes)), block_planes, shape)
         self._kept = functools.lru_cache(KEPT_BLOCKS)(self._stored.decoded)
+        self._first = 0  # plane of the file at which these begin
 
     @classmethod
     def open(cls, path: Path, shape: tuple[int, int], block_planes: int, sizes: tuple[int, ...]) -> CompactPlanes:
@@ -114,10 +116,18 @@ class CompactPlanes:
         found = self[:]
         return found.astype(dtype) if dtype not in (None, self.dtype) else found.copy() if copy else found
 
+    def part(self, first: int, last: int) -> CompactPlanes:
+        """Return planes [first, last) as planes of their own, of which nothing is decoded yet."""
+        part = copy.copy(self)
+        part._first, part.shape = self._first + first, (last - first, self.shape[1])
+        part.nbytes = part.shape[0] * part.shape[1]
+        return part
+
     def spans(self, first: int, last: int) -> Iterator[tuple[int, int]]:
         """Yield planes [first, last) in pieces that lie in one block each."""
         while first < last:
-            end = min(last, (first // self.block_planes + 1) * self.block_planes)
+            block = (self._first + first) // self.block_planes
+            end = min(last, (block + 1) * self.block_planes - self._first)
             yield first, end
             first = end
 
@@ -128,6 +138,7 @@ class CompactPlanes:
     def _planes(self, first: int, last: int) -> Bytes:
         parts = []
         for start, end in self.spans(first, last):
-            number = start // self.block_planes
-            parts.append(self._kept(number)[start - number * self.block_planes : end - number * self.block_planes])
+            number = (self._first + start) // self.block_planes
+            before = number * self.block_planes - self._first
+            parts.append(self._kept(number)[start - before : end - before])
         return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.errors import BadRecordingError
 from acquisition.spikes import packing
-from acquisition.spikes.compact import SUFFIX
+from acquisition.spikes.compact import SUFFIX, CompactPlanes
 from acquisition.spikes.layout import PlaneLayout
 
 
@@ -62,6 +62,13 @@ class SpikeStream:
         if not 0 <= plane < len(self):
             raise BadRecordingError(f"found the instant at plane {plane}", f"one inside 0:{len(self)}")
         return max(0, plane - reach), min(len(self), plane + reach + 1)
+
+    def mapped(self, first: int, last: int) -> SpikeStream:
+        """Return planes [first, last) as `part` does, but read nothing, not even of a compact file."""
+        packed: packing.Planes = self.packed
+        if isinstance(packed, CompactPlanes) and 0 <= first <= last <= len(self):
+            return SpikeStream(packed.part(first, last), self.layout, self.tick_rate_hz)
+        return self.part(first, last)
 
     def part(self, first: int, last: int) -> SpikeStream:
         """Return planes [first, last) as a stream of their own; raises BadRecordingError outside the stream."""

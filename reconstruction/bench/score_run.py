@@ -32,7 +32,9 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     follows the training, so that no second of it is on the run's clock. Raises BadRunError where there is no truth.
     """
     own = posed(run, Recording.open(run.recording), refined=True)
-    seen = replace(recording, rig=replace(own.rig, tick_rate_hz=recording.tick_rate_hz))
+    seen = replace(
+        recording, rig=replace(own.rig, tick_rate_hz=recording.tick_rate_hz, first_tick=recording.rig.first_tick)
+    )
     held_out, truth = held_out_with_truth(seen, run.plan.views)
     states = [load_checkpoint(path) for path in run.snapshots()]
     clouds = [model_from_state(state["cloud"]) for state in states]

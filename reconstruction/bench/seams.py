@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.recording.reader import Recording
 from reconstruction.evaluation.evaluate import HeldOut
 from reconstruction.gaussians.spanned import SpannedScene
-from reconstruction.pipeline.artefacts import posed
+from reconstruction.pipeline.artefacts import posed, recording_of
 from reconstruction.pipeline.report_stage import judged
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
@@ -22,7 +21,7 @@ def seam_ratio(path: Path) -> float | None:
     truth to the next.
     """
     run = RunFolder.open(path)
-    recording = posed(run, Recording.open(run.recording), refined=True)
+    recording = posed(run, recording_of(run), refined=True)
     if recording.truth is None:
         return None
     trained = judged(run, recording, Truth.open(recording.truth))

@@ -19,6 +19,7 @@ MANIFEST = "manifest.json"
 VERSION = 1
 FORMATS: Mapping[str, Format] = members("reconstruction.export.formats", Format)
 OPTIONS = {"at_s": "--at", "frames": "--frames", "camera": "--camera"}
+OPTIONS |= {"from_tick": "--from-tick", "to_tick": "--to-tick"}
 
 
 def checked_format(name: str, choices: Choices) -> Format:
@@ -30,7 +31,7 @@ def checked_format(name: str, choices: Choices) -> Format:
     found = FORMATS[name]
     for field in fields(choices):
         if getattr(choices, field.name) is not None and field.name not in found.takes:
-            taken = ", ".join(OPTIONS[name] for name in OPTIONS if name in found.takes) or "neither"
+            taken = ", ".join(OPTIONS[name] for name in OPTIONS if name in found.takes)
             raise BadRunError(f"found {OPTIONS[field.name]} for {name}, which takes {taken}", do="leave it out")
     return found
 
@@ -57,16 +58,18 @@ def export_scene(
 ) -> None:
     """Write `scene` in the format called `name` at `path`.
 
-    Raises BadRunError for a format, choices or a path that cannot be used, RigError for an unknown camera.
+    Raises BadRunError for a format, choices or a path that cannot be used, RigError for an unknown camera,
+    BadRecordingError for ticks that the scene does not cover.
     """
     found = checked_format(name, choices)
     check_target(path, folder=found.folder, overwrite=overwrite)
+    scene = scene.chosen(choices)
     scene.instant_s(choices)
     scene.camera(choices)
     with made_aside(path) as aside:
         extra = found.write(aside, scene, choices, progress)
         if found.folder:
-            clip = scene.cloud.clip
+            clip = scene.clip
             manifest = {"version": VERSION, "format": name, "clip_s": [clip.first_s, clip.last_s], **extra}
             write_json(aside / MANIFEST, manifest)
 

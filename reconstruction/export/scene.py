@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.progress import Progress
+from acquisition.recording.reader import ticks_between
 from reconstruction.errors import BadRunError
 from reconstruction.export.splats import Splats, splats_at
 from rigs.camera import Camera
@@ -16,23 +17,33 @@ from rigs.rig import Rig
 if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
     from reconstruction.images.composite import CompositeSource
-    from reconstruction.scene_model import SceneModel
+    from reconstruction.scene_model import SceneModel, TimeSpan
 
 FRAMES = 30
+TICKS = "from_tick", "to_tick"  # choices of every format over time
 
 
 @dataclass(frozen=True)
 class Choices:
-    """The choices of an operator: seconds on the rig clock, number of frames, id of a camera; None is the default."""
+    """The choices of an operator; None is the default.
+
+    `at_s`: seconds on the rig clock. `frames`: how many. `camera`: its id. `from_tick`, `to_tick`: the ticks [from, to)
+    of the rig clock that a format over time covers.
+    """
 
     at_s: float | None = None
     frames: int | None = None
     camera: str | None = None
+    from_tick: int | None = None
+    to_tick: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A trained run. `targets()` reads the target images of the training views, by camera id."""
+    """A trained run. `targets()` reads the target images of the training views, by camera id.
+
+    `part`: the time that is written, None for all that the model covers.
+    """
 
     cloud: SceneModel
     rig: Rig
@@ -40,6 +51,23 @@ class Scene:
     model: str  # as `--model` names it
     holdout: str | None
     targets: Callable[[], Mapping[str, CompositeSource]]
+    part: TimeSpan | None = None
+
+    @property
+    def clip(self) -> TimeSpan:
+        """The time that is written."""
+        return self.part or self.cloud.clip
+
+    def chosen(self, choices: Choices) -> Scene:
+        """Return the scene over the ticks chosen; raises BadRecordingError for ticks that it does not cover."""
+        if choices.from_tick is choices.to_tick is None:
+            return self
+        from reconstruction.scene_model import TimeSpan
+
+        rate_hz, clip = self.rig.tick_rate_hz, self.cloud.clip
+        known = range(round(clip.first_s * rate_hz), round(clip.last_s * rate_hz))
+        ticks = ticks_between(known, choices.from_tick, choices.to_tick)
+        return replace(self, part=TimeSpan(ticks.start / rate_hz, ticks.stop / rate_hz))
 
     def gaussians_at(self, instant_s: float) -> DynamicCloud:
         """Return the Gaussians of the span that an instant lies in; raises BadRunError if the model has none."""
@@ -54,7 +82,7 @@ class Scene:
 
     def instant_s(self, choices: Choices) -> float:
         """Return the instant chosen, by default the clip's middle; raises BadRunError for one outside the clip."""
-        clip = self.cloud.clip
+        clip = self.clip
         if choices.at_s is None:
             return clip.middle_s
         if not clip.first_s <= choices.at_s <= clip.last_s:
@@ -65,7 +93,7 @@ class Scene:
     def instants_s(self, choices: Choices) -> list[float]:
         """Return the middles of as many equal parts of the clip as frames are chosen, in s on the rig clock."""
         count = choices.frames or FRAMES
-        return [self.cloud.clip.instant_s((i + 0.5) / count) for i in range(count)]
+        return [self.clip.instant_s((i + 0.5) / count) for i in range(count)]
 
     def frames(self, choices: Choices, progress: Progress) -> Iterator[tuple[str, float]]:
         """Yield the number, in six digits, and the instant in s of every frame, and report each when it is done."""

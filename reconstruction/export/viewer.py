@@ -11,7 +11,7 @@ A scene of spans has version 2. Its `arrays` are those of the still Gaussians al
 Each of `spans` has its own bytes, `length` from `offset` on, and says where its arrays begin in them. `changed` [C]
 uint32 are still Gaussians, numbered as they are stored, that have `changed_opacities` and `changed_intensities` in this
 span. The other arrays are those of M movers as above, over a clip of their own, `clip_s`, which may reach over the ends
-of the span.
+of the span. A part of a scene has version 2 too: the spans that it touches, cut to it, or one where there are none.
 """
 
 from pathlib import Path
@@ -26,6 +26,7 @@ from acquisition.durable import made_aside, write_durably, write_json
 from reconstruction.export.scene import Choices, Scene
 from reconstruction.export.splats import floats
 from reconstruction.export.viewer_arrays import Arrays, motion_of, moving_arrays, still_arrays
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanContent, SpannedScene
 from reconstruction.rendering.reference import ALPHA_MIN
 from reconstruction.report.display import depth_span_m
@@ -39,8 +40,11 @@ EMPTY_M = 1.5  # distance to look at where nothing is seen, m
 def write_viewer(folder: Path, scene: Scene) -> None:
     """Write both files into `folder`, last the one that names the other's contents."""
     path = folder / "viewer.bin"
-    if isinstance(scene.cloud, SpannedScene):
-        document = _write_spans(path, scene, scene.cloud)
+    cloud = scene.cloud
+    if scene.part and isinstance(cloud, DynamicCloud | SpannedScene):
+        document = _write_spans(path, scene, SpannedScene.over(cloud, scene.part))
+    elif isinstance(cloud, SpannedScene):
+        document = _write_spans(path, scene, cloud)
     else:
         document, data = viewer_of(scene)
         write_durably(path, data)
@@ -50,7 +54,7 @@ def write_viewer(folder: Path, scene: Scene) -> None:
 @torch.no_grad()
 def viewer_of(scene: Scene) -> tuple[dict, bytes]:
     """Return the document of `viewer.json` and the bytes of `viewer.bin` of a scene without spans."""
-    cloud = scene.gaussians_at(scene.cloud.clip.middle_s)
+    cloud = scene.gaussians_at(scene.clip.middle_s)
     still = still_arrays(cloud.still.select(cloud.still.opacity_logits.sigmoid() >= ALPHA_MIN))
     moving = moving_arrays(cloud)
     count, movers = len(still["means"]), len(moving["means"])
@@ -142,7 +146,7 @@ def _place(array: NDArray[Any], offset: int) -> dict:
 
 
 def _counts(scene: Scene, version: int, still: int, moving: int) -> dict:
-    clip = scene.cloud.clip
+    clip = scene.clip
     return {
         "version": version,
         "count": still + moving,
@@ -173,7 +177,7 @@ def _camera_table(camera: Camera, holdout: str | None) -> dict:
 def _seen(scene: Scene) -> dict:
     """Return the middle of the default camera's view half-way through the clip, and the span of its depth."""
     camera = scene.camera(Choices())
-    depth = scene.cloud.look(camera, scene.cloud.clip.middle_s).depth
+    depth = scene.cloud.look(camera, scene.clip.middle_s).depth
     rows, columns = np.nonzero(np.isfinite(depth))
     z = depth[rows, columns].astype(np.float64)
     if z.size:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import torch
@@ -132,6 +132,25 @@ def _detached_movers(learnt: DynamicCloud) -> dict[str, Tensor]:
     return tensors | {f"still.{name}": tensor for name, tensor in empty.items()}
 
 
+@dataclass(frozen=True)
+class _Cut(Sequence[SpanContent]):
+    """The spans of these `numbers`, cut to `clip`; each is read when it is asked for."""
+
+    spans: Sequence[SpanContent]
+    numbers: Sequence[int]
+    clip: TimeSpan
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, place: Any) -> Any:
+        if isinstance(place, slice):
+            return replace(self, numbers=self.numbers[place])
+        span = self.spans[self.numbers[place]]
+        first_s, last_s = max(span.clip.first_s, self.clip.first_s), min(span.clip.last_s, self.clip.last_s)
+        return replace(span, clip=TimeSpan(first_s, last_s))
+
+
 @dataclass
 class SpannedScene:
     """N still Gaussians beside the contents of spans, in order of time; see `scene_model.SceneModel`."""
@@ -146,6 +165,20 @@ class SpannedScene:
     def __post_init__(self) -> None:
         if not self.spans:
             raise ReconstructionError("found a scene of no span", "at least one")
+
+    @classmethod
+    def over(cls, scene: DynamicCloud | SpannedScene, clip: TimeSpan) -> SpannedScene:
+        """Return the part of a scene that lies in `clip`: the spans that it touches, cut to it; steady light."""
+        whole = scene if isinstance(scene, SpannedScene) else cls._of_one(scene)
+        clips = [span.clip for span in whole.spans]
+        touched = [n for n, own in enumerate(clips) if own.first_s < clip.last_s and clip.first_s < own.last_s]
+        return cls(whole.still, _Cut(whole.spans, touched, clip), clip)
+
+    @classmethod
+    def _of_one(cls, scene: DynamicCloud) -> SpannedScene:
+        """Return a scene without spans as one that has one."""
+        span = replace(SpanContent.as_usual(scene.clip), cloud=scene if len(scene.moving) else None)
+        return cls(scene.still, [span], scene.clip)
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)

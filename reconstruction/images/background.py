@@ -56,17 +56,18 @@ def moving_pixels(stream: SpikeStream, light: Light) -> NDArray[np.bool_]:
     for windows in CUTS:
         if len(stream) // windows >= CHANGE:
             counts, gains = _windows(stream, windows, light)
-            _changed_windows(counts, windows, seen.size, gains, CHANGE / gains.min(), SHOT, seen)
+            if len(gains):
+                _changed_windows(counts, len(gains), seen.size, gains, CHANGE / gains.min(), SHOT, seen)
     seen = cv2.medianBlur(seen, 3)  # a lone flickering pixel is the sensor's, not the scene's
-    if is_scarce(stream):
+    if light.lit([(0, len(stream))]) and is_scarce(stream):
         seen = np.maximum(seen, changing(stream, light).astype(np.uint8))
     return cv2.dilate(seen, np.ones((2 * GROW_PX + 1,) * 2, dtype=np.uint8)).astype(bool)
 
 
 def _windows(stream: SpikeStream, windows: int, light: Light) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
-    """Count spikes over equal windows [windows, H, W]; return the gain of each window [windows], too."""
+    """Count spikes over equal windows [n, H, W] that are not dark; return the gain of each window [n], too."""
     length = len(stream) // windows
-    spans = [(i * length, (i + 1) * length) for i in range(windows)]
+    spans = light.lit([(i * length, (i + 1) * length) for i in range(windows)])
     gains = np.array([light.over(*span) for span in spans], dtype=np.float32)
     return stream.window_counts(spans), gains.astype(np.float64)
 
@@ -106,7 +107,9 @@ def _before_failures(
     for end in np.unique(response.fails[(response.fails > 0) & (response.fails < len(stream))]).tolist():
         own = response.fails == end
         parts = min(WINDOWS, end)
-        spans = [(end * i // parts, end * (i + 1) // parts) for i in range(parts)]
+        spans = light.lit([(end * i // parts, end * (i + 1) // parts) for i in range(parts)])
+        if not spans:
+            continue
         counts = [stream.counts(*span)[own] / (light.over(*span) * (span[1] - span[0])) for span in spans]
         image[own] = np.where(moving[own], np.median(counts, axis=0), np.mean(counts, axis=0))
 

@@ -1,8 +1,9 @@
 """Finds pixels that turn hot or stuck during a recording: lone ones that jump, and from then on see nothing change.
 
-A clip is cut into equal spans. A pixel that fails leaves its count at one span and keeps the new one to the end, as
-constant light would make it, while its neighbours go on as before. Whatever moves is seen by several pixels, since no
-lens draws finer than a pixel, so a mover takes its neighbours along. Letters: S spans, H rows, W columns, K pixels.
+A clip is cut into equal spans, of which those in the dark tell nothing. A pixel that fails leaves its count at one span
+and keeps the new one to the end, as constant light would make it, while its neighbours go on as before. Whatever moves
+is seen by several pixels, since no lens draws finer than a pixel, so a mover takes its neighbours along. Letters:
+S spans, H rows, W columns, K pixels.
 """
 
 import numpy as np
@@ -28,14 +29,16 @@ def failing_pixels(stream: SpikeStream, light: Light, spans: int = SPANS) -> NDA
     fails = np.full((stream.layout.height, stream.layout.width), NEVER, np.int32)
     if length < 2:
         return fails
-    starts = [number * length for number in range(spans)]
+    starts = [start for start, _ in light.lit([(n * length, (n + 1) * length) for n in range(spans)])]
+    if len(starts) <= LEAST_SPANS:
+        return fails
     counts = stream.window_counts([(start, start + length) for start in starts])
     gains = np.array([light.over(start, start + length) for start in starts], np.float32)
     varied = counts.max(axis=0) - counts.min(axis=0) >= JUMP
     rows, columns = np.nonzero(varied & (np.abs(np.subtract(*counts[-2:], dtype=np.int64)) <= STEADY))
     own = counts[:, rows, columns].astype(np.float32)
     lowest, highest = (f.accumulate(own[::-1], axis=0)[::-1] for f in (np.minimum, np.maximum))  # from a span on
-    for number in range(spans - LEAST_SPANS, 0, -1):  # the earliest jump is written last
+    for number in range(len(starts) - LEAST_SPANS, 0, -1):  # the earliest jump is written last
         jumped, jump = _jumping(own, (lowest[number + 1], highest[number + 1]), gains, number)
         around = _around(counts, rows[jumped], columns[jumped])
         found = jumped[_alone(own[:, jumped], jump, around, gains, number)]

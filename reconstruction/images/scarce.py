@@ -63,7 +63,7 @@ def changing(stream: SpikeStream, light: Light) -> Mask:
 def steady_background(stream: SpikeStream, light: Light) -> tuple[Floats, Mask]:
     """Return the light [H, W] of the parts of the clip that show what most show, and where these are most parts."""
     counts, gains = steady_counts(stream, min(PARTS, len(stream)), light)
-    length, mean = len(stream) // len(counts), counts.mean(axis=0)
+    length, mean = len(stream) // min(PARTS, len(stream)), counts.mean(axis=0)
     side = next((s for s in SQUARES_PX if float(mean.mean()) * s**2 >= POOLED), SQUARES_PX[-1])
     kept = np.stack(list(_strays(counts, mean, gains, side, middle=True))) < STRAY
     kept |= ~kept.any(axis=0)
@@ -83,9 +83,13 @@ def calmed(image: Floats, side: int) -> Floats:
 
 
 def steady_counts(stream: SpikeStream, windows: int, light: Light) -> tuple[Floats, Floats]:
-    """Return the counts over equal windows [W, H, W] as in steady light, and the gain of each window [W]."""
+    """Return the counts over equal windows [W, H, W] as in steady light, and the gain of each window [W].
+
+    Windows in the dark are left out, where there are others.
+    """
     length = len(stream) // windows
     spans = [(i * length, (i + 1) * length) for i in range(windows)]
+    spans = light.lit(spans) or spans
     gains = np.array([light.over(*span) for span in spans], dtype=np.float32)
     return np.stack([stream.counts(*s) / gain for s, gain in zip(spans, gains, strict=True)]).astype(np.float32), gains
 

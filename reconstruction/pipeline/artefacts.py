@@ -146,6 +146,11 @@ def white_of(backgrounds: list[Background]) -> float:
     return float(np.mean([np.percentile(still.image, WHITE_PERCENTILE) for still in backgrounds]))
 
 
+def recording_of(run: RunFolder) -> Recording:
+    """Return the recording that a run reads, or the part of it that was asked for, with its cameras as they were."""
+    return Recording.open(run.recording).part(run.config.from_tick, run.config.to_tick)
+
+
 def posed(run: RunFolder, recording: Recording, *, refined: bool = False) -> Recording:
     """Return the recording with the cameras that the poses stage found, or as it is where nothing was to be found.
 

@@ -21,7 +21,7 @@ def keep_bodies(run: RunFolder, recording: Recording, moving: Points, planes: Se
     """
     views, clock = list(artefacts.read_views(run, recording).values()), recording.rig.clock
     found = find_bodies(moving, [clock.instant_s(plane) for plane in planes])
-    clip, still = TimeSpan(0.0, recording.planes / clock.tick_rate_hz), artefacts.read(run, artefacts.STILL, Points)
+    clip, still = TimeSpan.of_planes(clock, 0, recording.planes), artefacts.read(run, artefacts.STILL, Points)
     cameras = [camera for camera, _ in views]
     seeds = Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: found)
     judgement = judge(seeds, views, clock)

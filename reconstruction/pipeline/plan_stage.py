@@ -1,11 +1,14 @@
 """Decides what the scene needs."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.pipeline.artefacts import LIGHT, MOVING
 from reconstruction.pipeline.span_artefacts import PLANNED, write_masks
+from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.plan import make_plan
 
@@ -13,11 +16,17 @@ from reconstruction.run.plan import make_plan
 def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Make the plan, and keep the light and each training view's moving pixels."""
     streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
-    plan, masks, light = make_plan(run.config, recording.rig, streams)
+    plan, masks, light = make_plan(run.config, recording.rig, streams, progress)
     run.write_array(LIGHT, light.gains)
     for view, mask in masks.items():
         run.write_array(MOVING.format(view=view), np.logical_or.reduce(mask))
         if plan.spans:
             write_masks(run, PLANNED, view, mask)
+    if recording.part_planes is not None:
+        choice = f"ticks {recording.ticks.start} to {recording.ticks.stop - 1}"
+        said = Decision(
+            "part", choice, "no other plane is read; instants are those of the whole recording", "--from-tick"
+        )
+        plan = replace(plan, decisions=(said, *plan.decisions))
     run.document.planned, run.document.amendments = plan, []
     progress(1.0, "\n".join(map(str, plan.decisions)))

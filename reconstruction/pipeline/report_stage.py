@@ -28,6 +28,7 @@ from reconstruction.pipeline.artefacts import (
     posed,
     read_held_out,
     read_white,
+    recording_of,
     write_held_out,
 )
 from reconstruction.pipeline.span_artefacts import read_targets
@@ -86,7 +87,7 @@ class Trained:
 
 def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
     """Score the run on its held-out camera and write everything a person looks at."""
-    known = Truth.open(recording.truth) if recording.truth and run.config.holdout else None
+    known = _truth_of(run, recording)
     progress(0.0, "metrics")
     trained = judged(run, recording, known, again=True)
     metrics = _metrics(trained, known, part(progress, 0, 0.4))
@@ -104,6 +105,14 @@ def report_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     progress(1.0, f"{run.path / 'report.html'}")
 
 
+def _truth_of(run: RunFolder, recording: Recording) -> Truth | None:
+    """Return the truth of a simulated recording; None where there is none, or none in the part that was learnt."""
+    if recording.truth is None or run.config.holdout is None:
+        return None
+    truth = Truth.open(recording.truth).within(recording.ticks)
+    return truth if recording.part_planes is None or truth.knows(run.config.holdout) else None
+
+
 def evaluate_run(run: RunFolder, recording: Recording, truth: Truth | None, progress: Progress) -> dict:
     """Return the document of `evaluate`: metrics on the held-out camera, or a note that there is none."""
     return _metrics(judged(run, recording, truth), truth, progress)
@@ -117,6 +126,7 @@ def judged(run: RunFolder, recording: Recording, known: Truth | None, *, again: 
     the cameras differ in gain, its spikes tell its own.
     """
     cloud, camera_id = load_cloud(run.checkpoint), run.config.holdout
+    known = known and known.within(recording.ticks)
     if camera_id is None:
         return Trained(run, recording, cloud, known, None)
     held_out, truth = held_out_camera(recording, camera_id, run.plan.views, known)
@@ -160,14 +170,15 @@ def _span_scores(trained: Trained) -> dict[str, list[dict[str, float]]]:
     if not isinstance(cloud, SpannedScene) or held_out is None:
         return {}
     seconds = load_checkpoint(trained.run.checkpoint)["seconds"]
-    rows = []
+    rows, begin = [], trained.recording.rig.first_tick
     for number, span in enumerate(trained.run.plan.spans):
         known = truth.planes(held_out.camera.id) if truth else []
         planes = [plane for plane in known if span.first <= plane < span.last]
         scores = score_at(cloud, held_out, truth, spread(planes, SPAN_INSTANTS)) if truth and planes else {}
         kept = {name: scores[name] for name in SPAN_SCORES if name in scores}
         took_s = seconds.get(f"span {number}", 0.0)
-        rows.append({"first_tick": span.first, "last_tick": span.last - 1, **kept, "seconds": round(took_s, 3)})
+        ends = {"first_tick": begin + span.first, "last_tick": begin + span.last - 1}
+        rows.append({**ends, **kept, "seconds": round(took_s, 3)})
     return {"spans": rows}
 
 
@@ -176,7 +187,7 @@ def _pose_scores(run: RunFolder, truth: Truth | None) -> dict[str, float]:
 
     Returns nothing where the poses were given and left alone.
     """
-    drawn = Recording.open(run.recording)
+    drawn = recording_of(run)
     true = truth.cameras(drawn.tick_rate_hz) if truth else None
     stages = {"drawn": drawn, "found": posed(run, drawn), "refined": posed(run, drawn, refined=True)}
     if true is None or stages["refined"] is drawn or not set(run.plan.views) <= set(true.ids):
@@ -222,7 +233,7 @@ def _write_page(trained: Trained, metrics: dict, narrow_curve: bytes) -> None:
     curve, told = run.path / "error_vs_time.png", run.document
     document = {
         "title": f"Reconstruction of {recording.path.name}",
-        "subtitle": f"{recording.planes} planes of {len(recording.camera_ids)} cameras at "
+        "subtitle": f"{recording.planes} planes{_part_of(recording)} of {len(recording.camera_ids)} cameras at "
         f"{recording.rig.tick_rate_hz:g} Hz; "
         f"{told.steps or 0} steps, {len(cloud)} {cloud.unit}, revision {told.revision}",
         "camera": run.config.holdout or "No camera held out",
@@ -241,6 +252,13 @@ def _write_page(trained: Trained, metrics: dict, narrow_curve: bytes) -> None:
         "configuration": asdict(told.configuration),
     }
     write_durably(run.path / "report.html", report_html(document))
+
+
+def _part_of(recording: Recording) -> str:
+    """Return the words that tell which part of a recording this is; none for a whole one."""
+    if recording.part_planes is None:
+        return ""
+    return f" (ticks {recording.ticks.start} to {recording.ticks.stop - 1})"
 
 
 def _pictures(trained: Trained) -> list[list[dict]]:
@@ -264,7 +282,8 @@ def _pictures(trained: Trained) -> list[list[dict]]:
                 "true depth": depth_colours(frame.depth, near, far),
             }
         files = {name: encode_png(pixels) for name, pixels in shown.items()}
-        write_durably(run.path / "thumbnails" / f"render_{plane:06d}.png", files["render"])
-        return [{"source": embed(file), "caption": f"{name}, plane {plane}"} for name, file in files.items()]
+        tick = recording.rig.first_tick + plane
+        write_durably(run.path / "thumbnails" / f"render_{tick:06d}.png", files["render"])
+        return [{"source": embed(file), "caption": f"{name}, plane {tick}"} for name, file in files.items()]
 
     return list(shared_out(drawn, spread(planes, SHOWN_INSTANTS + 2)[1:-1] or planes[:1]))

@@ -145,19 +145,22 @@ def _spanned(
     run: RunFolder, source: CompositeSource, parts: Callable[[int, Span], Sources], view: str
 ) -> SpannedSource:
     spans = run.plan.spans
-    return SpannedSource.of(source, spans, lambda number: parts(number, spans[number])[view])
+    return SpannedSource.of(source, spans, lambda number: parts(number, spans[number]).get(view))
 
 
 @dataclass(frozen=True, eq=False)
 class SpannedSource(CompositeSource):
-    """One camera's images of a recording in spans: those of the span that a plane lies in, which `part` gives."""
+    """One camera's images of a recording in spans: those of the span that a plane lies in.
+
+    `part_of` gives them by the number of the span, None for one in which the camera is dark: there nothing moves.
+    """
 
     spans: Sequence[Span] = ()
-    part_of: Callable[[int], CompositeSource] = field(kw_only=True)
+    part_of: Callable[[int], CompositeSource | None] = field(kw_only=True)
 
     @classmethod
     def of(
-        cls, source: CompositeSource, spans: Sequence[Span], part_of: Callable[[int], CompositeSource]
+        cls, source: CompositeSource, spans: Sequence[Span], part_of: Callable[[int], CompositeSource | None]
     ) -> SpannedSource:
         """Return the images of a camera whose still scene `source` has."""
         own = {f.name: getattr(source, f.name) for f in fields(CompositeSource)}
@@ -166,4 +169,5 @@ class SpannedSource(CompositeSource):
     def at(self, plane: int) -> NDArray[np.float32]:
         """Return the image [H, W] at `plane` in spikes per tick."""
         number = bisect.bisect_right([span.first for span in self.spans], plane) - 1
-        return self.part_of(number).at(plane - self.spans[number].first)
+        part = self.part_of(number)
+        return part.at(plane - self.spans[number].first) if part else self.background.image * self.light.gains[plane]

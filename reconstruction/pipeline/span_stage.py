@@ -113,10 +113,9 @@ def train_spans(
     budget.spent_s += sum(kept["seconds"] for kept in map(_read, sorted((run.path / SPANS).glob("*.pt"))))
     moving, planes = moving_spans(run), run.plan.spans
     ends = [(STILL + i) / (STILL + len(moving)) for i in range(len(moving) + 1)]
-    rate_hz = recording.rig.tick_rate_hz
-    spans = [SpanContent.as_usual(TimeSpan(span.first / rate_hz, span.last / rate_hz)) for span in planes]
+    spans = [SpanContent.as_usual(TimeSpan.of_planes(recording.rig.clock, span.first, span.last)) for span in planes]
     still = training.still(ends[0])
-    light, clip = artefacts.read_light(run), TimeSpan(0.0, recording.planes / rate_hz)
+    light, clip = artefacts.read_light(run), TimeSpan.of_planes(recording.rig.clock, 0, recording.planes)
     gains = torch.from_numpy(light.gains) if light.flickers else torch.ones(1)
     scene = SpannedScene(still, spans, clip, gains)
     preview = Preview(run, recording.rig, max(artefacts.read_white(run), 1e-6), budget.clock)

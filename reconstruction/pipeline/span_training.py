@@ -36,6 +36,7 @@ from reconstruction.scene_model import TimeSpan
 from reconstruction.training.changed_pixels import look_again, unsettled
 from reconstruction.training.trainer import Trainer, train
 from reconstruction.training.view import TrainingView
+from rigs.clock import RigClock
 
 OnStep = Callable[[Trainer, float, float], None]  # of a trainer, the share that is done, and the loss
 Done = Callable[[int], float]  # the share of a training that is done after so many steps
@@ -47,11 +48,14 @@ def learn_still(run: RunFolder, recording: Recording, done: Done, on_step: OnSte
     """Return the still scene, learnt from the backgrounds of all training views."""
     views = _still_views(run, recording)
     cameras = [view.camera for view in views]
-    clip = TimeSpan(0.0, recording.planes / recording.rig.tick_rate_hz)
+    clip = TimeSpan.of_planes(recording.rig.clock, 0, recording.planes)
     points = artefacts.read(run, artefacts.STILL, Points)
     method = METHODS["static"]
     cloud = method.start(Seeds(points, Points.none(), clip, 1, run.config.seed, cameras, _no_bodies))
     assert isinstance(cloud, DynamicCloud)
+    light = artefacts.read_light(run)
+    if light.flickers:
+        cloud.light = torch.from_numpy(light.gains)
     settings = replace(settings_of(run, method, views), times=False, image_planes=1, ends_early=False)
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
@@ -74,7 +78,7 @@ def learn_span(
     run: RunFolder, recording: Recording, number: int, still: GaussianCloud, done: Done, on_step: OnStep
 ) -> SpanContent:
     """Return what the span `number` has beside the `still` scene, learnt from its planes and a few beyond its ends."""
-    span, rate_hz = run.plan.spans[number], recording.rig.tick_rate_hz
+    span, clock = run.plan.spans[number], recording.rig.clock
     grown = span.grown(OVERLAP, recording.planes)
     seen = _looked_at_again(run, read_span_views(run, recording, number, grown))
     views = [TrainingView(one.camera, one.source, focus=_around(one.shown)) for one in seen]
@@ -83,10 +87,10 @@ def learn_span(
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains[grown.first : grown.last])
     settings = replace(settings_of(run, METHODS[run.plan.model], views), ends_early=False)
-    trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed + number)
+    trainer = Trainer(cloud, views, settings, RigClock(clock.tick_rate_hz), run.config.seed + number)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
-    cloud.clip = TimeSpan(grown.first / rate_hz, grown.last / rate_hz)
-    return SpanContent.of(TimeSpan(span.first / rate_hz, span.last / rate_hz), changed, cloud)
+    cloud.clip = TimeSpan.of_planes(clock, grown.first, grown.last)
+    return SpanContent.of(TimeSpan.of_planes(clock, span.first, span.last), changed, cloud)
 
 
 def _looked_at_again(run: RunFolder, seen: Mapping[str, SpanView]) -> list[SpanView]:
@@ -108,10 +112,11 @@ def _started(
     run: RunFolder, recording: Recording, seen: Sequence[SpanView], still: GaussianCloud, planes: int
 ) -> tuple[SpanCloud, torch.Tensor]:
     """Return the start of a span of so many planes, and which still Gaussians [C] it may change."""
-    rng, clock, cameras = np.random.default_rng(run.config.seed), recording.rig.clock, [one.camera for one in seen]
+    rng, cameras = np.random.default_rng(run.config.seed), [one.camera for one in seen]
+    clock = RigClock(recording.rig.tick_rate_hz)  # of the span alone, while it is learnt
     instants = {plane: clock.instant_s(plane) for plane in moving_planes(planes, run.plan.model)}
     moving, resting = _moving(run, seen, instants, rng), _resting(run, seen, rng)
-    clip = TimeSpan(0.0, planes / recording.rig.tick_rate_hz)
+    clip = TimeSpan.of_planes(clock, 0, planes)
 
     def bodies() -> Bodies:
         found = find_bodies(moving, list(instants.values()))

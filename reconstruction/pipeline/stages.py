@@ -35,7 +35,7 @@ def reconstruct(
     began = time.monotonic() if started is None else started
     if config.device == CUDA and stage != STAGES[-1]:
         _expect_device()
-    recording = Recording.open(recording_path)
+    recording = Recording.open(recording_path).part(config.from_tick, config.to_tick)
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
     if again is not None and stage is not None:

@@ -42,7 +42,7 @@ SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # share
 
 def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView], Seeds]:
     """Return the views of a training and the points to seed it; BadRunError where artefacts or truth are missing."""
-    rig, views = recording.rig, []
+    views = []
     for view, (camera, source) in artefacts.read_views(run, recording).items():
         known = inverse_depth(np.where(source.moving, np.nan, run.read_array(artefacts.DEPTH.format(view=view))))
         shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
@@ -50,7 +50,7 @@ def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView]
         empty = None if void is None else torch.from_numpy(void)
         views.append(TrainingView(camera, shown, inverse_depth=known, empty=empty))
     still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
-    clip, cameras = TimeSpan(0.0, recording.planes / rig.tick_rate_hz), [view.camera for view in views]
+    clip, cameras = TimeSpan.of_planes(recording.rig.clock, 0, recording.planes), [view.camera for view in views]
     bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731
     return views, Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, bodies)
 
@@ -222,7 +222,7 @@ def _given(view: str, source: CompositeSource, recording: Recording, images: str
     """Return the same source with the clean or blurred truth of a simulated recording as its images."""
     if recording.truth is None:
         raise BadRunError("found no truth", f"a simulated recording for the images `{images}`", where=recording.path)
-    truth = Truth.open(recording.truth)
+    truth = Truth.open(recording.truth).within(recording.ticks)
     frames = {
         plane: source.carried(truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity)
         for plane in truth.planes(view)

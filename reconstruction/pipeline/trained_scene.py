@@ -5,7 +5,7 @@ from dataclasses import replace
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.export.scene import Scene
-from reconstruction.pipeline.artefacts import posed, read_held_out, read_white
+from reconstruction.pipeline.artefacts import posed, read_held_out, read_white, recording_of
 from reconstruction.pipeline.span_artefacts import read_recorded_targets
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
@@ -28,4 +28,4 @@ def trained_scene(run: RunFolder) -> Scene:
     """Return what a run has learnt; raises BadRunError for one whose training has not ended."""
     if not run.has("train"):
         raise BadRunError("found no finished train stage", "a trained run", "finish it first", where=run.path)
-    return scene_of(run, posed(run, Recording.open(run.recording), refined=True), load_cloud(run.checkpoint))
+    return scene_of(run, posed(run, recording_of(run), refined=True), load_cloud(run.checkpoint))

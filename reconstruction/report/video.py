@@ -13,7 +13,7 @@ from acquisition.progress import Progress
 from reconstruction.native import shared_out
 from reconstruction.report.display import Pixels, depth_span_m, grey
 from reconstruction.report.pictures import depth_colours, of_moderate_size
-from reconstruction.scene_model import SceneModel
+from reconstruction.scene_model import SceneModel, TimeSpan
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
@@ -38,13 +38,21 @@ def orbit_cameras(rig: Rig, centre: Camera, distance_m: float, frames: int = FRA
 
 
 def write_orbit(
-    path: Path, cloud: SceneModel, rig: Rig, centre: Camera, white: float, progress: Progress, *, frames: int = FRAMES
+    path: Path,
+    cloud: SceneModel,
+    rig: Rig,
+    centre: Camera,
+    white: float,
+    progress: Progress,
+    *,
+    frames: int = FRAMES,
+    clip: TimeSpan | None = None,
 ) -> None:
-    """Write an H.264 video at `path`, intensity beside depth; the clip plays once over the circle.
+    """Write an H.264 video at `path`, intensity beside depth; `clip`, by default all, plays once over the circle.
 
     Pictures are as large as those of `centre`, or of moderate size.
     """
-    clip, centre = cloud.clip, of_moderate_size(centre)
+    clip, centre = clip or cloud.clip, of_moderate_size(centre)
     near, far = depth_span_m(cloud.look(centre, clip.middle_s).depth)
     distance = 2 / (1 / near + 1 / far)
 

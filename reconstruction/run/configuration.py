@@ -44,8 +44,9 @@ class ReconstructionConfig:
     lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `gains`: whether each camera has a
     gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
     `window`: planes of the short images of movers (None: as the plan says). `span`: most planes of a span of a long
-    recording (None: as the plan says). `device`: where the training is done; all
-    other stages take the processor. Raises BadRunError naming the field.
+    recording (None: as the plan says). `from_tick`, `to_tick`: the ticks [from, to) that are reconstructed (None: from
+    the first, to the last). `device`: where the training is done; all other stages take the processor. Raises
+    BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -65,6 +66,8 @@ class ReconstructionConfig:
     dust3r_checkpoint: str | None = None
     window: int | None = None
     span: int | None = None
+    from_tick: int | None = None
+    to_tick: int | None = None
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -91,6 +94,9 @@ class ReconstructionConfig:
             raise BadRunError(f"found a window of {self.window} planes", "an odd number from 1")
         if self.span is not None and self.span < LEAST:
             raise BadRunError(f"found a span of {self.span} planes", f"at least {LEAST}, in which movers can be told")
+        if self.from_tick is not None and self.to_tick is not None and self.from_tick >= self.to_tick:
+            found = f"found the ticks {self.from_tick} to {self.to_tick}"
+            raise BadRunError(found, "at least one", "change --from-tick or --to-tick")
         if self.holdout is not None and self.holdout in self.views:
             raise BadRunError(
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.progress import Progress, part, silent
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.flicker import Light, estimate_light
@@ -14,17 +15,17 @@ from reconstruction.images.scarce import SCARCE, lit_spikes
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.methods.ours import BASES
-from reconstruction.parallel import each
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
-from reconstruction.run.span_plan import UNADJUSTED, choose_spans, say_spans, shares_of, span_masks
+from reconstruction.run.span_plan import UNADJUSTED, choose_spans, moving_masks, say_spans, shares_of
 from reconstruction.run.spans import STILL_SHARE
 from rigs.rig import Rig
 
 DARK_RATE = 1e-4  # spikes per pixel and tick below which a view carries no picture
 LEAST_VIEWS = 2  # training views
 TWIN_PLANES = 32  # first planes of two streams, which tell whether they are one
+LIGHT_SHARE, MASKS_SHARE = 0.3, 0.9  # shares of the time after which light, and movers, are found
 LIGHT_VIEWS = 4  # views that are enough to see the light of the whole scene
 LEAST_WINDOW = 7  # planes of a short image
 WINDOW_S, WINDOW_SPIKES = 1e-3, 0.35  # most seconds of a short image, and spikes that it should hold
@@ -36,7 +37,7 @@ BEST_METHOD = "adaptive"  # best image method without a network, on single image
 
 
 def make_plan(
-    config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream]
+    config: ReconstructionConfig, rig: Rig, streams: Mapping[str, SpikeStream], progress: Progress = silent
 ) -> tuple[Plan, dict[str, NDArray[np.bool_]], Light]:
     """Return the plan, each training view's masks of moving pixels by span [S, H, W], and the light.
 
@@ -46,7 +47,10 @@ def make_plan(
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
     spans = choose_spans(config, init_of(config, rig), min(len(streams[view]) for view in views))
-    masks = dict(zip(views, each(lambda view: span_masks(streams[view], light, spans), views), strict=True))
+    progress(LIGHT_SHARE, "light")
+    masks = moving_masks(
+        {view: streams[view] for view in views}, light, spans, part(progress, LIGHT_SHARE, MASKS_SHARE)
+    )
     if len(spans) > 1:
         decisions.append(say_spans(spans, shares_of(masks), _share(masks)))
     _say_scarce([streams[view] for view in views], decisions)
@@ -60,7 +64,9 @@ def make_plan(
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
     still, moving = _split(work.gaussians, method, masks)
     decisions += _economies(config, work, _share(masks), (still, moving))
-    decisions += _left_out(work)
+    grey = "a spike carries no colour; against three channels of third-degree harmonics"
+    colour = "one grey channel, no view dependence", grey, "none"
+    decisions.append(Decision("colour", *colour, saves_bytes=work.colour_bytes()))
     pixels = _choose_pixels(config, rig, views, decisions)
     init = _choose_init(config, rig, work, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
@@ -181,14 +187,6 @@ def _economies(config: ReconstructionConfig, work: Work, share: float, counts: t
     return [
         Decision("instants", every, reason, "--tick-stride", *spared),
         Decision("Gaussians", splats, "against twice as many", "none", *cost),
-    ]
-
-
-def _left_out(work: Work) -> list[Decision]:
-    """Return what no reconstruction does."""
-    grey = "a spike carries no colour; against three channels of third-degree harmonics"
-    return [
-        Decision("colour", "one grey channel, no view dependence", grey, "none", None, work.colour_bytes()),
     ]
 
 

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.progress import Progress
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import moving_pixels
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.flicker import Light
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.ours import BASES
+from reconstruction.parallel import each
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Decision
 from reconstruction.run.prices import INSTANTS
@@ -32,6 +34,19 @@ def _spanned(config: ReconstructionConfig, init: str) -> bool:
     refines = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
     from_images = config.images not in GIVEN and config.supervision in FROM_IMAGES
     return model.ours and model.moves and not refines and from_images
+
+
+def moving_masks(
+    streams: Mapping[str, SpikeStream], light: Light, spans: Sequence[Span], progress: Progress
+) -> dict[str, NDArray[np.bool_]]:
+    """Return the pixels [S, H, W] of each view that see something move in each of S spans."""
+    masks: dict[str, NDArray[np.bool_]] = {}
+    for view, found in zip(
+        streams, each(lambda stream: span_masks(stream, light, spans), streams.values()), strict=True
+    ):
+        masks[view] = found
+        progress(len(masks) / len(streams), f"movers of {view}")
+    return masks
 
 
 def span_masks(stream: SpikeStream, light: Light, spans: Sequence[Span]) -> NDArray[np.bool_]:

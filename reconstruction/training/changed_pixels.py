@@ -49,7 +49,8 @@ def changed_pixels(stream: SpikeStream, still: Mask, light: Light, way: Straight
 
 def deviations(stream: SpikeStream, still: Mask, light: Light, way: Straightening | None = None) -> NDArray[np.float32]:
     """Return the largest departure [H, W] of a window's pooled count from the mean one, in standard deviations."""
-    starts = range(0, len(stream) - WINDOW + 1, WINDOW)
+    windows = [(start, start + WINDOW) for start in range(0, len(stream) - WINDOW + 1, WINDOW)]
+    starts = [start for start, _ in light.lit(windows)]
     if len(starts) < 2:
         return np.zeros(still.shape, np.float32)
     weights = still.astype(np.float32)

@@ -1,6 +1,7 @@
 """`export`: a run in the formats of other tools."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -8,7 +9,7 @@ from reconstruction.export.catalogue import FORMATS, check_target, checked_forma
 from reconstruction.export.scene import Choices
 from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.folder import RunFolder
-from server.cli.options import PATH
+from server.cli.options import PATH, from_tick, to_tick
 from server.cli.progress import progress_of
 
 
@@ -21,16 +22,17 @@ from server.cli.progress import progress_of
 )
 @click.option("--frames", type=int, help="How many, for a format over time [default: 30; an orbit's 120].")
 @click.option("--camera", help="For video and depth [default: video orbits; depth is the held-out or centre camera's].")
+@from_tick
+@to_tick
 @click.option("--overwrite", is_flag=True, help="Replace a file, or a folder that an export made.")
-def export_command(
-    run_folder: Path, name: str, out: Path, at_s: float | None, frames: int | None, camera: str | None, overwrite: bool
-) -> None:
+def export_command(run_folder: Path, name: str, out: Path, overwrite: bool, **chosen: Any) -> None:
     """Write RUN for other tools.
 
     Splats (ply, splat, spz, glb) at one instant, ply-sequence over the clip; a video; depth maps; datasets (colmap,
-    nerfstudio) with cameras, images and points; viewer, the scene that the browser's viewer plays.
+    nerfstudio) with cameras, images and points; viewer, the scene that the browser's viewer plays. What goes over time
+    can be cut to the ticks from A to B of the rig clock.
     """
-    choices = Choices(at_s, frames, camera)
+    choices = Choices(**chosen)
     check_target(out, folder=checked_format(name, choices).folder, overwrite=overwrite)
     scene = trained_scene(RunFolder.open(run_folder))
     export_scene(scene, name, out, choices, overwrite=overwrite, progress=progress_of("export"))

@@ -15,6 +15,8 @@ from rigs.toml import catalog_names, catalog_rig, load_rig
 PATH = click.Path(path_type=Path)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 new_recording = click.option("--out", type=PATH, required=True, help="The recording to make; a new folder.")
+from_tick = click.option("--from-tick", type=int, metavar="A", help="First tick of a part [default: the first].")
+to_tick = click.option("--to-tick", type=int, metavar="B", help="Tick after the last of a part [default: the end].")
 data_folder = click.option("--data", type=PATH, help="Data folder.  [default: .spike4dgs]")
 
 

@@ -8,14 +8,13 @@ from pathlib import Path
 import click
 
 from acquisition.durable import write_array
-from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.limits import frames_to_render
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
-from server.cli.options import PATH, json_option, several
+from server.cli.options import PATH, from_tick, json_option, several, to_tick
 from server.cli.output import answer, scores
 from server.cli.progress import progress_of, warn
 
@@ -45,6 +44,8 @@ _choices = (
 @click.option(
     "--span", type=int, metavar="PLANES", help="Most planes of a span of a long recording [default: by the plan]."
 )
+@from_tick
+@to_tick
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint [default: {DEFAULT_BUDGET_S:g}].")
 @click.option("--steps", type=int, help="Training steps instead of a budget; repeatable to the bit.")
 @click.option("--seed", type=int, default=0, show_default=True)
@@ -118,7 +119,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
 @json_option
 def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> None:
     """Score RUN on its held-out camera, beside the floors it must beat."""
-    from reconstruction.pipeline.artefacts import posed
+    from reconstruction.pipeline.artefacts import posed, recording_of
     from reconstruction.pipeline.report_stage import evaluate_run
 
     run = RunFolder.open(run_folder)
@@ -127,5 +128,5 @@ def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> Non
             "found a run without a held-out camera", do="reconstruct with --holdout to score it", where=run_folder
         )
     known = Truth.open(truth) if truth else None
-    metrics = evaluate_run(run, posed(run, Recording.open(run.recording), refined=True), known, progress_of("evaluate"))
+    metrics = evaluate_run(run, posed(run, recording_of(run), refined=True), known, progress_of("evaluate"))
     answer(metrics, scores(metrics), as_json=as_json)

@@ -12,6 +12,7 @@ from pydantic_core import CoreSchema, core_schema
 from reconstruction.export.catalogue import FORMATS
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.run.configuration import CHOICES, STAGES
+from reconstruction.run.spans import LEAST
 from server.schemas.captures import Name
 from server.schemas.progress import Request, example
 
@@ -30,6 +31,7 @@ Planes = Annotated[str, Field(pattern=r"^\d{1,8}:\d{1,8}(:\d{1,8})?$"), AfterVal
 RigId = Annotated[str, Field(min_length=1, max_length=64)]
 _CAPTURE = {"capture": "c20260101-120000-0a1b2c3d"}
 _JOB = {"job": "j20260101-121500-4e5f6a7b"}
+Tick = Annotated[int, Field(ge=-(2**53), le=2**53)]
 BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5,80}$")]
 
 
@@ -71,10 +73,19 @@ class OfJob(JobBase):
     job: EntryId
 
 
+def _some_ticks(request: ReconstructRequest | ExportRequest) -> Any:
+    first, last = request.from_tick, request.to_tick
+    if first is not None and last is not None and first >= last:
+        raise ValueError(f"found from_tick {first} and to_tick {last}, expected the first below the other")
+    return request
+
+
 class ReconstructRequest(OfCapture):
     """A reconstruction of a capture; what is not given is decided by the plan.
 
-    `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one.
+    `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one. `span`
+    is the most planes of a span of a long recording. A part is the ticks [from_tick, to_tick) of the rig clock; its
+    instants are those of the whole.
     """
 
     model_config = example(_CAPTURE | {"holdout": "cam11", "budget_s": 300}, {"type": "reconstruct"} | _CAPTURE)
@@ -91,9 +102,14 @@ class ReconstructRequest(OfCapture):
     holdout: CameraId | None = None
     views: Annotated[list[CameraId] | None, Field(min_length=2, max_length=100)] = None
     tick_stride: Annotated[int | None, Field(ge=1, le=10_000)] = None
+    span: Annotated[int | None, Field(ge=LEAST, le=10_000_000)] = None
+    from_tick: Tick | None = None
+    to_tick: Tick | None = None
     budget_s: Annotated[float | None, Field(gt=0, le=7 * 24 * 3600, allow_inf_nan=False)] = None
     steps: Annotated[int | None, Field(ge=1, le=10_000_000)] = None
     seed: Annotated[int | None, Field(ge=0, lt=2**31)] = None
+
+    _ticks = model_validator(mode="after")(_some_ticks)
 
     @model_validator(mode="after")
     def _one_bound(self) -> ReconstructRequest:
@@ -171,7 +187,7 @@ class RenderRequest(OfJob):
 
 
 class ExportRequest(OfJob):
-    """A reconstruction in another program's format; `at_s` and `frames` are as of `spike4dgs export`."""
+    """A reconstruction in another program's format; `at_s`, `frames` and ticks are as of `spike4dgs export`."""
 
     model_config = example({"type": "export"} | _JOB | {"format": "spz", "at_s": 0.01})
 
@@ -180,6 +196,10 @@ class ExportRequest(OfJob):
     at_s: Annotated[float | None, Field(ge=0, le=1e6, allow_inf_nan=False)] = None
     frames: Annotated[int | None, Field(ge=1, le=1000)] = None
     camera: CameraId | None = None
+    from_tick: Tick | None = None
+    to_tick: Tick | None = None
+
+    _ticks = model_validator(mode="after")(_some_ticks)
 
 
 class PreflightRequest(JobBase):

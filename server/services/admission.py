@@ -1,5 +1,7 @@
 """Admits jobs that can be done: the capture or job they work on is there, ready, and has the cameras they name."""
 
+from acquisition.errors import BadRecordingError
+from acquisition.recording.reader import Recording
 from reconstruction.rendering.limits import frames_to_render
 from rigs.toml import load_rig
 from server.engine import Engine
@@ -31,7 +33,8 @@ class Admission:
     def target(self, request: JobBase, *, waits: bool) -> Entry:
         """Return the capture or job that a job works on; it is done, unless the job waits for it.
 
-        Raises UnknownReferenceError, StateError, RigError for a camera it lacks, RigMismatchError.
+        Raises UnknownReferenceError also for ticks it lacks, StateError, RigError for a camera it lacks,
+        RigMismatchError.
         """
         with referred():
             if isinstance(request, OfJob):
@@ -44,6 +47,8 @@ class Admission:
         if not waits:
             self._expect_done(target)
             self._check_cameras(request, target)
+            if isinstance(request, ReconstructRequest):
+                self._check_ticks(request, target)
             if isinstance(request, (CalibrateRequest, CheckRigRequest)):
                 self._check_rig(request, target)
         if isinstance(request, RenderRequest):
@@ -70,6 +75,16 @@ class Admission:
             if capture.rig not in (None, request.rig):
                 raise RigMismatchError(f"found {capture.id} of rig {capture.rig}", f"one of {request.rig}")
             fitted(load_rig(self._store.folder.recording(capture.id) / "rig.toml"), rig)
+
+    def _check_ticks(self, request: ReconstructRequest, target: Entry) -> None:
+        """Check that a capture has the ticks that are asked for."""
+        if request.from_tick is request.to_tick is None:
+            return
+        try:
+            Recording.open(self._store.folder.recording(target.id)).part(request.from_tick, request.to_tick)
+        except BadRecordingError as error:
+            do = "change `from_tick` or `to_tick`"
+            raise UnknownReferenceError(error.found, error.expected, do) from error
 
     def _check_cameras(self, request: JobBase, target: Entry) -> None:
         named: list[str | None] = []

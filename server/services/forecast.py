@@ -1,16 +1,20 @@
 """Tells each job at work or to be done its place in the queue, and when it is expected to begin and to end."""
 
+import functools
 import math
 from collections.abc import Collection, Iterable
 from datetime import UTC, datetime
 from heapq import heappop, heappush
 from typing import NamedTuple
 
+from acquisition.errors import BadRecordingError
+from acquisition.recording.reader import read_manifest
 from server.engine import Engine
 from server.services.durations import Durations
 from server.store.engine_tables import Place
 from server.store.store import Store
 
+_KNOWN = 1024  # captures whose planes stay known
 _LOOK_AHEAD = 1000  # entries of a queue whose times are estimated; the others have a place alone
 
 
@@ -28,6 +32,7 @@ class Forecast:
     def __init__(self, store: Store, engine: Engine) -> None:
         self._store = store
         self._engine = engine
+        self._planes = functools.lru_cache(_KNOWN)(self._planes_kept)
 
     def of(self, active: Collection[str]) -> dict[str, Outlook]:
         """Return the outlooks of entries that are queued or running; one that waits for its capture has none."""
@@ -37,12 +42,23 @@ class Forecast:
         wanted = set(active)
         queues = {place.queue for place in places if place.id in wanted}
         workers = [worker.queues for worker in self._store.workers.alive()]
-        durations = Durations(self._store.entries)
+        durations = Durations(self._store.entries, self._planes_of)
         found: dict[str, Outlook] = {}
         for queue in queues:
             mine = [place for place in places if place.queue == queue]
             found |= self._of_queue(mine, sum(queue in theirs for theirs in workers), durations)
         return {entry_id: outlook for entry_id, outlook in found.items() if entry_id in wanted}
+
+    def _planes_of(self, capture_id: str) -> int | None:
+        """Return the planes of a capture; None where it has none yet, or no longer."""
+        try:
+            return self._planes(capture_id)
+        except BadRecordingError:
+            return None
+
+    def _planes_kept(self, capture_id: str) -> int:
+        manifest = read_manifest(self._store.folder.recording(capture_id))
+        return min(camera.planes for camera in manifest.cameras)
 
     def _of_queue(self, places: list[Place], workers: int, durations: Durations) -> dict[str, Outlook]:
         running = [place.id for place in places if place.runs]

@@ -7,7 +7,6 @@ import functools
 import io
 import json
 import threading
-from pathlib import Path
 
 from PIL import Image
 
@@ -64,7 +63,7 @@ class PictureService:
         if plane >= recording.planes:
             raise UnknownReferenceError(f"found the plane {plane}", f"one of 0 to {recording.planes - 1}")
         with self._one_at_a_time, readable(capture_id, recording.path):
-            return self._drawn(recording.path, camera_id, plane, white)
+            return self._drawn(recording, camera_id, plane, white)
 
     def preview(self, job_id: str) -> Picture:
         """Return the newest picture that a training has drawn of its scene; raises NotFoundError where it has none."""
@@ -84,8 +83,8 @@ class PictureService:
         return entry.capture, float(json.loads(path.read_text())["white"]), self._previews.recording(entry.capture)
 
 
-def _drawn(path: Path, camera_id: str, plane: int, white: float) -> Picture:
-    estimate = method(METHOD)(Recording.open(path).stream(camera_id), plane)
+def _drawn(recording: Recording, camera_id: str, plane: int, white: float) -> Picture:
+    estimate = method(METHOD)(recording.stream(camera_id), plane)
     buffer = io.BytesIO()
     Image.fromarray(grey(estimate.intensity, white)).save(buffer, "PNG", compress_level=3)
     return Picture.of(buffer.getvalue())

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
-from acquisition.recording.manifest import CameraFile
+from acquisition.recording.manifest import MANIFEST_FILE, CameraFile
 from acquisition.recording.reader import Recording
 from rigs.errors import RigError
 from server.contact_sheet import camera_picture, contact_sheet, figures
@@ -26,6 +26,7 @@ from server.store.entries import Filter
 from server.store.store import Store
 
 _MOST_GAPS = 1000
+_OPEN = 16  # recordings whose manifests stay read: one of a million planes has megabytes
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class PreviewService:
         self._store = store
         self._engine = engine
         self._one_at_a_time = threading.Lock()
+        self._opened = functools.lru_cache(_OPEN)(_opened)
 
     def sheet(self, capture_id: str) -> Picture:
         """Return one picture of all cameras of a capture."""
@@ -86,7 +88,7 @@ class PreviewService:
         if not path.exists():
             raise StateError(f"found {capture_id} {self._engine.status(entry)} without a recording", "it done")
         with readable(capture_id, path):
-            return Recording.open(path)
+            return self._opened(path, _stamp(path / MANIFEST_FILE))
 
     def _picture(self, capture_id: str, camera_id: str | None) -> Picture:
         recording = self.recording(capture_id)
@@ -120,6 +122,19 @@ class PreviewService:
             return found
         document = json.loads(result.read_text())
         return found.model_copy(update={"sound": document["sound"], "damages": document["damages"][:_MOST_GAPS]})
+
+
+def _stamp(file: Path) -> tuple[int, ...]:
+    """Return what changes when a file is written anew; nothing where there is none."""
+    try:
+        stat = file.stat()
+    except OSError:
+        return ()
+    return stat.st_ino, stat.st_mtime_ns, stat.st_size
+
+
+def _opened(path: Path, stamp: tuple[int, ...]) -> Recording:
+    return Recording.open(path)
 
 
 @contextmanager

@@ -5,6 +5,8 @@ from typing import Any
 
 from reconstruction.export.catalogue import FORMATS
 
+OVER_TIME = "frames", "camera", "from_tick", "to_tick"  # options of an export beside its instant
+
 
 def record_arguments(request: dict[str, Any], rig: str, devices: str, recording: Path) -> list[str]:
     """Return the arguments of `spike4dgs` that make a recording; `rig` is a name in the catalogue or a RIG.toml."""
@@ -57,7 +59,7 @@ def task_arguments(
         case "render":
             return ["render", str(run), "--cameras", str(cameras), "--out", str(out)]
         case "export":
-            options = {"at": request["at_s"], "frames": request["frames"], "camera": request["camera"]}
+            options = {"at": request["at_s"], **{name: request.get(name) for name in OVER_TIME}}
             path = out / FORMATS[request["format"]].file
             return ["export", str(run), "--format", request["format"], *_flags(options), "--out", str(path)]
     raise ValueError(request["type"])

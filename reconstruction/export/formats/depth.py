@@ -4,17 +4,17 @@ from pathlib import Path
 
 from acquisition.durable import write_array
 from acquisition.progress import Progress
-from reconstruction.export.scene import Choices, Format, Scene
+from reconstruction.export.scene import TICKS, Choices, Format, Scene
 from reconstruction.report.display import depth_span_m
 
 
 def write_depth(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-    """Write the depths that the camera chosen sees at even instants; pictures share the scale of the clip's middle."""
+    """Write the depths that the camera chosen sees at even instants; pictures share the scale of the middle."""
     from reconstruction.report.pictures import depth_colours, write_png
 
     folder.mkdir()
     camera, frames = scene.camera(choices), []
-    near, far = depth_span_m(scene.cloud.look(camera, scene.cloud.clip.middle_s).depth)
+    near, far = depth_span_m(scene.cloud.look(camera, scene.clip.middle_s).depth)
     for number, instant_s in scene.frames(choices, progress):
         depth = scene.cloud.look(camera, instant_s).depth
         write_array(folder / f"{number}.npy", depth)
@@ -24,5 +24,5 @@ def write_depth(folder: Path, scene: Scene, choices: Choices, progress: Progress
 
 
 DEPTH = Format(
-    "depth", "depth maps in m (NaN where nothing is) and in colours", "depth", write_depth, ("frames", "camera")
+    "depth", "depth maps in m (NaN where nothing is) and in colours", "depth", write_depth, ("frames", "camera", *TICKS)
 )

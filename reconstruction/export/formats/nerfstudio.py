@@ -10,7 +10,7 @@ from pathlib import Path
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from reconstruction.export.formats.ply import ply_bytes
-from reconstruction.export.scene import Choices, Format, Scene
+from reconstruction.export.scene import TICKS, Choices, Format, Scene
 from reconstruction.export.splats import splats_at
 from reconstruction.report.display import grey
 from rigs.exchange.nerfstudio import Frame, dump_frames
@@ -29,14 +29,14 @@ def write_nerfstudio(folder: Path, scene: Scene, choices: Choices, progress: Pro
     frames, pictures = [], []
     for view, source in targets.items():
         for plane in planes:
-            picture = f"images/{view}_{plane:06d}.png"
+            picture = f"images/{view}_{clock.first_tick + plane:06d}.png"
             write_png(folder / picture, grey(source.at(plane), scene.white))
             frames.append(Frame(scene.rig.camera(view), clock.instant_s(plane)))
             pictures.append(picture)
             progress(len(frames) / (len(targets) * len(planes)), picture)
     write_durably(folder / POINTS, ply_bytes(splats_at(scene, scene.instant_s(choices))))
     write_durably(folder / "transforms.json", dump_frames(frames, pictures, POINTS))
-    return {"planes": planes}
+    return {"planes": [clock.first_tick + plane for plane in planes]}
 
 
 NERFSTUDIO = Format(
@@ -44,5 +44,5 @@ NERFSTUDIO = Format(
     "`transforms.json` with times, the target images of the training cameras, `points.ply`",
     "nerfstudio",
     write_nerfstudio,
-    ("at_s", "frames"),
+    ("at_s", "frames", *TICKS),
 )

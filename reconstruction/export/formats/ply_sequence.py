@@ -5,7 +5,7 @@ from pathlib import Path
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from reconstruction.export.formats.ply import ply_bytes
-from reconstruction.export.scene import Choices, Format, Scene
+from reconstruction.export.scene import TICKS, Choices, Format, Scene
 from reconstruction.export.splats import splats_at
 
 
@@ -24,5 +24,5 @@ PLY_SEQUENCE = Format(
     "`NNNNNN.ply` over the clip, their instants in `manifest.json`",
     "ply",
     write_ply_sequence,
-    ("frames",),
+    ("frames", *TICKS),
 )

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from acquisition.progress import Progress
-from reconstruction.export.scene import Choices, Format, Scene
+from reconstruction.export.scene import TICKS, Choices, Format, Scene
 from reconstruction.report.display import Pixels, grey
 
 
@@ -15,7 +15,8 @@ def write_video(path: Path, scene: Scene, choices: Choices, progress: Progress) 
     camera = scene.camera(choices)
     if choices.camera is None:
         frames = choices.frames or video.FRAMES
-        video.write_orbit(path, scene.cloud, scene.rig, camera, scene.white, progress, frames=frames)
+        how = {"frames": frames, "clip": scene.clip}
+        video.write_orbit(path, scene.cloud, scene.rig, camera, scene.white, progress, **how)
         return {}
 
     def pictures() -> Iterator[Pixels]:
@@ -31,5 +32,5 @@ VIDEO = Format(
     "H.264 from a camera of the rig; without one the report's orbit, with depth",
     "scene.mp4",
     write_video,
-    ("frames", "camera"),
+    ("frames", "camera", *TICKS),
 )

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from acquisition.progress import Progress
-from reconstruction.export.scene import Choices, Format, Scene
+from reconstruction.export.scene import TICKS, Choices, Format, Scene
 
 
 def export_viewer(folder: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
@@ -21,6 +21,6 @@ VIEWER = Format(
     "`viewer.json`, `viewer.bin`: what a browser plays in 4D, span by span; the report stage writes them too",
     "viewer",
     export_viewer,
-    (),
+    TICKS,
     served=False,
 )

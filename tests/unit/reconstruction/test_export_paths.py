@@ -88,8 +88,8 @@ def test_files_and_folders_do_not_take_each_others_place(one_scene, tmp_path):
         ("ply", Choices(at_s=0.5), r"0\.5 s, expected one within the clip, 0\.002 to 0\.012 s"),
         ("ply", Choices(at_s=float("nan")), "expected one within the clip"),
         ("ply", Choices(frames=3), "--frames for ply, which takes --at"),
-        ("video", Choices(at_s=0.005), "--at for video, which takes --frames, --camera"),
-        ("viewer", Choices(camera="cam00"), "--camera for viewer, which takes neither"),
+        ("video", Choices(at_s=0.005), "--at for video, which takes --frames, --camera, --from-tick, --to-tick"),
+        ("viewer", Choices(camera="cam00"), "--camera for viewer, which takes --from-tick, --to-tick"),
         ("depth", Choices(frames=0), "found 0 frames, expected one or more"),
     ],
 )

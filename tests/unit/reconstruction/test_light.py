@@ -7,7 +7,9 @@ from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import _changed_windows, background, moving_pixels
-from reconstruction.images.flicker import BLOCK_PX, FLICKER, WINDOW, Light, estimate_light, spikes_of_blocks
+from reconstruction.images.failures import failing_pixels
+from reconstruction.images.flicker import BLOCK_PX, DARK, FLICKER, WINDOW, Light, estimate_light, spikes_of_blocks
+from reconstruction.images.response import NEVER
 
 WIDTH, HEIGHT, PLANES = 96, 64, 400
 SIZES = [(96, 64, 0), (40, 67, 0), (40, 64, 8), (50, 31, 0), (7, 5, 1)]
@@ -122,3 +124,54 @@ def test_darkness_is_steady():
 
 def test_what_flickers_less_than_the_threshold_is_left_out():
     assert not Light(np.array([1 - FLICKER / 2, 1 + FLICKER / 2], dtype=np.float32)).flickers
+
+
+def streams_with(dark, cameras=3):
+    """Cameras under steady light that see nothing in the planes [first, last) of `dark`, by number."""
+    gains = np.ones((cameras, PLANES))
+    for camera, window in dark.items():
+        gains[camera, slice(*window)] = 0
+    return [recorded(own, camera) for camera, own in enumerate(gains)]
+
+
+@pytest.mark.parametrize("dark", [{1: (100, 300)}, {0: (0, 200), 1: (0, 200)}, {2: (0, 399)}, {0: (0, 400)}])
+def test_a_camera_that_is_lost_is_not_light_that_went_out(dark):
+    assert not estimate_light(streams_with(dark)).flickers
+
+
+@pytest.mark.parametrize(("first", "last"), [(100, 200), (0, 100), (300, 400), (40, 360)])
+def test_light_that_went_out_is_dark(first, last):
+    light = estimate_light(streams_with(dict.fromkeys(range(3), (first, last))))
+    assert light.gains.mean() == pytest.approx(1, abs=1e-5)
+    assert light.gains.min() >= 0
+    usual = PLANES / (PLANES - (last - first))
+    inner = np.zeros(PLANES, bool)
+    inner[first + 4 : last - 4] = True
+    outer = np.ones(PLANES, bool)
+    outer[max(0, first - 4) : last + 4] = False
+    assert light.gains[inner].max() < DARK
+    np.testing.assert_allclose(light.gains[outer], usual, rtol=0.15)
+    assert light.lit([(0, PLANES), (first + 10, last - 10)]) == [(0, PLANES)]
+
+
+def test_nothing_is_seen_to_move_or_to_fail_in_the_dark():
+    (stream, *others) = streams_with(dict.fromkeys(range(3), (100, 200)))
+    light = estimate_light([stream, *others])
+    with np.errstate(all="raise"):
+        assert not moving_pixels(stream, light).any()
+        assert (failing_pixels(stream, light) == NEVER).all()
+        moving = np.zeros((HEIGHT, WIDTH), bool)
+        moving[8:16, 8:16] = True
+        found = background(stream, moving, light)
+        part, own = stream.part(110, 190), Light(light.gains[110:190])
+        assert not moving_pixels(part, own).any()
+        assert (failing_pixels(part, own) == NEVER).all()
+    lit = background(stream.part(200, 400), moving, Light.steady(200))
+    shares = found.image / lit.image
+    assert (np.abs(shares[~moving] / 0.75 - 1) < 0.1).mean() > 0.99  # a few pixels of the sensor are not like others
+    assert np.median(shares[moving]) == pytest.approx(3 / 4, rel=0.1)  # single ones are of counts of a few spikes
+    assert found.trusted.all()
+
+
+def test_no_camera_that_sees_anything_is_steady_light():
+    assert not estimate_light(streams_with(dict.fromkeys(range(3), (0, PLANES)))).flickers

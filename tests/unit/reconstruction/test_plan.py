@@ -76,7 +76,11 @@ class Untouchable(dict):
 
 
 def test_a_still_scene_gets_no_motion_model_and_says_why():
-    plan, masks, _ = make_plan(ReconstructionConfig(), RIG, streams())
+    told: list[float] = []
+    plan, masks, _ = make_plan(ReconstructionConfig(), RIG, streams(), lambda fraction, _: told.append(fraction))
+    assert told == sorted(told)
+    assert len(told) == 1 + len(masks)
+    assert told[-1] < 1
     assert plan.model == "static"
     assert plan.moving_gaussians == 0
     assert plan.supervision == "pixels"

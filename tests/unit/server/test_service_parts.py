@@ -29,7 +29,8 @@ def test_arguments_of_the_stages() -> None:
 
 
 def test_arguments_of_a_reconstruction() -> None:
-    asked = ReconstructRequest(capture="c", model="linear", holdout="cam11", steps=7, seed=0, views=["cam00", "cam02"])
+    fields = {"holdout": "cam11", "steps": 7, "seed": 0, "views": ["cam00", "cam02"], "span": 64, "from_tick": -3}
+    asked = ReconstructRequest.model_validate({"capture": "c", "model": "linear", "to_tick": 800} | fields)
     request = asked.model_dump(exclude={"name", "priority"})
     restart = {"stage": "train", "attempt": 2}
     found = reconstruct_arguments(request, "train", Path("rec"), Path("run"), restart)
@@ -37,7 +38,8 @@ def test_arguments_of_a_reconstruction() -> None:
         *("reconstruct", "rec", "--out", "run", "--stage", "train", "--again", "2"),
         *("--model", "linear", "--images", "auto", "--init", "auto", "--supervision", "auto", "--refine", "auto"),
         *("--pixels", "auto", "--gains", "auto", "--device", "auto"),
-        *("--holdout", "cam11", "--steps", "7", "--seed", "0", "--views", "cam00,cam02"),
+        *("--holdout", "cam11", "--span", "64", "--from-tick", "-3", "--to-tick", "800", "--steps", "7"),
+        *("--seed", "0", "--views", "cam00,cam02"),
     ]
     assert "--again" not in reconstruct_arguments(request, "report", Path("rec"), Path("run"), restart)
 
@@ -71,6 +73,7 @@ def test_arguments_of_the_tasks(request_: dict[str, object], arguments: str) -> 
         {"type": "evaluate", "job": "j"},
         {"type": "render", "job": "j", "cameras": "u"},
         {"type": "export", "job": "j", "format": "spz", "at_s": 0.01},
+        {"type": "export", "job": "j", "format": "depth", "from_tick": 5, "to_tick": 9, "camera": "cam00"},
     ],
     ids=str,
 )
@@ -84,7 +87,11 @@ def test_every_task_is_a_command_line_of_the_program(fields: dict[str, str]) -> 
 
 
 @pytest.mark.parametrize(
-    "change", [{"budget_s": 5, "steps": 5}, {"model": "crystal"}, {"holdout": "../x"}, {"seed": -1}, {"path": "/etc"}]
+    "change",
+    [
+        *({"budget_s": 5, "steps": 5}, {"model": "crystal"}, {"holdout": "../x"}, {"seed": -1}, {"path": "/etc"}),
+        *({"span": 63}, {"from_tick": 1.5}, {"from_tick": 9, "to_tick": 9}, {"from_tick": 9, "to_tick": 8}),
+    ],
 )
 def test_a_request_that_does_not_fit_is_refused(change: dict[str, object]) -> None:
     ReconstructRequest.model_validate({"capture": "c"})
