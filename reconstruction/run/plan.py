@@ -18,7 +18,7 @@ from reconstruction.methods.ours import BASES
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
-from reconstruction.run.span_plan import UNADJUSTED, choose_spans, moving_masks, say_spans, shares_of
+from reconstruction.run.span_plan import UNADJUSTED, choose_spans, find_spans, say_spans, shares_of
 from reconstruction.run.spans import STILL_SHARE
 from rigs.rig import Rig
 
@@ -46,11 +46,10 @@ def make_plan(
     decisions: list[Decision] = []
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
-    spans = choose_spans(config, init_of(config, rig), min(len(streams[view]) for view in views))
+    seen = {view: streams[view] for view in views}
+    spans = choose_spans(config, init_of(config, rig), min(map(len, seen.values())))
     progress(LIGHT_SHARE, "light")
-    masks = moving_masks(
-        {view: streams[view] for view in views}, light, spans, part(progress, LIGHT_SHARE, MASKS_SHARE)
-    )
+    spans, masks = find_spans(seen, light, spans, part(progress, LIGHT_SHARE, MASKS_SHARE))
     if len(spans) > 1:
         decisions.append(say_spans(spans, shares_of(masks), _share(masks)))
     _say_scarce([streams[view] for view in views], decisions)

@@ -1,6 +1,7 @@
 """Decides whether a recording is reconstructed in spans, and finds what moves in each."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import PLANES, STILL_SHARE, Span, cut
 
 UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
+GLANCE = 16  # planes that tell how bright a span is
+UNLIKE = 0.2  # share of their light by which two spans at rest differ, where they are not one
 FROM_IMAGES = ("auto", "pixels")  # supervisions that spans can be learnt by
 
 
@@ -36,17 +39,39 @@ def _spanned(config: ReconstructionConfig, init: str) -> bool:
     return model.ours and model.moves and not refines and from_images
 
 
-def moving_masks(
+def find_spans(
     streams: Mapping[str, SpikeStream], light: Light, spans: Sequence[Span], progress: Progress
-) -> dict[str, NDArray[np.bool_]]:
-    """Return the pixels [S, H, W] of each view that see something move in each of S spans."""
+) -> tuple[tuple[Span, ...], dict[str, NDArray[np.bool_]]]:
+    """Return the spans with those at rest joined, and the pixels [S, H, W] of each view that see movers in each.
+
+    What stands there while nothing moves is learnt once, however long that is.
+    """
     masks: dict[str, NDArray[np.bool_]] = {}
-    for view, found in zip(
-        streams, each(lambda stream: span_masks(stream, light, spans), streams.values()), strict=True
-    ):
-        masks[view] = found
+    found = each(lambda stream: span_masks(stream, light, spans), streams.values())
+    for view, mask in zip(streams, found, strict=True):
+        masks[view] = mask
         progress(len(masks) / len(streams), f"movers of {view}")
-    return masks
+    firsts = _firsts(spans, shares_of(masks), streams)
+    ends = [spans[i].first for i in firsts] + [spans[-1].last]
+    joined = tuple(Span(first, last) for first, last in pairwise(ends))
+    return joined, {view: np.logical_or.reduceat(mask, firsts, axis=0) for view, mask in masks.items()}
+
+
+def _firsts(spans: Sequence[Span], shares: NDArray[np.float64], streams: Mapping[str, SpikeStream]) -> list[int]:
+    """Return the numbers of the spans that begin one: all but those at rest that look like the one before."""
+    firsts = [0]
+    for i in range(1, len(spans)):
+        rests = max(shares[i - 1], shares[i]) < STILL_SHARE
+        if not (rests and all(_alike(stream, spans[i - 1], spans[i]) for stream in streams.values())):
+            firsts.append(i)
+    return firsts
+
+
+def _alike(stream: SpikeStream, a: Span, b: Span) -> bool:
+    """Return whether two spans are about as bright: neither light nor the camera was lost between them."""
+    middles = ((span.first + span.last - GLANCE) // 2 for span in (a, b))
+    few, many = sorted(int(np.bitwise_count(stream.window(m, m + GLANCE)).sum()) for m in middles)
+    return many - few <= UNLIKE * many
 
 
 def span_masks(stream: SpikeStream, light: Light, spans: Sequence[Span]) -> NDArray[np.bool_]:
@@ -62,6 +87,7 @@ def shares_of(masks: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.float64]:
 
 def say_spans(spans: Sequence[Span], shares: NDArray[np.float64], share: float) -> Decision:
     """Return the decision to learn movers in spans; `share` of the pixels move where any do."""
+    moving = int((shares >= STILL_SHARE).sum())
     reason = f"bodies are followed through {INSTANTS} instants of a span; what stands still is learnt once from all"
-    facts = {"spans": len(spans), "moving_spans": int((shares >= STILL_SHARE).sum()), "moving_share": share}
-    return Decision("spans", f"{len(spans)} of {len(spans[0])} planes", reason, "--span", facts=facts)
+    facts = {"spans": len(spans), "moving_spans": moving, "moving_share": share}
+    return Decision("spans", f"{len(spans)}, {moving} of them with movers", reason, "--span", facts=facts)

@@ -1,17 +1,20 @@
 """Cutting a recording into spans, and what of a plan may be learnt in them."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from acquisition.progress import silent
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
+from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.flicker import Light
 from reconstruction.run.configuration import ReconstructionConfig
-from reconstruction.run.span_plan import choose_spans, span_masks
+from reconstruction.run.span_plan import choose_spans, find_spans, span_masks
 from reconstruction.run.spans import LEAST, Span, cut
 
 
@@ -67,3 +70,42 @@ def test_a_mover_is_found_in_the_span_that_it_crosses():
     assert not masks[0].any()
     assert masks[1, 10, 10]
     assert not masks[1, 0, 0]
+
+
+SIDE, EACH = 24, 200  # pixels of a square view, planes of a span
+
+
+def stream_of(rates: Sequence[float], moving: Sequence[int] = ()) -> SpikeStream:
+    """A view whose spans fire at even `rates`; in the spans numbered `moving` a bright square comes in half-way."""
+    light = np.repeat(np.asarray(rates, np.float32), EACH)[:, None, None].repeat(SIDE, 1).repeat(SIDE, 2)
+    for number in moving:
+        light[number * EACH + EACH // 2 : (number + 1) * EACH, 8:16, 8:16] = 0.9
+    planes = Sensor(SIDE, SIDE, "ideal", 1, 0).expose(light)
+    return SpikeStream(pack(planes, PlaneLayout(SIDE, SIDE)), PlaneLayout(SIDE, SIDE), 20_000.0)
+
+
+def found(*streams: SpikeStream) -> tuple[list[tuple[int, int]], list[bool]]:
+    """The spans that are found, in EACH planes, and in which of them the first view sees movers."""
+    planes = len(streams[0])
+    views = {f"cam0{i}": stream for i, stream in enumerate(streams)}
+    spans, masks = find_spans(views, Light.steady(planes), cut(planes, EACH), silent)
+    return [(span.first // EACH, span.last // EACH) for span in spans], [bool(mask.any()) for mask in masks["cam00"]]
+
+
+def test_neighbours_at_rest_are_one_span():
+    steady = [0.25] * 7
+    assert found(stream_of(steady, moving=[2, 5])) == (
+        [(0, 2), (2, 3), (3, 5), (5, 6), (6, 7)],
+        [False, True, False, True, False],
+    )
+    assert found(stream_of(steady)) == ([(0, 7)], [False])
+    assert found(stream_of([0.25] * 3, moving=[0, 1, 2])) == ([(0, 1), (1, 2), (2, 3)], [True] * 3)
+
+
+def test_a_camera_that_is_lost_parts_spans_at_rest():
+    assert found(stream_of([0.25] * 4), stream_of([0.25, 0.25, 0.0, 0.0]))[0] == [(0, 2), (2, 4)]
+
+
+def test_recordings_at_rest_have_no_spans_whatever_their_length():
+    assert found(stream_of([0.25]))[0] == [(0, 1)]
+    assert found(stream_of([0.25] * 60))[0] == [(0, 60)]
