@@ -17,8 +17,8 @@ from reconstruction.truth import Truth
 def seam_ratio(path: Path) -> float | None:
     """Return by how much more the error of a finished run steps at seams than within spans; None without either.
 
-    A step is the root mean square, over pixels that move, of what render minus truth changes by from one instant of
-    truth to the next.
+    A step is the root mean square, over pixels that move, of the change of render minus truth from one instant of truth
+    to the next.
     """
     run = RunFolder.open(path)
     recording = posed(run, recording_of(run), refined=True)

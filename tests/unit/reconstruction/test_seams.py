@@ -1,4 +1,4 @@
-"""Where the error of movers jumps."""
+"""Steps of the error of movers at seams are told from those within spans."""
 
 from types import SimpleNamespace
 from typing import Any
