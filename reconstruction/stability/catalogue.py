@@ -19,13 +19,14 @@ from reconstruction.stability import (
     pixels,
     recordings,
     rendering,
+    spans,
 )
 from reconstruction.stability.case import Case, Row, row_of
 from reconstruction.stability.drift import drift_cases
 from reconstruction.stability.probe import omissions
 from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, stiff_cases
 
-_SUBJECTS = (rendering, motion, losses, images, recordings, cameras, marching, dimness, pixels, lenses)
+_SUBJECTS = (rendering, motion, losses, images, recordings, cameras, marching, dimness, pixels, lenses, spans)
 _ALL = (case for subject in _SUBJECTS for case in subject.CASES)
 CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))
 

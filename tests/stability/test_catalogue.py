@@ -37,7 +37,7 @@ def test_a_case_is_as_expected_of_gsplat(case, backend):
 
 
 def test_every_case_of_the_catalogue_is_there():
-    assert {case.number for case in CASES} == {*range(1, 32), None}  # None: of radiance fields
+    assert {case.number for case in CASES} == {*range(1, 32), None}  # None: of radiance fields and of spans
 
 
 def test_what_is_too_far_off_or_throws_fails():
