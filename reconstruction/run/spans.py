@@ -1,6 +1,8 @@
 """The spans that a long recording is cut into."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
 from itertools import pairwise
 
 PLANES = 400  # most planes of a span: bodies are followed between eight instants of it
@@ -30,3 +32,14 @@ def cut(planes: int, most: int = PLANES) -> tuple[Span, ...]:
     count = 1 if planes < LONG * most else -(-planes // most)
     ends = [planes * i // count for i in range(count + 1)]
     return tuple(Span(first, last) for first, last in pairwise(ends))
+
+
+def carried_from(moving: Sequence[int]) -> dict[int, int | None]:
+    """Return the span that each of the `moving` ones is carried over from; None for one that begins by itself."""
+    return dict.fromkeys(moving)
+
+
+def learning_order(carried: Mapping[int, int | None]) -> list[int]:
+    """Return the spans in an order in which each comes after the one that it is carried over from."""
+    before = {number: () if source is None else (source,) for number, source in carried.items()}
+    return list(TopologicalSorter(before).static_order())
