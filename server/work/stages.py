@@ -1,16 +1,16 @@
 """Runs each stage of an entry: puts its inputs in place, starts its process, and keeps its results."""
 
 import asyncio
-import json
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from acquisition.durable import write_durably
 from acquisition.recording.reader import Recording
+from reconstruction.run.parts import PartFolder
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import camera_picture, contact_sheet, figures
 from server.errors import NotFoundError
@@ -29,7 +29,8 @@ from server.work.commands import (
     task_arguments,
 )
 from server.work.moments import Moments
-from server.work.processes import Processes, is_full, no_room
+from server.work.part_reporter import PARTS_SHARE, STAGE
+from server.work.processes import Processes, is_finished, is_full, no_room
 from server.work.reporter import Reporter
 from server.work.supervisor import BadInputError, StageError
 
@@ -55,7 +56,7 @@ class Stages:
         self._settings = settings
         self._store = store
         self._folder = store.folder
-        self._processes = Processes(settings, store)
+        self.processes = self._processes = Processes(settings, store)
         self._moments = Moments(store, self._processes)
         self._by_type = {
             "record": self._record,
@@ -64,16 +65,18 @@ class Stages:
             "look": self._look,
             "reconstruct": self._reconstruct,
         }
-        self.busy: set[str] = set()
+        self.busy: Counter[str] = Counter()
 
     @contextmanager
-    def at_work(self, entry_id: str) -> Iterator[None]:
-        """Note that an entry is in this worker's hands."""
-        self.busy.add(entry_id)
+    def at_work(self, name: str) -> Iterator[None]:
+        """Note that an entry or part is in this worker's hands, in which it may be again before it has left them."""
+        self.busy[name] += 1
         try:
             yield
         finally:
-            self.busy.discard(entry_id)
+            self.busy[name] -= 1
+            if not self.busy[name]:
+                del self.busy[name]
 
     async def run(self, entry_id: str, stage: str) -> None:
         """Run one stage: from its own checkpoint on if it was interrupted, not again if it is finished.
@@ -137,8 +140,10 @@ class Stages:
     async def _reconstruct(self, entry: Entry, stage: str) -> None:
         run = self._folder.run(entry.id)
         arguments = reconstruct_arguments(entry.request, stage, self._recording(entry), run, entry.restart)
+        begins = PARTS_SHARE if stage == STAGE and PartFolder(run).noted() else 0.0
         try:
-            await self._processes.run(entry, stage, arguments, is_due=lambda: not _finished(run, stage, entry.restart))
+            is_due = lambda: not is_finished(run, stage, entry)  # noqa: E731
+            await self._processes.run(entry, stage, arguments, is_due=is_due, begins=begins)
         finally:
             self._store.artefacts.catalogue(entry.id, run, _run_artefacts(run))
 
@@ -210,12 +215,3 @@ def _run_artefacts(run: Path) -> Iterator[str]:
     """Yield the names of the files of a run folder that may be handed out: not its checkpoints."""
     yield from (name for name in RUN_ARTEFACTS if is_plain(run, name))
     yield from (f"thumbnails/{name}" for name in plain_files(run / "thumbnails"))
-
-
-def _finished(run: Path, stage: str, restart: dict[str, Any] | None) -> bool:
-    """Return whether the run itself says that a stage is finished; its worker may have died before it could."""
-    if not (run / "run.json").exists():
-        return False
-    document = json.loads((run / "run.json").read_text())
-    attempt = 0 if restart is None else restart["attempt"]
-    return stage in document.get("seconds", {}) and document.get("attempt", 0) == attempt

@@ -29,6 +29,8 @@ def read_trace(job: Path) -> dict[str, int]:
     newest = 0
     for line in (job / "trace.txt").read_text().splitlines() if (job / "trace.txt").exists() else ():
         word, stage, again, left, _ = line.split()
+        if word == "part":
+            continue
         if word == "end":
             ended.add(stage)
             counts["ended"] += 1
