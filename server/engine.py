@@ -85,7 +85,7 @@ class Engine:
 
     @property
     def tables(self) -> EngineTables:
-        """What the job engine's tables are asked for most often."""
+        """The reader of the job engine's tables."""
         return self._tables
 
     def close(self) -> None:

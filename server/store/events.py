@@ -24,7 +24,7 @@ class Events(Records[Event]):
             _add(connection, Event(0, entry_id, self._clock(), "progress", progress))
 
     def change_progress(self, entry_id: str, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-        """Note the progress of an entry on which several processes work: `change` makes it of what was noted last."""
+        """Note the progress of an entry on which several processes work: `change` is given the last one."""
         with self.writing() as connection:
             query = sa.select(entries.c.progress).where(entries.c.id == entry_id)
             for (found,) in connection.execute(query).all():

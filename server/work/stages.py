@@ -56,8 +56,8 @@ class Stages:
         self._settings = settings
         self._store = store
         self._folder = store.folder
-        self.processes = self._processes = Processes(settings, store)
-        self._moments = Moments(store, self._processes)
+        self.processes = Processes(settings, store)
+        self._moments = Moments(store, self.processes)
         self._by_type = {
             "record": self._record,
             "import": self._import,
@@ -70,13 +70,11 @@ class Stages:
     @contextmanager
     def at_work(self, name: str) -> Iterator[None]:
         """Note that an entry or part is in this worker's hands, in which it may be again before it has left them."""
-        self.busy[name] += 1
+        self.busy.update([name])
         try:
             yield
         finally:
-            self.busy[name] -= 1
-            if not self.busy[name]:
-                del self.busy[name]
+            self.busy -= Counter([name])
 
     async def run(self, entry_id: str, stage: str) -> None:
         """Run one stage: from its own checkpoint on if it was interrupted, not again if it is finished.
@@ -116,7 +114,7 @@ class Stages:
         rig, devices, lock = self._rig(entry)
         out = self._fresh_out(entry)
         arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
-        await self._processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
+        await self.processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
         self._hide_paths(out)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
@@ -128,7 +126,7 @@ class Stages:
         try:
             try:
                 arguments = look_arguments(entry.request, rig, devices, recording)
-                await self._processes.run(entry, stage, arguments, locks=[lock], repeats=True)
+                await self.processes.run(entry, stage, arguments, locks=[lock], repeats=True)
             except StageError:
                 if not recording.exists():  # else a camera failed, and the others are worth seeing
                     raise
@@ -141,19 +139,19 @@ class Stages:
         run = self._folder.run(entry.id)
         arguments = reconstruct_arguments(entry.request, stage, self._recording(entry), run, entry.restart)
         begins = PARTS_SHARE if stage == STAGE and PartFolder(run).noted() else 0.0
+        is_due = lambda: not is_finished(run, stage, entry)  # noqa: E731
         try:
-            is_due = lambda: not is_finished(run, stage, entry)  # noqa: E731
-            await self._processes.run(entry, stage, arguments, is_due=is_due, begins=begins)
+            await self.processes.run(entry, stage, arguments, is_due=is_due, begins=begins)
         finally:
             self._store.artefacts.catalogue(entry.id, run, _run_artefacts(run))
 
     async def _task(self, entry: Entry, stage: str) -> None:
-        is_finished = self._processes.finished(entry, stage).exists()
+        is_finished = self.processes.finished(entry, stage).exists()
         out = self._folder.out(entry.id) if is_finished else self._fresh_out(entry)
         try:
             arguments = self._arguments(entry, out)
             printed = out / "result.json" if "--json" in arguments else None
-            await self._processes.run(entry, stage, arguments, stdout=printed)
+            await self.processes.run(entry, stage, arguments, stdout=printed)
             self._hide_paths(out)
             if entry.type == "calibrate":
                 keep_calibration(self._store, entry, out)

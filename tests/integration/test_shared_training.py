@@ -105,7 +105,7 @@ class Watched:
         return {path.stem for path in (self.folder / "run" / "spans").glob("*.pt")}
 
     def begun(self) -> Counter[str]:
-        """How often each part was begun."""
+        """Count the begins of each part."""
         text = (self.folder / "trace.txt").read_text() if (self.folder / "trace.txt").exists() else ""
         return Counter(line.split()[1] for line in text.splitlines() if line.startswith("part"))
 
