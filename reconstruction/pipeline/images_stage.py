@@ -47,8 +47,7 @@ def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
         failed += failing
         progress((i + 1) / len(views), f"background of {view}, {stuck} stuck pixels")
     write_responses(run, responses)
-    if run.plan.spans:
-        PartFolder(run.path).note(parts_to_learn(run))
+    PartFolder(run.path).note(parts_to_learn(run) if run.plan.spans else [])
     if failed:
         reason = "lone pixels that jump, and from then on see nothing change; no image or count reads them after that"
         run.amend("images", Decision("failing pixels", f"{failed} left out once they fail", reason, "none"))

@@ -67,8 +67,11 @@ class PartFolder:
         self.path = run / _FOLDER
 
     def note(self, parts: list[Part]) -> None:
-        """Note which parts there are."""
-        write_json(self._list, [asdict(part) for part in parts])
+        """Note which parts there are; none for a run that is not in spans."""
+        if parts:
+            write_json(self._list, [asdict(part) for part in parts])
+        else:
+            self._list.unlink(missing_ok=True)
 
     def noted(self) -> list[Part]:
         """Return the parts that were noted; none for a run that is not in spans, or of an earlier revision."""

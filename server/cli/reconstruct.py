@@ -55,7 +55,9 @@ _choices = (
     "--again", type=int, metavar="N", help="With --stage: forget it and the later ones first; N grows with each repeat."
 )
 @click.option(
-    "--part", metavar="still|NUMBER", help="With --stage train: learn this part of a long recording alone, then end."
+    "--part",
+    metavar="still|NUMBER",
+    help="With --stage train: learn this part of a long recording alone; its seconds are a share of --budget-s.",
 )
 @json_option
 @click.pass_obj

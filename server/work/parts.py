@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -22,6 +23,7 @@ from server.work.supervisor import NoRoomStageError, StageError
 
 TRIES = 3  # of a part that fails, before it is given up
 _OUTAGE_POLL_S = 1.0
+_LOG = logging.getLogger(__name__)
 Found = TypeVar("Found")
 
 
@@ -88,7 +90,10 @@ class Parts:
         """Hand on what workers that died have left: to be called now and then."""
         found = self._queue.forgotten()
         for entry in self._store.entries.find(found) if found else ():
-            self._go_on(entry)
+            try:
+                self._go_on(entry)
+            except OSError:  # of a shared folder that is away: it is looked at again
+                _LOG.exception("the parts of %s cannot be looked at", entry.id)
 
     def _begin(self, entry_id: str) -> None:
         entry = self._entry(entry_id)
