@@ -139,7 +139,8 @@ def _document(run: Path, stage: str, again: int) -> dict[str, Any]:
         names = list(document["seconds"])
         kept = names[: names.index(stage)] if stage in names else names
         document = {"status": "unfinished", "attempt": again, "seconds": {name: 1.0 for name in kept}}
-        shutil.rmtree(run / "spans", ignore_errors=True)
+        if "train" not in kept:
+            shutil.rmtree(run / "spans", ignore_errors=True)
         _write(path, document)
     return document
 
