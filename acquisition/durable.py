@@ -1,11 +1,13 @@
 """Writes files that are whole or absent: written aside, flushed to disk, renamed."""
 
+import errno
 import io
 import json
 import os
+import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,52 @@ def write_durably(path: Path, data: bytes | str) -> None:
         aside.unlink(missing_ok=True)
         found = f"cannot be written ({error.strerror})"
         raise DiskError(found, f"room and permission for {len(raw)} bytes", where=path) from error
+
+
+def write_first(folder: int, name: str, data: bytes) -> bool:
+    """Write `name` in an open folder unless it is there, whole or absent; return whether this was the first to do so.
+
+    Of processes that write at once, on one host or on several that share the folder, one is the first. Where the
+    folder itself was removed meanwhile nothing is written, and False returned. Raises DiskError when the disk refuses.
+    """
+    aside = f".{name}.{secrets.token_hex(8)}.partial"  # numbers of processes repeat among hosts
+    try:
+        handle = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644, dir_fd=folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            first = _linked(folder, aside, name)
+        finally:
+            with suppress(FileNotFoundError):
+                os.unlink(aside, dir_fd=folder)
+        os.fsync(folder)
+    except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ESTALE):
+            return False
+        found = f"cannot be written ({error.strerror})"
+        raise DiskError(found, f"room and permission for {len(data)} bytes", where=name) from error
+    return first
+
+
+def _linked(folder: int, aside: str, name: str) -> bool:
+    """Give a file a second name unless that is taken; return whether it was free.
+
+    An answer that was lost on its way to another host makes the link look taken that was made: the links are counted.
+    Where the disk has no links, one host is alone with it.
+    """
+    try:
+        os.link(aside, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except FileExistsError:
+        return os.stat(aside, dir_fd=folder).st_nlink == 2
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        if os.access(name, os.F_OK, dir_fd=folder):
+            return False
+        os.rename(aside, name, src_dir_fd=folder, dst_dir_fd=folder)
+    return True
 
 
 def write_json(path: Path, document: object) -> None:

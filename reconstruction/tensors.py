@@ -29,10 +29,15 @@ def write_tensors(path: Path, state: dict) -> None:
 
     Its tensors are written as tensors on the CPU, wherever they are.
     """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_durably(path, packed(state))
+
+
+def packed(state: dict) -> bytes:
+    """Return what `write_tensors` writes of `state`."""
     buffer = io.BytesIO()
     torch.save(on_cpu(state), buffer)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_durably(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def read_tensors(path: Path, expected: str, do: str) -> dict:

@@ -11,16 +11,16 @@ from server.errors import StateError
 from server.pickles import refuse_pickles
 from server.schemas.progress import ENDED, Status
 from server.settings import ServiceSettings
-from server.store.engine_tables import EngineTables, Place
+from server.store.engine_tables import PART, WORKFLOW, EngineTables, Place
 from server.store.entries import Listed, Open
 from server.store.tables import Entry
 
 APPLICATION = "spike4dgs"
-# Workflows replay their steps by position: change this when, and only when, the order of stages changes.
+# Steps are replayed by position, and travel with an entry: change this when what travels with one of old is read anew.
 APPLICATION_VERSION = "3"
-WORKFLOW = "entry"
 
-RECONSTRUCTIONS = "reconstructions"  # queue of trainings: one at a time a worker
+PARTS = "parts"  # the step, before the training, that hands out its parts
+RECONSTRUCTIONS = "reconstructions"  # queue of trainings and of their parts: one at a time a worker
 TASKS = "tasks"  # queue of work that takes a processor for seconds or minutes
 _CONNECTIONS = 20  # as many as half the web process's threads
 _STATUS: dict[str, Status] = {
@@ -37,6 +37,26 @@ Queued = Entry | Listed | Open
 def stages_of(entry_type: str) -> tuple[str, ...]:
     """Return the stages of a kind of work, in order."""
     return STAGES if entry_type == "reconstruct" else (entry_type,)
+
+
+def steps_of(entry_type: str) -> list[str]:
+    """Return the steps of a kind of work, in order: its stages and, before a training, the handing out of its parts."""
+    return [step for stage in stages_of(entry_type) for step in ((PARTS, stage) if stage == "train" else (stage,))]
+
+
+def priority_of(entry: Entry, *, part: bool = False) -> int:
+    """Return the engine's priority of an entry or of a part of it: after all entries of the same priority."""
+    return 2 * max(entry.priority, 1) + part
+
+
+def part_id(entry_id: str, attempt: int, name: str = "") -> str:
+    """Return the id of the work on a part of a job in one of its attempts; without a name, what all ids begin with."""
+    return f"{entry_id}.{attempt}.{name}"
+
+
+def entry_of(workflow_id: str) -> str:
+    """Return the entry that a workflow belongs to: itself, or the job that it is a part of."""
+    return workflow_id.partition(".")[0]
 
 
 def capture_queue(rig_id: str) -> str:
@@ -56,7 +76,17 @@ class Engine:
             application_name=APPLICATION,
             retry_connection_errors=False,  # the caller is told, rather than kept waiting for the database
         )
-        self._tables = EngineTables(settings)
+        self._tables = EngineTables(settings, RECONSTRUCTIONS)
+
+    @property
+    def client(self) -> DBOSClient:
+        """The client of the job engine itself."""
+        return self._client
+
+    @property
+    def tables(self) -> EngineTables:
+        """The reader of the job engine's tables."""
+        return self._tables
 
     def close(self) -> None:
         """Let go of the database."""
@@ -75,9 +105,9 @@ class Engine:
             "queue_name": entry.queue,
             "workflow_id": entry.id,
             "app_version": APPLICATION_VERSION,
-            "priority": max(entry.priority, 1),
+            "priority": priority_of(entry),
         }
-        self._client.enqueue(options, entry.id, list(stages_of(entry.type)))
+        self._client.enqueue(options, entry.id, steps_of(entry.type))
 
     def status(self, entry: Queued) -> Status:
         """Return the status of one entry, as `statuses` does."""
@@ -115,20 +145,21 @@ class Engine:
         return self._tables.places(["ENQUEUED", "PENDING"], "PENDING")
 
     def running(self) -> dict[str, str]:
-        """Return every running entry's id, and the worker that has it."""
+        """Return the id of every entry and part that a worker has, and the worker."""
         found = self._client.list_workflows(status="PENDING", load_input=False, load_output=False)
         return {one.workflow_id: one.executor_id or "" for one in found}
 
     def ended(self) -> list[str]:
-        """Return all entries the engine remembers that are neither queued nor running."""
+        """Return all entries the engine remembers, of themselves or of parts, that are neither queued nor running."""
         found = self._client.list_workflows(
-            name=WORKFLOW, status=["SUCCESS", "ERROR", "CANCELLED"], load_input=False, load_output=False
+            name=[WORKFLOW, PART], status=["SUCCESS", "ERROR", "CANCELLED"], load_input=False, load_output=False
         )
-        return [one.workflow_id for one in found]
+        return list(dict.fromkeys(entry_of(one.workflow_id) for one in found))
 
     def cancel(self, entry_id: str) -> None:
-        """Stop an entry that is queued or running."""
+        """Stop an entry that is queued or running, and its parts."""
         self._client.cancel_workflow(entry_id)
+        self._client.cancel_workflows(self._parts(entry_id))
 
     def withdraw(self, entry_id: str) -> None:
         """Stop an entry that is queued; one that a worker has taken meanwhile goes on.
@@ -142,22 +173,28 @@ class Engine:
         with system.engine.begin() as connection:
             connection.execute(sa.update(table).where(is_queued).values(**ends))
 
-    def adopt(self, entry: Entry, worker: str) -> None:
-        """Take an entry from its worker, where it still runs there, and queue it again where it stopped.
+    def adopt(self, workflow_id: str, worker: str, queue: str) -> None:
+        """Take an entry or part from its worker, where it still runs there, and queue it again where it stopped.
 
         In one statement: cancelling and resuming would leave it cancelled if this process died in between, and would
         undo what a client has cancelled meanwhile.
         """
-        assert entry.queue is not None
-        self._client._sys_db.reenqueue_for_recovery(entry.id, [worker], entry.queue)
+        self._client._sys_db.reenqueue_for_recovery(workflow_id, [worker], queue)
 
     def rewind(self, entry: Entry, stage: str | None = None) -> None:
-        """Queue an ended entry again, from `stage` on or from the one it stopped in."""
+        """Queue an ended entry again, from `stage` on or from the one it stopped in.
+
+        Parts that failed or were stopped are handed out again before the training goes on.
+        """
+        steps = self._client.list_workflow_steps(entry.id)
+        known = {step["function_name"]: step["function_id"] for step in steps}
+        start = len(steps) + 1
         if stage is None:
-            steps = self._client.list_workflow_steps(entry.id)
-            start = next((step["function_id"] for step in steps if step["error"]), len(steps) + 1)
+            start = next((step["function_id"] for step in steps if step["error"]), start)
         else:
-            start = stages_of(entry.type).index(stage) + 1
+            start = known.get(stage, start)
+        if start - 1 == known.get(PARTS):
+            start -= 1
         try:
             self._client.rewind_workflow(
                 entry.id, start_step=start, application_version=APPLICATION_VERSION, queue_name=entry.queue
@@ -166,5 +203,8 @@ class Engine:
             raise StateError(f"found {entry.id} queued or deleted meanwhile", "it ended", "look again") from error
 
     def forget(self, entry_id: str) -> None:
-        """Delete the engine's memory of an entry."""
-        self._client.delete_workflow(entry_id)
+        """Delete the engine's memory of an entry and its parts."""
+        self._client.delete_workflows([entry_id, *self._parts(entry_id)])
+
+    def _parts(self, entry_id: str) -> list[str]:
+        return list(self._tables.beginning_with(f"{entry_id}."))

@@ -15,10 +15,11 @@ from reconstruction.images.response import NEVER, Response
 from reconstruction.images.standing import standing
 from reconstruction.parallel import each
 from reconstruction.pipeline.artefacts import BACKGROUND, MOVING, read_light, write, write_responses
-from reconstruction.pipeline.span_artefacts import BLIND, MASKS, PLANNED, read_masks, write_masks
+from reconstruction.pipeline.span_artefacts import BLIND, MASKS, PLANNED, parts_to_learn, read_masks, write_masks
 from reconstruction.run.configuration import MAPS
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
+from reconstruction.run.parts import PartFolder
 from reconstruction.run.plan import DARK_RATE
 from rigs.camera import Camera
 
@@ -46,6 +47,7 @@ def images_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
         failed += failing
         progress((i + 1) / len(views), f"background of {view}, {stuck} stuck pixels")
     write_responses(run, responses)
+    PartFolder(run.path).note(parts_to_learn(run) if run.plan.spans else [])
     if failed:
         reason = "lone pixels that jump, and from then on see nothing change; no image or count reads them after that"
         run.amend("images", Decision("failing pixels", f"{failed} left out once they fail", reason, "none"))

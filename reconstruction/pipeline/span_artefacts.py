@@ -1,7 +1,7 @@
 """The artefacts of a recording that is reconstructed in spans.
 
-The plan stage writes PLANNED, the images stage MASKS, the train stage STILL and a file for each span, which is whole or
-absent. Letters: S spans, H rows, W columns.
+The plan stage writes PLANNED, the images stage MASKS and the list of the parts, the train stage a file for each part,
+which is whole or absent. Letters: S spans, H rows, W columns.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,8 @@ from reconstruction.images.background import Background
 from reconstruction.images.composite import CompositeSource
 from reconstruction.images.mending import mended
 from reconstruction.pipeline.artefacts import read_sources, read_views, short_images, straight_views
-from reconstruction.run.folder import SPANS, RunFolder
+from reconstruction.run.folder import RunFolder
+from reconstruction.run.parts import Part, parts_of
 from reconstruction.run.plan import LEAST_VIEWS
 from reconstruction.run.spans import STILL_SHARE, Span
 from rigs.camera import Camera
@@ -58,16 +58,6 @@ def read_masks(run: RunFolder, name: str, view: str, size: tuple[int, int]) -> M
     """Read the masks [S, H, W] of a view of this size (H, W)."""
     packed = run.read_array(name.format(view=view))
     return np.unpackbits(packed, axis=1, count=size[0] * size[1]).astype(bool).reshape(-1, *size)
-
-
-def still_file(run: RunFolder) -> Path:
-    """Return the file of the still scene, as all spans take it."""
-    return run.path / SPANS / "still.pt"
-
-
-def span_file(run: RunFolder, number: int) -> Path:
-    """Return the file of a span's own content."""
-    return run.path / SPANS / f"{number:06d}.pt"
 
 
 def read_still_views(run: RunFolder, recording: Recording) -> Views:
@@ -115,6 +105,11 @@ def moving_spans(run: RunFolder) -> list[int]:
     seeing = np.stack([~run.read_array(BLIND.format(view=view)) for view in run.plan.views])
     shares = (pixels * seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
     return np.flatnonzero((shares >= STILL_SHARE) & (seeing.sum(axis=0) >= LEAST_VIEWS)).tolist()
+
+
+def parts_to_learn(run: RunFolder) -> list[Part]:
+    """Return the parts of the run's training: the still scene, which all others begin with, and the spans."""
+    return parts_of(moving_spans(run))
 
 
 def read_targets(run: RunFolder, recording: Recording) -> Views:

@@ -54,6 +54,39 @@ def reconstruct(
     return run
 
 
+def reconstruct_part(
+    recording_path: Path,
+    out: Path,
+    config: ReconstructionConfig,
+    part: str,
+    progress: Progress,
+    *,
+    again: int | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> bool:
+    """Learn one part of the train stage of a run in spans, beside other processes that learn others.
+
+    Return whether the result was kept: of several processes with the same part, the first one's is. Nothing is written
+    into `run.json`, unless `again` asks for the stage to be forgotten first. Raises BadRunError as `reconstruct`, for a
+    run without spans, and for a part that the run does not have or that begins with one that is missing.
+    """
+    if config.device == CUDA:
+        _expect_device()
+    run = RunFolder.open(out)
+    if again is not None:
+        run.forget(STAGES[STAGES.index("train") :], again)
+    run = RunFolder.start(out, config, recording_path, code_revision())
+    if not _due(run, "train", STAGES[-1]):
+        return False
+    if not run.plan.spans:
+        raise BadRunError("found a run without spans", "one of a long recording", "leave out --part", where=out)
+    from reconstruction.pipeline.span_stage import SpanTraining, learn_part
+
+    recording = posed(run, Recording.open(recording_path).part(config.from_tick, config.to_tick))
+    budget = Budget(time.monotonic, time.monotonic(), 0.0, config.budget_s, config.steps)
+    return learn_part(SpanTraining(run, recording, progress, budget, should_stop), part)
+
+
 def _expect_device() -> None:
     """Raise BadRunError where the training would find no device: at the beginning, not after minutes of other work."""
     from reconstruction.rendering.gsplat_backend import expect_device

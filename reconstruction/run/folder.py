@@ -16,8 +16,8 @@ from reconstruction.errors import BadRunError
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Decision, Plan
 from reconstruction.run.document import SCHEMA, RunDocument
+from reconstruction.run.parts import PartFolder
 
-SPANS = "spans"  # folder of the parts of a training in spans, a file each
 PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
 
 
@@ -118,9 +118,9 @@ class RunFolder:
                 by_stage.pop(stage, None)
         self.save()
         if "train" in stages:
-            parts = sorted((self.path / SPANS).glob("*.pt"))
-            for path in [self.checkpoint, *self.snapshots(), *parts, *(self.path / name for name in PREVIEW)]:
+            for path in [self.checkpoint, *self.snapshots(), *(self.path / name for name in PREVIEW)]:
                 path.unlink(missing_ok=True)
+            PartFolder(self.path).forget()
         self.document.attempt = attempt
         self.save()
 

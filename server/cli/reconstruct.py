@@ -9,10 +9,11 @@ import click
 
 from acquisition.durable import write_array
 from reconstruction.errors import BadRunError
-from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.stages import reconstruct, reconstruct_part
 from reconstruction.rendering.limits import frames_to_render
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
+from reconstruction.run.parts import STILL, span_name
 from reconstruction.truth import Truth
 from server.cli.options import PATH, from_tick, json_option, several, to_tick
 from server.cli.output import answer, scores
@@ -53,6 +54,11 @@ _choices = (
 @click.option(
     "--again", type=int, metavar="N", help="With --stage: forget it and the later ones first; N grows with each repeat."
 )
+@click.option(
+    "--part",
+    metavar="still|NUMBER",
+    help="With --stage train: learn this part of a long recording alone; its seconds are a share of --budget-s.",
+)
 @json_option
 @click.pass_obj
 def reconstruct_command(
@@ -64,6 +70,7 @@ def reconstruct_command(
     steps: int | None,
     stage: str | None,
     again: int | None,
+    part: str | None,
     as_json: bool,
     **choices: str,
 ) -> None:
@@ -77,6 +84,12 @@ def reconstruct_command(
     stop = threading.Event()  # training then saves a checkpoint and ends
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    if part is not None:
+        name = _part_name(part, stage)
+        own = progress_of("train")
+        if not reconstruct_part(recording, out, config, name, own, again=again, should_stop=stop.is_set):
+            click.echo(f"part {name}: it was there already; what this process has learnt is dropped", err=True)
+        return
     run = reconstruct(
         recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop.is_set
     )
@@ -85,6 +98,17 @@ def reconstruct_command(
     if run.has("report"):
         metrics = json.loads((run.path / "metrics.json").read_text())
         answer(metrics, f"{scores(metrics)}\nreport: {run.path / 'report.html'}", as_json=as_json)
+
+
+def _part_name(text: str, stage: str | None) -> str:
+    """Return the name of the part that `text` is; raises click.UsageError."""
+    if stage != "train":
+        raise click.UsageError("found --part without --stage train, expected both")
+    if text == STILL:
+        return text
+    if not text.isdecimal():
+        raise click.UsageError(f"found --part {text[:20]!r}, expected {STILL} or the number of a span")
+    return span_name(int(text))
 
 
 @click.command("render")

@@ -84,8 +84,9 @@ class ReconstructRequest(OfCapture):
     """A reconstruction of a capture; what is not given is decided by the plan.
 
     `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one. `span`
-    is the most planes of a span of a long recording. A part is the ticks [from_tick, to_tick) of the rig clock; its
-    instants are those of the whole.
+    is the most planes of a span of a long recording. All workers share the spans, so its `budget_s` counts the seconds
+    of each of them, and its `steps` are those of one span. A part is the ticks [from_tick, to_tick) of the rig clock;
+    its instants are those of the whole.
     """
 
     model_config = example(_CAPTURE | {"holdout": "cam11", "budget_s": 300}, {"type": "reconstruct"} | _CAPTURE)

@@ -14,7 +14,6 @@ from server.services.listing import Document, Found, is_resumable, job_document,
 from server.services.queue import Key, Queue
 from server.services.work_order import page_in_work_order
 from server.store.entries import Filter
-from server.store.files import is_locked
 from server.store.store import Store
 from server.store.tables import Entry
 
@@ -111,7 +110,8 @@ class JobService:
                 f"found the stage {stage}", f"one that {job_id} has begun: {', '.join(begun) or 'none yet'}"
             )
         attempt = (entry.restart or {}).get("attempt", 0) + 1
-        self._store.entries.change(job_id, restart={"stage": stage, "attempt": attempt})
+        progress = entry.progress | {"warnings": []}  # those of stages that are kept come again
+        self._store.entries.change(job_id, restart={"stage": stage, "attempt": attempt}, progress=progress)
         return self._again(entry, stage)
 
     def prioritise(self, job_id: str, priority: int) -> Job:
@@ -146,7 +146,7 @@ class JobService:
         status = self._engine.status(entry)
         if status not in states:
             raise StateError(f"found {job_id} {status}", f"it {' or '.join(states)}")
-        if status in ENDED and is_locked(self._store.folder.entry(job_id)):
+        if status in ENDED and self._store.folder.has_process(job_id):
             raise StateError(f"found {job_id} still stopping", "it stopped", "try again in a few seconds")
         return entry
 

@@ -13,6 +13,7 @@ from acquisition.recording.reader import read_any_manifest
 from server.engine import RECONSTRUCTIONS, TASKS, Engine, capture_queue
 from server.schemas.progress import ACTIVE
 from server.settings import ServiceSettings
+from server.store.engine_tables import SPANS
 from server.store.files import is_locked
 from server.store.store import Store
 from server.store.tables import Entry, Event
@@ -94,7 +95,7 @@ class Metrics(Collector):
     def _queues(self) -> Metric:
         depth = GaugeMetricFamily("spike4dgs_queue_depth", "Captures and jobs to be done.", labels=["queue", "status"])
         found = self._engine.count()
-        for queue in sorted({*self._names(), *(name for name, _ in found)}):
+        for queue in sorted({*self._names(), SPANS, *(name for name, _ in found)}):
             for status in ACTIVE:
                 depth.add_metric([queue, status], found.get((queue, status), 0))
         return depth

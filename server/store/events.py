@@ -1,6 +1,6 @@
 """The events of captures and jobs: numbered, so that a reader can go on where it stopped."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,15 @@ class Events(Records[Event]):
         with self.writing() as connection:
             connection.execute(entries.update().where(entries.c.id == entry_id).values(progress=progress))
             _add(connection, Event(0, entry_id, self._clock(), "progress", progress))
+
+    def change_progress(self, entry_id: str, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+        """Note the progress of an entry on which several processes work: `change` is given the last one."""
+        with self.writing() as connection:
+            query = sa.select(entries.c.progress).where(entries.c.id == entry_id)
+            for (found,) in connection.execute(query).all():
+                progress = change(found)
+                connection.execute(entries.update().where(entries.c.id == entry_id).values(progress=progress))
+                _add(connection, Event(0, entry_id, self._clock(), "progress", progress))
 
     def tell(self, entry_id: str, before: str, status: str, data: dict[str, Any]) -> int | None:
         """Announce a new status, once; return its number, None where another process has announced since `before`."""

@@ -4,6 +4,7 @@ DATA/dbos.sqlite, DATA/catalogue.sqlite   the databases, unless PostgreSQL has t
 DATA/captures/CID/                        a recording
 DATA/jobs/JID/run/, DATA/jobs/JID/out/    the run folder of a reconstruction; what any other job made
 DATA/entries/ID/log.txt                   what the stages of a capture or job wrote; its flock is held while one runs
+DATA/entries/ID/parts/                    its flock is shared by the processes of parts of a training
 DATA/rigs/RIG/                            held by flock while the rig records; its calibrations as files
 DATA/uploads/UID/                         what was uploaded so far
 DATA/reserve                              room that is given up where the disk is full, so that it can be emptied
@@ -35,6 +36,17 @@ class DataFolder:
     def hidden(self, text: str) -> str:
         """Return a text that others may read: names inside the folder, and not where it lies on this machine."""
         return text.replace(f"{self.path}/", "").replace(str(self.path), "the data folder")
+
+    def parts(self, entry_id: str) -> Path:
+        """Return the folder whose flock the processes of a training's parts share, made where it is missing."""
+        folder = self.entry(entry_id) / "parts"
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    def has_process(self, entry_id: str) -> bool:
+        """Return whether a process of an entry is alive on this host."""
+        folder = self.path / "entries" / entry_id
+        return is_locked(folder) or is_locked(folder / "parts")
 
     def log(self, entry_id: str) -> Path:
         """Return the path that the stages of an entry wrote."""
@@ -113,12 +125,15 @@ def locked(path: Path, flags: int = os.O_RDONLY, *, wait: bool = False) -> Itera
 
 
 @contextmanager
-def shared(path: Path) -> Iterator[None]:
-    """Hold the flock of a folder beside others who share it; raises BlockingIOError where one process has it alone."""
+def shared(path: Path) -> Iterator[int]:
+    """Hold the flock of a folder beside others who share it; yields a descriptor of it.
+
+    Raises BlockingIOError where one process has it alone.
+    """
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        yield
+        yield descriptor
     finally:
         os.close(descriptor)
 

@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Container
 
-from server.engine import Engine
+from server.engine import Engine, entry_of
 from server.store.store import Store
 from server.store.tables import Worker
 
@@ -12,7 +12,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Heir:
-    """Looks at each beat of its worker; `busy` are the entries that the worker has in hand.
+    """Looks at each beat of its worker; `busy` are the entries and parts that the worker has in hand.
 
     Nobody is declared dead on the evidence of a time in which nobody could beat: a worker inherits only after it has
     itself beaten without a gap for as long as it grants the others.
@@ -29,7 +29,7 @@ class Heir:
         self._store = store
         self._engine = engine
         self._me = me
-        self._busy = busy
+        self.busy = busy
         self._clock = clock
         self._since: float | None = None  # when the beats without a gap began
         self._last = clock()
@@ -59,13 +59,19 @@ class Heir:
         if not alive or alive[0] != self._me.id:
             return
         orphans = {entry_id: worker for entry_id, worker in running.items() if worker not in alive}
-        for entry in self._store.entries.find(list(orphans)) if orphans else ():
-            self._engine.adopt(entry, orphans[entry.id])
+        for found, queue in self._kept(list(orphans)):
+            self._engine.adopt(found, orphans[found], queue)
 
     def _adopt_own(self, mine: list[str], now: float) -> None:
         """Begin again what the engine gave up because it could not write down how it ended."""
-        self._idle = {i: self._idle.get(i, now) for i in mine if i not in self._busy}
+        self._idle = {i: self._idle.get(i, now) for i in mine if i not in self.busy}
         lost = [entry_id for entry_id, since in self._idle.items() if now - since >= self._store.workers.dead_s]
-        for entry in self._store.entries.find(lost) if lost else ():
-            self._engine.adopt(entry, self._me.id)
-            del self._idle[entry.id]
+        for found, queue in self._kept(lost):
+            self._engine.adopt(found, self._me.id, queue)
+            del self._idle[found]
+
+    def _kept(self, found: list[str]) -> list[tuple[str, str]]:
+        """Return those of entries and parts whose entry is kept, and the queue of each."""
+        entries = self._store.entries.find(list({entry_of(one) for one in found})) if found else []
+        queues = {entry.id: entry.queue for entry in entries}
+        return [(one, queue) for one in found if (queue := queues.get(entry_of(one)))]

@@ -4,6 +4,8 @@ import errno
 import json
 import os
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -12,18 +14,19 @@ from server.store.database import is_full, is_outage
 from server.store.store import Store
 from server.work.wording import in_request_words
 
-_WRITE_EVERY_S = 0.5
-_OUTAGE_S = 5.0
+WRITE_EVERY_S = 0.5
+OUTAGE_S = 5.0  # after which a report is tried again: it says more than the one that was lost
 
 
 class Reporter:
-    """The progress of one stage of one entry."""
+    """The progress of one stage of one entry, of which the share `begins` was done before."""
 
-    def __init__(self, store: Store, entry_id: str, stage: str) -> None:
+    def __init__(self, store: Store, entry_id: str, stage: str, begins: float = 0.0) -> None:
         self._store = store
         self._entry_id = entry_id
         self._stage = stage
-        self._latest = Progress(stage=stage)
+        self._begins = begins
+        self._latest = Progress(stage=stage, fraction=begins)
         (entry,) = store.entries.find([entry_id])
         self._earlier: dict[str, float] = entry.progress.get("seconds", {})
         self._warnings: list[str] = entry.progress.get("warnings", [])
@@ -32,17 +35,12 @@ class Reporter:
 
     def __call__(self, fraction: float, message: str) -> None:
         """Note the progress of the stage."""
-        self._latest = Progress(stage=self._stage, fraction=fraction, message=self._said(message))
+        done = self._begins + (1 - self._begins) * fraction
+        self._latest = Progress(stage=self._stage, fraction=done, message=self._said(message))
         if time.monotonic() < self._next:
             return
-        try:
-            self._write()
-        except SQLAlchemyError as error:
-            if is_full(error):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
-            if not is_outage(error):
-                raise
-            self._next = time.monotonic() + _OUTAGE_S  # the next report says more than the one that is lost
+        if not written(self._write):
+            self._next = time.monotonic() + OUTAGE_S
 
     def warn(self, text: str) -> None:
         """Note a warning, once however often it comes; the next report carries it."""
@@ -63,16 +61,33 @@ class Reporter:
 
     def _write(self) -> None:
         now = time.monotonic()
-        self._next = now + _WRITE_EVERY_S
+        self._next = now + WRITE_EVERY_S
         seconds = self._earlier.get(self._stage, 0.0) + now - self._began  # earlier attempts count
         by_stage = self._earlier | {self._stage: round(seconds, 2)}
         kept = {"seconds": by_stage, "warnings": self._warnings, "preview": self._preview()}
         self._store.events.progress(self._entry_id, self._latest.model_copy(update=kept).model_dump())
 
     def _preview(self) -> Preview | None:
-        """Return what there is to say of the picture that a training draws of itself; None before there is one."""
-        told = self._store.folder.run(self._entry_id) / "preview.json"
-        try:
-            return Preview(**json.loads(told.read_text()), at=told.stat().st_mtime)
-        except FileNotFoundError:
-            return None
+        return preview_in(self._store.folder.run(self._entry_id))
+
+
+def preview_in(run: Path) -> Preview | None:
+    """Return what there is to say of the picture that a training draws of itself; None before there is one."""
+    told = run / "preview.json"
+    try:
+        return Preview(**json.loads(told.read_text()), at=told.stat().st_mtime)
+    except FileNotFoundError:
+        return None
+
+
+def written(write: Callable[[], None]) -> bool:
+    """Call `write`; return False where the database does not answer. Raises OSError where its disk is full."""
+    try:
+        write()
+    except SQLAlchemyError as error:
+        if is_full(error):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+        if not is_outage(error):
+            raise
+        return False
+    return True

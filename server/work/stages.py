@@ -1,16 +1,16 @@
 """Runs each stage of an entry: puts its inputs in place, starts its process, and keeps its results."""
 
 import asyncio
-import json
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from acquisition.durable import write_durably
 from acquisition.recording.reader import Recording
+from reconstruction.run.parts import PartFolder
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import camera_picture, contact_sheet, figures
 from server.errors import NotFoundError
@@ -29,7 +29,8 @@ from server.work.commands import (
     task_arguments,
 )
 from server.work.moments import Moments
-from server.work.processes import Processes, is_full, no_room
+from server.work.part_reporter import PARTS_SHARE, STAGE
+from server.work.processes import Processes, is_finished, is_full, no_room
 from server.work.reporter import Reporter
 from server.work.supervisor import BadInputError, StageError
 
@@ -55,8 +56,8 @@ class Stages:
         self._settings = settings
         self._store = store
         self._folder = store.folder
-        self._processes = Processes(settings, store)
-        self._moments = Moments(store, self._processes)
+        self.processes = Processes(settings, store)
+        self._moments = Moments(store, self.processes)
         self._by_type = {
             "record": self._record,
             "import": self._import,
@@ -64,16 +65,16 @@ class Stages:
             "look": self._look,
             "reconstruct": self._reconstruct,
         }
-        self.busy: set[str] = set()
+        self.busy: Counter[str] = Counter()
 
     @contextmanager
-    def at_work(self, entry_id: str) -> Iterator[None]:
-        """Note that an entry is in this worker's hands."""
-        self.busy.add(entry_id)
+    def at_work(self, name: str) -> Iterator[None]:
+        """Note that an entry or part is in this worker's hands, in which it may be again before it has left them."""
+        self.busy.update([name])
         try:
             yield
         finally:
-            self.busy.discard(entry_id)
+            self.busy -= Counter([name])
 
     async def run(self, entry_id: str, stage: str) -> None:
         """Run one stage: from its own checkpoint on if it was interrupted, not again if it is finished.
@@ -113,7 +114,7 @@ class Stages:
         rig, devices, lock = self._rig(entry)
         out = self._fresh_out(entry)
         arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
-        await self._processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
+        await self.processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
         self._hide_paths(out)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
@@ -125,7 +126,7 @@ class Stages:
         try:
             try:
                 arguments = look_arguments(entry.request, rig, devices, recording)
-                await self._processes.run(entry, stage, arguments, locks=[lock], repeats=True)
+                await self.processes.run(entry, stage, arguments, locks=[lock], repeats=True)
             except StageError:
                 if not recording.exists():  # else a camera failed, and the others are worth seeing
                     raise
@@ -137,18 +138,20 @@ class Stages:
     async def _reconstruct(self, entry: Entry, stage: str) -> None:
         run = self._folder.run(entry.id)
         arguments = reconstruct_arguments(entry.request, stage, self._recording(entry), run, entry.restart)
+        begins = PARTS_SHARE if stage == STAGE and PartFolder(run).noted() else 0.0
+        is_due = lambda: not is_finished(run, stage, entry)  # noqa: E731
         try:
-            await self._processes.run(entry, stage, arguments, is_due=lambda: not _finished(run, stage, entry.restart))
+            await self.processes.run(entry, stage, arguments, is_due=is_due, begins=begins)
         finally:
             self._store.artefacts.catalogue(entry.id, run, _run_artefacts(run))
 
     async def _task(self, entry: Entry, stage: str) -> None:
-        is_finished = self._processes.finished(entry, stage).exists()
+        is_finished = self.processes.finished(entry, stage).exists()
         out = self._folder.out(entry.id) if is_finished else self._fresh_out(entry)
         try:
             arguments = self._arguments(entry, out)
             printed = out / "result.json" if "--json" in arguments else None
-            await self._processes.run(entry, stage, arguments, stdout=printed)
+            await self.processes.run(entry, stage, arguments, stdout=printed)
             self._hide_paths(out)
             if entry.type == "calibrate":
                 keep_calibration(self._store, entry, out)
@@ -210,12 +213,3 @@ def _run_artefacts(run: Path) -> Iterator[str]:
     """Yield the names of the files of a run folder that may be handed out: not its checkpoints."""
     yield from (name for name in RUN_ARTEFACTS if is_plain(run, name))
     yield from (f"thumbnails/{name}" for name in plain_files(run / "thumbnails"))
-
-
-def _finished(run: Path, stage: str, restart: dict[str, Any] | None) -> bool:
-    """Return whether the run itself says that a stage is finished; its worker may have died before it could."""
-    if not (run / "run.json").exists():
-        return False
-    document = json.loads((run / "run.json").read_text())
-    attempt = 0 if restart is None else restart["attempt"]
-    return stage in document.get("seconds", {}) and document.get("attempt", 0) == attempt

@@ -10,13 +10,14 @@ import signal
 from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TextIO, cast
 
-from acquisition.errors import StoppedError
+from acquisition.errors import DiskError, StoppedError
 from acquisition.progress import Progress
 from server.errors import ServiceError
-from server.store.files import locked
+from server.store.files import locked, shared
 from server.work.leash import leashed, named_end
 
 _LOCK_POLL_S = 0.1
@@ -45,8 +46,15 @@ class KilledError(StageError):
         self.number = number
 
 
+class NoRoomStageError(StageError):
+    """A stage could not write what it made: the fault is the disk's."""
+
+
 class StoppedStageError(StageError):
     """A stage was stopped by an order before it had made anything to keep."""
+
+
+_BY_NAME = {StoppedError.__name__: StoppedStageError, DiskError.__name__: NoRoomStageError}
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,7 @@ async def supervise(
     command: Sequence[str],
     *,
     folders: Sequence[Path],
+    beside: Path | None = None,
     log: Path,
     on_progress: Progress,
     on_warning: Callable[[str], None] = lambda text: None,
@@ -75,6 +84,8 @@ async def supervise(
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
 
+    That of `beside` is held, too, and shared with others.
+
     `finished` is the mark of its success. The command leaves it itself where it can, so that no death of this process
     comes between its end and the mark. Where the mark is there, or the work is not `is_due`, nothing is done.
 
@@ -84,7 +95,7 @@ async def supervise(
     when this process dies.
     Where it `answers`, an exit code of 1 with an answer is no failure.
     """
-    async with _locked(folders) as locks:
+    async with _locked(folders, beside) as locks:
         if (finished is not None and finished.exists()) or not is_due():
             return
         mark = {} if finished is None else {"SPIKE4DGS_FINISHED": str(finished)}
@@ -142,12 +153,13 @@ async def _tell(transport: asyncio.SubprocessTransport, relay: _Relay, control: 
 
 
 @contextlib.asynccontextmanager
-async def _locked(folders: Sequence[Path]) -> AsyncIterator[list[int]]:
+async def _locked(folders: Sequence[Path], beside: Path | None) -> AsyncIterator[list[int]]:
+    locks = [*(partial(locked, folder) for folder in folders), *(() if beside is None else (partial(shared, beside),))]
     with contextlib.ExitStack() as stack:
         descriptors: list[int] = []
-        while len(descriptors) < len(folders):
+        while len(descriptors) < len(locks):
             try:
-                descriptors.append(stack.enter_context(locked(folders[len(descriptors)])))
+                descriptors.append(stack.enter_context(locks[len(descriptors)]()))
             except BlockingIOError:
                 await asyncio.sleep(_LOCK_POLL_S)
         yield descriptors
@@ -218,7 +230,7 @@ class _Relay(asyncio.SubprocessProtocol):
             if event["event"] == "error":
                 parts = (str(event[name]) for name in ("found", "expected", "do"))
                 kind = BadInputError if event.get("bad_input") else StageError
-                kind = StoppedStageError if event.get("kind") == StoppedError.__name__ else kind
+                kind = _BY_NAME.get(event.get("kind"), kind)
                 self.error = kind(*parts, where=event["where"])
                 return True
         except (ValueError, KeyError, TypeError):

@@ -5,8 +5,9 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
+from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, PortableWorkflowError, StepOptions
 from dbos import error as engine_errors
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -15,25 +16,31 @@ from rigs.errors import Spike4dgsError
 from server.engine import (
     APPLICATION,
     APPLICATION_VERSION,
+    PARTS,
     RECONSTRUCTIONS,
     TASKS,
-    WORKFLOW,
     Engine,
     capture_queue,
+    part_id,
 )
 from server.errors import WorkerRunningError
+from server.part_queue import PartQueue
 from server.pickles import refuse_pickles
 from server.settings import ServiceSettings
 from server.store.database import is_outage, reason_of
+from server.store.engine_tables import PART, WORKFLOW
 from server.store.files import locked
 from server.store.store import Store
 from server.store.tables import Worker
 from server.telemetry import configure_logs, engine_tracing
 from server.work.heir import Heir
+from server.work.part_reporter import STAGE
+from server.work.parts import TRIES, PartFailedError, Parts
 from server.work.stages import Stages
 from server.work.supervisor import StoppedStageError
 
 _POLL_S = 0.5
+_ELSEWHERE = "is no longer owned by this execution"  # the engine's word on what waits for its parts, or was inherited
 
 
 def run_worker(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: threading.Event) -> None:
@@ -59,17 +66,19 @@ def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: thr
         rigs = _rigs(settings, store, stop) if "captures" in kinds else []
         queues = [*map(capture_queue, rigs), *(name for name in (RECONSTRUCTIONS, TASKS) if name in kinds)]
         me = store.workers.enter(name, queues)
-        stages = Stages(settings, store)
+        stages, engine = Stages(settings, store), Engine(settings)
         try:
             _refresh(store, rigs)
-            _launch(settings, stages, name, queues)
+            parts = Parts(store, PartQueue(engine), stages.processes, name)
+            _launch(settings, stages, parts, name, queues)
             watched = rigs if "captures" in kinds and not settings.own_rigs else None
-            _work(settings, store, me, stages, stop, watched)
+            _work(store, Heir(store, engine, me, stages.busy), parts, me, stop, watched)
         finally:
             logging.getLogger("dbos").setLevel(logging.ERROR)  # it warns of every stage that is stopped here
             DBOS.destroy()
             with suppress(SQLAlchemyError):  # a database that is gone will see it from the beats
                 store.workers.leave(me)
+            engine.close()
     finally:
         store.close()
 
@@ -95,36 +104,25 @@ def _refresh(store: Store, rigs: Sequence[str]) -> None:
             logging.getLogger(__name__).exception("the calibration of %s is not up to date", rig_id)
 
 
-def _work(
-    settings: ServiceSettings,
-    store: Store,
-    me: Worker,
-    stages: Stages,
-    stop: threading.Event,
-    rigs: list[str] | None,
-) -> None:
+def _work(store: Store, heir: Heir, parts: Parts, me: Worker, stop: threading.Event, rigs: list[str] | None) -> None:
     """Beat until told to stop or, with nothing in hand, until the service has other `rigs`; raises WorkerRunningError.
 
     Outages of the database are waited for.
     """
-    engine = Engine(settings)
-    heir = Heir(store, engine, me, stages.busy)
-    try:
-        while True:
-            try:
-                store.workers.beat(me)
-                heir.look()
-                if rigs is not None and not stages.busy and [rig.id for rig in store.known_rigs.all()] != rigs:
-                    return
-            except SQLAlchemyError as error:
-                heir.pause(reason_of(error))
-            if stop.wait(store.workers.beat_s):
+    while True:
+        try:
+            store.workers.beat(me)
+            heir.look()
+            parts.look()
+            if rigs is not None and not heir.busy and [rig.id for rig in store.known_rigs.all()] != rigs:
                 return
-    finally:
-        engine.close()
+        except SQLAlchemyError as error:
+            heir.pause(reason_of(error))
+        if stop.wait(store.workers.beat_s):
+            return
 
 
-def _launch(settings: ServiceSettings, stages: Stages, name: str, queues: Sequence[str]) -> None:
+def _launch(settings: ServiceSettings, stages: Stages, parts: Parts, name: str, queues: Sequence[str]) -> None:
     refuse_pickles()
     config: DBOSConfig = {
         "name": APPLICATION,
@@ -142,8 +140,20 @@ def _launch(settings: ServiceSettings, stages: Stages, name: str, queues: Sequen
     @DBOS.workflow(name=WORKFLOW)
     async def entry(entry_id: str, names: list[str]) -> None:
         with stages.at_work(entry_id):
-            for stage in names:
-                await DBOS.run_step_async({"name": stage, "preemptible": True}, _run, stages, entry_id, stage)
+            for step in names:
+                if step == PARTS:
+                    await DBOS.run_step_async({"name": step}, parts.begin, entry_id)
+                    if await parts.parked(entry_id):
+                        raise engine_errors.DBOSWorkflowConflictIDError(entry_id)  # it goes on when it is woken
+                    continue
+                if step == STAGE:
+                    await parts.expect_learnt(entry_id)
+                await DBOS.run_step_async({"name": step, "preemptible": True}, _run, stages, entry_id, step)
+
+    @DBOS.workflow(name=PART)
+    async def part(entry_id: str, attempt: int, name: str) -> None:
+        with stages.at_work(part_id(entry_id, attempt, name)):
+            await _learn(parts, entry_id, attempt, name)
 
     DBOS.listen_queues(queues)
     DBOS.launch()
@@ -160,6 +170,28 @@ async def _run(stages: Stages, entry_id: str, stage: str) -> None:
         raise engine_errors.DBOSWorkflowCancelledError(str(stopped)) from stopped
 
 
+async def _learn(parts: Parts, entry_id: str, attempt: int, name: str) -> None:
+    """Learn a part, at most TRIES times; raises PartFailedError after the last one."""
+    failed, tries = None, 0
+    while tries < TRIES:
+        tries += 1
+        step: StepOptions = {"name": f"try {tries}", "preemptible": True}
+        failed = await DBOS.run_step_async(step, _try, parts, entry_id, attempt, name)
+        if failed is None or failed["bad_input"] or failed["room"]:
+            break
+    await DBOS.run_step_async({"name": "end"}, parts.end, entry_id, name, failed, tries)
+    if failed is not None:
+        raise PartFailedError(failed["reason"])
+
+
+async def _try(parts: Parts, entry_id: str, attempt: int, name: str) -> dict[str, Any] | None:
+    """Learn a part; where its job has ended meanwhile, it is cancelled as that is."""
+    if await parts.is_wanted(entry_id, attempt):
+        return await parts.learn(entry_id, name)
+    await DBOS.cancel_workflow_async(part_id(entry_id, attempt, name))
+    raise engine_errors.DBOSWorkflowCancelledError(f"{entry_id} has ended")
+
+
 def _one_line(record: logging.LogRecord) -> bool:
     """Keep tracebacks of expected endings out of the engine's log: a failure is one line, a cancelled job none."""
     error = record.exc_info[1] if record.exc_info else None
@@ -167,6 +199,10 @@ def _one_line(record: logging.LogRecord) -> bool:
         record.msg, record.args, record.exc_info = str(error), None, None
     elif isinstance(error, SQLAlchemyError):
         record.msg, record.args, record.exc_info = reason_of(error), None, None
+    elif isinstance(error, PortableWorkflowError):  # of a job that was told while it waited for its parts
+        return False
+    if _ELSEWHERE in record.getMessage():
+        return False
     return not isinstance(error, engine_errors.DBOSAwaitedWorkflowCancelledError)
 
 

@@ -15,13 +15,17 @@ from acquisition.session.record import simulate
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.gaussians.spanned import SpannedScene
-from reconstruction.pipeline.budget import StoppedError
-from reconstruction.pipeline.span_artefacts import BLIND, moving_spans, read_targets, span_file, still_file
-from reconstruction.pipeline.stages import reconstruct
+from reconstruction.pipeline.budget import Budget, StoppedError
+from reconstruction.pipeline.part_file import PartFile
+from reconstruction.pipeline.span_artefacts import BLIND, moving_spans, read_targets
+from reconstruction.pipeline.span_stage import PartError, SpanTraining
+from reconstruction.pipeline.stages import reconstruct, reconstruct_part
 from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
-from reconstruction.training.checkpoint import load_cloud
+from reconstruction.run.parts import STILL, Failure, PartFolder, span_name
+from reconstruction.tensors import packed
+from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 from rigs.toml import catalog_rig
 
 pytestmark = pytest.mark.slow
@@ -109,7 +113,7 @@ def test_killed_within_a_part_it_ends_in_the_same_scene(kills, run, recording, b
 def test_what_is_learnt_is_not_learnt_again_unless_it_is_asked_for(run, recording, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(run.path, path)
-    files = [still_file(RunFolder.open(path)), span_file(RunFolder.open(path), 1)]
+    files = [PartFolder(path).file(name) for name in (STILL, span_name(1))]
     before = [file.stat().st_mtime_ns for file in files]
     again = reconstruct(recording, path, CONFIG, quiet, stage="train", again=1)
     assert all(file.stat().st_mtime_ns > then for file, then in zip(files, before, strict=True))
@@ -141,3 +145,109 @@ def test_a_budget_that_is_over_is_a_warning(recording, begun, tmp_path):
     done = reconstruct(recording, path, config, quiet, stage="train")
     assert "was over before training began" in done.document.warnings["train"]
     assert len(load_cloud(done.checkpoint).moving) > 0
+
+
+def command(recording, run, *options):
+    """The command line of the configuration of these tests."""
+    asked = ["--holdout", "cam11", "--steps", STEPS, "--seed", 1, "--span", SPAN]
+    return ["reconstruct", recording, "--out", run, *asked, "--stage", "train", *options]
+
+
+@pytest.fixture
+def planned(begun, tmp_path):
+    """A run that is ready to be trained by the command line, which has no cap of Gaussians."""
+    path = tmp_path / "run"
+    shutil.copytree(begun, path)
+    document = json.loads((path / "run.json").read_text())
+    document["configuration"]["gaussians"] = None
+    (path / "run.json").write_text(json.dumps(document))
+    return path
+
+
+def test_parts_that_processes_share_make_the_same_scene_to_the_bit(run, planned, recording, spike4dgs):
+    path = planned
+    before = (path / "run.json").read_bytes()
+    for name in ("still", "2", "000000"):
+        assert spike4dgs(*command(recording, path, "--part", name))[0] == 0
+    status, _, lines = spike4dgs(*command(recording, path, "--part", "2"))
+    assert status == 0
+    assert lines[-1] == "part 000002: it was there already; what this process has learnt is dropped"
+    assert (path / "run.json").read_bytes() == before
+    assert PartFolder(path).there() == {"still", "000000", "000002"}
+    assert (path / "preview.png").exists()
+    assert spike4dgs(*command(recording, path))[0] == 0
+    again = RunFolder.open(path)
+    for (name, a), (_, b) in zip(
+        load_cloud(run.checkpoint).tensors(), load_cloud(again.checkpoint).tensors(), strict=True
+    ):
+        assert torch.equal(a, b), name
+    assert again.document.seconds["train"] > 0
+    assert spike4dgs(*command(recording, path, "--part", "2"))[0] == 0  # the stage is finished: nothing to do
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--part", "7"], "found the part 000007, expected one that is learnt: still, 000000, 000001, 000002"),
+        (["--part", "x"], "found --part 'x', expected still or the number of a span"),
+        (["--part", "1"], "found no part still, which 000001 begins with; run --part still first"),
+    ],
+)
+def test_a_part_that_cannot_be_learnt_is_refused(options, said, planned, recording, spike4dgs):
+    status, _, lines = spike4dgs(*command(recording, planned, *options))
+    assert status == 2
+    assert said in lines[-1]
+
+
+def test_a_span_that_was_given_up_is_left_out_with_a_warning(begun, recording, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(begun, path)
+    PartFolder(path).give_up(span_name(1), Failure("found a fault", 3))
+    done = reconstruct(recording, path, CONFIG, quiet, stage="train")
+    scene = load_cloud(done.checkpoint)
+    assert isinstance(scene, SpannedScene)
+    assert [span.cloud is None for span in scene.spans] == [False, True, False]
+    said = "spans 1 were given up and show the still scene alone; the first after 3 tries: found a fault"
+    assert done.document.warnings["train"] == said
+    assert not any(d.about == "spans at rest" for d in done.plan.decisions)
+    done = reconstruct(recording, path, CONFIG, quiet, stage="train", again=1)
+    assert "train" not in done.document.warnings
+
+
+def test_without_its_still_scene_a_run_fails(begun, recording, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(begun, path)
+    PartFolder(path).give_up(STILL, Failure("found the dark", 1, bad_input=True))
+    with pytest.raises(PartError, match="found the still scene given up after 1 tries: found the dark") as raised:
+        reconstruct(recording, path, CONFIG, quiet, stage="train")
+    assert raised.value.bad_input
+
+
+def test_each_part_has_seconds_of_its_own_whenever_it_begins(begun, recording):
+    now = [100.0]
+    run = RunFolder.open(begun)
+    run.document.seconds = dict.fromkeys(run.document.seconds, 0.5)  # of four stages
+    budget = Budget(lambda: now[0], 0.0, 0.0, 11.0, None)
+    training = SpanTraining(run, Recording.open(recording), silent, budget, lambda: False)
+    for name, own_s in ((STILL, 3.0), ("000000", 2.0), ("000002", 2.0)):
+        done = training.done_of(name)
+        found = []
+        for _ in range(4):
+            found.append(done(0))
+            now[0] += own_s / 2
+        assert found == pytest.approx([0.0, 0.5, 1.0, 1.0])
+
+
+def test_seconds_of_a_part_that_was_learnt_elsewhere_are_the_stages_own(begun, recording, tmp_path):
+    path = tmp_path / "run"
+    config = replace(CONFIG, steps=None, budget_s=0.01)
+    shutil.copytree(begun, path)
+    made = RunFolder.open(path)
+    made.document.configuration = config
+    made.save()
+    assert reconstruct_part(recording, path, config, STILL, silent)
+    kept = PartFile(PartFolder(path), STILL)
+    kept.folder.file(STILL).write_bytes(packed({**kept.read(), "seconds": 1000.0}))
+    done = reconstruct(recording, path, config, quiet, stage="train")
+    assert list(load_checkpoint(done.checkpoint)["seconds"]) == ["still", "span 0", "span 1", "span 2"]
+    assert done.document.seconds["train"] > 1000

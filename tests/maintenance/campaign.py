@@ -64,12 +64,14 @@ class Campaign:
                 self._killer.strike()
             settled = self._captures.act()
             if self._act(disturbs=disturbs) and settled and not disturbs:
-                return
+                return self._killer.close()
             time.sleep(self._rng.uniform(0.0, _PAUSE_S))
         raise ServiceError(f"found work unfinished after {limit_s:g} s", "all done", where=self._deployment.data)
 
     def _submit(self) -> None:
-        answer = self._client.ask("POST", "/jobs", {"capture": self._source}, f"job-{len(self.accepted)}")
+        spans = self._rng.choice((0, 2, 4))  # which the stand-in takes from the seed
+        asked = {"capture": self._source, "seed": spans}
+        answer = self._client.ask("POST", "/jobs", asked, f"job-{len(self.accepted)}")
         self.accepted.append(answer.raise_for_status().json()["id"])
 
     def _act(self, *, disturbs: bool) -> bool:

@@ -125,7 +125,8 @@ class Deployment:
 
     def locked(self) -> list[str]:
         """Folders whose flock somebody holds."""
-        folders = [path for kind in ("entries", "rigs", "workers") for path in (self.data / kind).glob("*")]
+        kinds = ("entries/*", "entries/*/parts", "rigs/*", "workers/*")
+        folders = [path for kind in kinds for path in self.data.glob(kind)]
         return [str(folder) for folder in folders if is_locked(folder)]
 
 

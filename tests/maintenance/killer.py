@@ -1,10 +1,11 @@
-"""Kills parts of a running service with kill -9, and starts them again after a while."""
+"""Kills parts of a running service with kill -9, and starts them again after a while; some are put to sleep instead."""
 
 from __future__ import annotations
 
 import os
 import random
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from maintenance.deployment import Deployment
 from acquisition.recording.finalise import left_planes
 
 WORKERS = ("a", "b")
-ALWAYS = ("api", "worker", "stage", "postgresql")
+ALWAYS = ("api", "worker", "stage", "sleeper", "postgresql")
 AT_CAPTURE = ("recorder", "worker_at_capture")
 _MOST_AWAY_S = {"api": 1.0, "postgresql": 2.0}
 _FREEZE_S = 1.0
@@ -36,6 +37,7 @@ class Killer:
         self._rng = rng
         self._meanwhile = meanwhile
         self._due: list[tuple[float, str]] = []  # when which process is started again
+        self._alarms: list[threading.Timer] = []  # that wake processes, also while a client waits for an answer
         self.kills = dict.fromkeys((*ALWAYS, *AT_CAPTURE, "finaliser"), 0)
         self.kept: dict[str, int] = {}
         self.ended_alone: list[str] = []
@@ -63,6 +65,11 @@ class Killer:
             self.ended_alone.append(f"{name} ended alone: {self._deployment.last_words(name)}")
             self._deployment.start(name)
 
+    def close(self) -> None:
+        """Return when nothing sleeps any more."""
+        for alarm in self._alarms:
+            alarm.join()
+
     def _api(self) -> bool:
         self._deployment.kill("api")
         self._await("api")
@@ -85,6 +92,18 @@ class Killer:
     def _stage(self) -> bool:
         pids = self._deployment.stages()
         return bool(pids) and _sent(self._rng.choice(pids), signal.SIGKILL)
+
+    def _sleeper(self) -> bool:
+        """Stop a worker and its stages for longer than it takes to be declared dead."""
+        name = self._rng.choice(WORKERS)
+        if name not in self._deployment.processes:
+            return False
+        stages = [pid for pid in self._deployment.stages() if self._deployment.worker_of(pid) == name]
+        pids = [pid for pid in (self._deployment.processes[name].pid, *stages) if _sent(pid, signal.SIGSTOP)]
+        alarm = threading.Timer(self._rng.uniform(1.5, 3.0) * self._deployment.dead_s, _wake, [pids])
+        alarm.start()
+        self._alarms.append(alarm)
+        return bool(pids)
 
     def _recorder(self) -> bool:
         """Kill a recorder; while it stands still, count what it has on the disk."""
@@ -146,6 +165,11 @@ def _sent(pid: int, number: signal.Signals) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def _wake(pids: list[int]) -> None:
+    for pid in pids:
+        _sent(pid, signal.SIGCONT)
 
 
 def _frozen(pid: int) -> bool:

@@ -1,12 +1,15 @@
 """Stands in for every stage: sleeps instead of computing, and keeps a trace that nothing is ever taken from.
 
 With BENCH_BURN=1 it keeps one core as busy as a training would. Run by path, without the packages, so that a campaign
-costs little: the trace holds `begin` and `end` of every attempt. With BENCH_RECORDER=real it becomes the real recorder,
-which `captures.trace` in the data folder notes first, a line a process.
+costs little: the trace holds `begin` and `end` of every attempt. A training has as many spans as `--seed` says, which
+are learnt apart, each with a line `part`. A part fails, refuses its input or finds no room while the job's folder has
+`fail-NAME`, `refuse-NAME` or `fill-NAME`, and stands still while it has `hold-NAME`. With BENCH_RECORDER=real it
+becomes the real recorder, which `captures.trace` in the data folder notes first, a line a process.
 """
 
 import json
 import os
+import shutil
 import signal
 import sys
 import time
@@ -15,8 +18,11 @@ from typing import Any
 
 
 def main() -> None:
-    """`record ... --out REC` or `reconstruct REC --out RUN --stage NAME [--again N]`; SIGTERM ends it."""
+    """`record ... --out REC` or `reconstruct REC --out RUN --stage NAME [--again N] [--part P]`; SIGTERM ends it."""
     command, *arguments = sys.argv[1:]
+    if command == "verify":
+        sys.stdout.write(json.dumps({"sound": True}))
+        return
     if command in ("record", "finalise") and os.environ.get("BENCH_RECORDER") == "real":
         _become_recorder(
             command, Path(arguments[arguments.index("--out") + 1] if command == "record" else arguments[0])
@@ -32,7 +38,9 @@ def main() -> None:
         aside.rename(out)
         return
     out.mkdir(exist_ok=True)
-    _stage(out, flags["--stage"], int(flags.get("--again", "0")))
+    if "--part" in flags:
+        return _part(out, flags["--part"], int(flags.get("--again", "0")))
+    return _stage(out, flags["--stage"], int(flags.get("--again", "0")), int(flags.get("--seed", "0")))
 
 
 def _become_recorder(command: str, recording: Path) -> None:
@@ -40,7 +48,7 @@ def _become_recorder(command: str, recording: Path) -> None:
     os.execv(sys.executable, [sys.executable, "-P", "-m", "server.cli", *sys.argv[1:]])
 
 
-def _stage(run: Path, stage: str, again: int) -> None:
+def _stage(run: Path, stage: str, again: int, spans: int) -> None:
     told: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
     document = _document(run, stage, again)
@@ -62,9 +70,56 @@ def _stage(run: Path, stage: str, again: int) -> None:
         _write(run / "report.html", "x" * 100_000)
         _write(run / "metrics.json", {"psnr_db": 30.0})
         document["status"] = "finished"
+    if stage == "train":
+        _say_given_up(run)
+    if stage == "images" and spans:
+        names = ["still", *(f"{number:06d}" for number in range(spans))]
+        (run / "images").mkdir(exist_ok=True)
+        _write(run / "images" / "parts.json", [{"name": name} for name in names])
     document["seconds"][stage] = 1.0
     _write(run / "run.json", document)  # the stage is finished from here on
     _trace(run, f"end {stage} {again} 0")
+
+
+def _part(run: Path, name: str, again: int) -> None:
+    """Learn one part: ten steps, and a file that the first process with all of them makes."""
+    attempt = _document(run, "train", again)["attempt"]
+    (run / "spans").mkdir(exist_ok=True)
+    _trace(run, f"part {name} {again} {attempt}")
+    for done in range(10):
+        _step(float(os.environ.get("BENCH_STEP_S", "0.05")))
+        while (run.parent / f"hold-{name}").exists():
+            time.sleep(0.05)
+        event = {"event": "progress", "stage": "train", "fraction": (done + 1) / 10, "message": f"{name} asleep"}
+        sys.stderr.write(json.dumps(event) + "\n")
+    for word in ("fail", "refuse", "fill"):
+        if (run.parent / f"{word}-{name}").exists():
+            _fail(word, name)
+    file = run / "spans" / f"{name}.pt"
+    aside = file.with_suffix(f".{os.getpid()}")
+    aside.write_text(str(os.getpid()))
+    try:
+        os.link(aside, file)
+    except FileExistsError:
+        sys.stderr.write(f"part {name}: dropped\n")
+    aside.unlink()
+
+
+def _say_given_up(run: Path) -> None:
+    for mark in sorted((run / "spans").glob("*.failed.json")):
+        failure = json.loads(mark.read_text())
+        if mark.name.startswith("still"):
+            event = {"event": "error", "found": failure["reason"], "expected": "", "do": "", "where": ""}
+            sys.exit(json.dumps(event | {"bad_input": failure["bad_input"]}))
+        message = f"{mark.name} after {failure['tries']}: {failure['reason']}"
+        sys.stderr.write(json.dumps({"event": "warning", "message": message}) + "\n")
+
+
+def _fail(word: str, name: str) -> None:
+    parts = {"found": f"found a fault in {name}", "expected": "none", "do": "mend it", "where": ""}
+    kind = "DiskError" if word == "fill" else "BadRunError"
+    event = {"event": "error", "kind": kind, **parts, "bad_input": word == "refuse", "exit_code": 1}
+    sys.exit(json.dumps(event))
 
 
 def _step(seconds: float) -> None:
@@ -84,6 +139,8 @@ def _document(run: Path, stage: str, again: int) -> dict[str, Any]:
         names = list(document["seconds"])
         kept = names[: names.index(stage)] if stage in names else names
         document = {"status": "unfinished", "attempt": again, "seconds": {name: 1.0 for name in kept}}
+        if "train" not in kept:
+            shutil.rmtree(run / "spans", ignore_errors=True)
         _write(path, document)
     return document
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from reconstruction.run.parts import PartFolder
 from server.engine import stages_of
 from server.schemas.jobs import Artefact, Job
 
@@ -18,7 +19,8 @@ def read_trace(job: Path) -> dict[str, int]:
     """Counts of a job's trace: `begun` and `ended` stages, `completed` runs, and what was done again without a restart.
 
     A stage is finished when run.json says so. `repeated` ones had ended and worked again; `reopened` ones were begun
-    although they were finished. Both should be 0, but only the first is lost time. `missing` are not finished.
+    although they were finished. Both should be 0, but only the first is lost time. `missing` ones, and parts of a
+    training, are not finished.
 
     A begin with a higher number is a restart: that stage and the later ones may be done again.
     """
@@ -29,6 +31,8 @@ def read_trace(job: Path) -> dict[str, int]:
     newest = 0
     for line in (job / "trace.txt").read_text().splitlines() if (job / "trace.txt").exists() else ():
         word, stage, again, left, _ = line.split()
+        if word == "part":
+            continue
         if word == "end":
             ended.add(stage)
             counts["ended"] += 1
@@ -40,7 +44,13 @@ def read_trace(job: Path) -> dict[str, int]:
             ended -= set(STAGES[STAGES.index(stage) :])
         counts["repeated"] += stage in ended and int(left) > 0
         counts["reopened"] += int(left) == 0
-    return counts | {"missing": len(set(STAGES) - set(finished))}
+    return counts | {"missing": len(set(STAGES) - set(finished)) + len(_unlearnt(job / "run"))}
+
+
+def _unlearnt(run: Path) -> set[str]:
+    """Parts of a training that are neither there nor given up."""
+    folder = PartFolder(run)
+    return {part.name for part in folder.noted()} - folder.there() - folder.given_up()
 
 
 def judge_jobs(
