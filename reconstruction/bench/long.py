@@ -6,7 +6,7 @@ run is a process of its own, through the command line.
 
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -115,6 +115,7 @@ class LongBench:
             cut_out(Recording.open(clip.recorded()), span, part)
         row = run_to_end(self.contender, part, self.work / f"{clip.name}-{number}.run", self.budgets_s[1], _told)
         about = {"part": ALONE, "clip": clip.name, "scene": clip.scene, "seed": clip.seed, "number": number}
+        about |= {"first_tick": span.first, "last_tick": span.last - 1}
         return {"rows": [about | {"planes": len(span), "budget_s": self.budgets_s[1]} | row]}
 
 
@@ -130,29 +131,34 @@ def _told(run: Path) -> dict:
 def summarise(rows: Sequence[dict]) -> dict[str, float]:
     """Return how the whole of each clip compares with its parts alone.
 
-    `CLIP.psnr_db` and the other scores are the mean over the spans that were also reconstructed alone, less that of the
-    parts alone. `CLIP.seconds_ratio`, with the report, and `CLIP.bytes_ratio` are of a plane, `CLIP.memory_ratio` is
+    `CLIP.psnr_db` and the other scores are the mean over the spans that were also reconstructed alone, less that of
+    these parts. `CLIP.seconds_ratio`, with the report, and `CLIP.bytes_ratio` are of a plane, `CLIP.memory_ratio` is
     of the peaks. `CLIP.seam_ratio` is of the steps of movers' errors at seams and within spans.
     """
     summary: dict[str, float] = {}
     for whole in (row for row in rows if row["part"] == WHOLE):
         own = [row for row in rows if row["clip"] == whole["clip"]]
-        alone = [row for row in own if row["part"] == ALONE]
-        numbers = {row["number"] for row in alone}
-        spans = [row for row in own if row["part"] == SPAN and row["number"] in numbers]
-        if not alone or len(spans) != len(alone):
+        parts = {_planes(row): row for row in own if row["part"] == ALONE}
+        spans = [row for row in own if row["part"] == SPAN and _planes(row) in parts]
+        alone = [parts[_planes(row)] for row in spans]
+        if not alone:
             continue
         inside, outside = means(spans, SCORES), means(alone, SCORES)
         differences = {score: inside[score] - outside[score] for score in inside if score in outside}
-        ratios = {f"{n}_ratio": _a_plane([whole], k) / _a_plane(alone, k) for n, k in _A_PLANE.items()}
+        ratios = {f"{n}_ratio": _a_plane([whole], k) / _a_plane(parts.values(), k) for n, k in _A_PLANE.items()}
         ratios |= {name: whole[name] for name in ("seam_ratio",) if name in whole}
-        ratios["memory_ratio"] = whole["peak_mb"] / float(np.mean([row["peak_mb"] for row in alone]))
+        ratios["memory_ratio"] = whole["peak_mb"] / float(np.mean([row["peak_mb"] for row in parts.values()]))
         summary |= {f"{whole['clip']}.{name}": value for name, value in (differences | ratios).items()}
     return summary
+
+
+def _planes(row: dict) -> tuple[int, int]:
+    """Return the first and the last plane of a span, or of a part alone."""
+    return row["first_tick"], row["last_tick"]
 
 
 _A_PLANE = {"seconds": "wall_s", "bytes": "stored_bytes"}
 
 
-def _a_plane(rows: Sequence[dict], key: str) -> float:
+def _a_plane(rows: Collection[dict], key: str) -> float:
     return sum(row[key] for row in rows) / sum(row["planes"] for row in rows)

@@ -71,10 +71,27 @@ def test_the_whole_is_compared_with_its_parts(bench):
     assert summary[f"{clip}.memory_ratio"] == pytest.approx(1.0)
 
 
+def test_a_part_is_compared_with_the_span_of_the_same_planes():
+    """Spans at rest are joined, so that their numbers are not those of parts."""
+    spans = [SPANS[0] | {"last_tick": 799}, SPANS[2]]
+    rows = [{"part": SPAN, "clip": "a", "number": i} | span for i, span in enumerate(spans)]
+    whole = {"part": WHOLE, "clip": "a", "seam_ratio": 1.2} | end(37.0, planes=1200)
+    parts = [
+        {"part": ALONE, "clip": "a", "first_tick": first, "last_tick": first + 399, "planes": 400} | end(30.0)
+        for first in (0, 800)
+    ]
+    summary = summarise([whole, *rows, *parts])
+    assert summary["a.psnr_db"] == pytest.approx(38.0 - 30.0)
+    assert summary["a.seam_ratio"] == 1.2
+
+
 def test_a_clip_without_parts_or_spans_says_nothing():
     whole = {"part": WHOLE, "clip": "a"} | end(30.0, planes=1200)
     assert summarise([whole]) == {}
-    assert summarise([whole, {"part": ALONE, "clip": "a", "number": 1, "planes": 400} | end(30.0)]) == {}
+    assert (
+        summarise([whole, {"part": ALONE, "clip": "a", "first_tick": 400, "last_tick": 799, "planes": 400} | end(30.0)])
+        == {}
+    )
 
 
 def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
