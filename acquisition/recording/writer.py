@@ -162,8 +162,8 @@ class RecordingWriter:
         """Return whether `size` more bytes leave free what is to be kept free: the disk guard."""
         free = free_bytes(self.folder)
         notes = sum(note_bytes(s.planes + size // s.layout.plane_bytes, s.layout) for s in self._streams)
-        kept = self._use.keep_free_bytes + notes
-        if free - size < kept and not self.full:
+        kept = self._use.keep_free_bytes
+        if free - size < kept + notes and not self.full:
             self.full = f"the disk had {free} bytes free, {kept} are kept free"
         return not self.full
 
