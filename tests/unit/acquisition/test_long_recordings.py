@@ -180,4 +180,4 @@ def test_an_endless_recording_leaves_room_for_its_notes(tmp_path, monkeypatch):
         assert recording._allows(0)  # the disk guard, as the stream's thread asks it
         monkeypatch.setattr(writing, "free_bytes", lambda folder: kept - 1)
         assert not recording._allows(0)
-        assert recording.full == f"the disk had {kept - 1} bytes free, {kept} are kept free"
+        assert recording.full == f"the disk had {kept - 1} bytes free, {MARGIN_BYTES} are kept free"
