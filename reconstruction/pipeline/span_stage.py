@@ -182,7 +182,7 @@ def train_spans(
     run.document.warnings.pop("train", None)
     warn_if_missed(run, budget)
     _warn_of_missing(run, training.folder, [name for name in names if name in given_up])
-    _record(training, scene, len(names))
+    _record(training, scene, [int(name) for name in names])
 
 
 def learn_part(training: SpanTraining, name: str) -> bool:
@@ -250,14 +250,15 @@ def _warn_of_missing(run: RunFolder, folder: PartFolder, names: list[str]) -> No
     run.document.warnings["train"] = "; ".join(filter(None, (earlier, said + reason)))
 
 
-def _record(training: SpanTraining, scene: SpannedScene, moving: int) -> None:
-    """Write into the run what it has learnt, and what spans without movers have saved."""
-    run, took = training.run, [s for name, s in training.seconds.items() if name != "still"]
-    resting = len(scene.spans) - moving
+def _record(training: SpanTraining, scene: SpannedScene, moving: list[int]) -> None:
+    """Write into the run what it has learnt, and what spans without movers, by their length, have saved."""
+    run, spans = training.run, training.run.plan.spans
+    resting = [span for number, span in enumerate(spans) if number not in moving]
     if resting:
-        usual_s = sum(took) / len(took) if took else 0.0
-        reason = f"{resting} of {len(scene.spans)} spans show nothing but the still scene, or nothing at all"
-        choice = f"{resting} spans are not learnt"
-        run.amend("train", Decision("spans at rest", choice, reason, "none", resting * usual_s))
+        learnt_s = sum(seconds for name, seconds in training.seconds.items() if name != STILL)
+        saved_s = learnt_s * sum(map(len, resting)) / max(1, sum(len(spans[number]) for number in moving))
+        reason = f"{len(resting)} of {len(spans)} spans show nothing but the still scene, or nothing at all"
+        choice = f"{len(resting)} spans are not learnt"
+        run.amend("train", Decision("spans at rest", choice, reason, "none", saved_s))
     run.document.steps = training.steps
     run.document.elements = Elements(scene.unit.lower(), len(scene.still), len(scene.moving))

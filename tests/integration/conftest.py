@@ -29,3 +29,11 @@ def small_recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("recordings") / "rec"
     simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3").scaled(160, 102), 128, path)
     return path
+
+
+@pytest.fixture(scope="session")
+def long_recording(tmp_path_factory):
+    """Nine cameras before things that move, 300 planes: three spans of 100."""
+    path = tmp_path_factory.mktemp("recordings") / "rec"
+    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3"), 300, path)
+    return path

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
-from acquisition.session.record import simulate
 from reconstruction.bench.long_part import cut_out
 from reconstruction.errors import BadRunError
 from reconstruction.gaussians.spanned import SpannedScene
@@ -20,9 +18,8 @@ from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.spans import Span
 from reconstruction.training.checkpoint import load_cloud
-from rigs.toml import catalog_rig
 
-PLANES, FIRST, LAST, RATE_HZ = 300, 80, 280, 20_000
+FIRST, LAST, RATE_HZ = 80, 280, 20_000
 CONFIG = ReconstructionConfig(holdout="cam11", steps=24, budget_s=None, seed=1, gaussians=3000, span=100)
 PART = replace(CONFIG, from_tick=FIRST, to_tick=LAST)
 
@@ -37,22 +34,15 @@ def spike4dgs(*arguments):
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recordings") / "rec"
-    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3"), PLANES, path)
-    return path
+def run(long_recording, tmp_path_factory):
+    return reconstruct(long_recording, tmp_path_factory.mktemp("runs") / "part", PART, quiet)
 
 
 @pytest.fixture(scope="module")
-def run(recording, tmp_path_factory):
-    return reconstruct(recording, tmp_path_factory.mktemp("runs") / "part", PART, quiet)
-
-
-@pytest.fixture(scope="module")
-def alone(recording, tmp_path_factory):
+def alone(long_recording, tmp_path_factory):
     """The same planes as a recording of their own."""
     folder = tmp_path_factory.mktemp("alone")
-    cut_out(Recording.open(recording), Span(FIRST, LAST), folder / "rec")
+    cut_out(Recording.open(long_recording), Span(FIRST, LAST), folder / "rec")
     return reconstruct(folder / "rec", folder / "run", CONFIG, quiet)
 
 
@@ -81,7 +71,7 @@ def test_a_part_is_scored_at_its_own_instants(run, alone):
 
 
 @pytest.mark.slow
-def test_the_run_says_which_part_it_is(run, recording):
+def test_the_run_says_which_part_it_is(run, long_recording):
     document = json.loads((run.path / "run.json").read_text())
     assert (document["configuration"]["from_tick"], document["configuration"]["to_tick"]) == (FIRST, LAST)
     assert next(d for d in run.plan.decisions if d.about == "part").choice == "ticks 80 to 279"
@@ -92,8 +82,8 @@ def test_the_run_says_which_part_it_is(run, recording):
 
 
 @pytest.mark.slow
-def test_evaluate_and_export_of_a_part_mean_the_ticks_of_the_whole(run, recording, tmp_path):
-    scored = spike4dgs("evaluate", run.path, "--truth", recording / "truth", "--json")
+def test_evaluate_and_export_of_a_part_mean_the_ticks_of_the_whole(run, long_recording, tmp_path):
+    scored = spike4dgs("evaluate", run.path, "--truth", long_recording / "truth", "--json")
     assert scored.returncode == 0, scored.stderr
     assert json.loads(scored.stdout)["psnr_db"] == json.loads((run.path / "metrics.json").read_text())["psnr_db"]
     out = tmp_path / "out"
@@ -108,14 +98,14 @@ def test_evaluate_and_export_of_a_part_mean_the_ticks_of_the_whole(run, recordin
 
 
 @pytest.mark.slow
-def test_a_part_is_resumed_as_the_same_part_alone(recording, tmp_path):
+def test_a_part_is_resumed_as_the_same_part_alone(long_recording, tmp_path):
     path = tmp_path / "run"
     short = replace(PART, from_tick=100, to_tick=160)
-    reconstruct(recording, path, short, quiet, last="plan")
+    reconstruct(long_recording, path, short, quiet, last="plan")
     for other in (replace(short, to_tick=161), replace(short, from_tick=None, to_tick=None)):
         with pytest.raises(BadRunError, match="another configuration"):
-            reconstruct(recording, path, other, quiet)
-    done = reconstruct(recording, path, short, quiet)
+            reconstruct(long_recording, path, other, quiet)
+    done = reconstruct(long_recording, path, short, quiet)
     assert not done.plan.spans
     cloud = load_cloud(done.checkpoint)
     assert (cloud.clip.first_s, cloud.clip.last_s) == (100 / RATE_HZ, 160 / RATE_HZ)
@@ -124,9 +114,9 @@ def test_a_part_is_resumed_as_the_same_part_alone(recording, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_part_between_the_instants_of_the_truth_is_scored_by_its_counts(recording, tmp_path):
+def test_a_part_between_the_instants_of_the_truth_is_scored_by_its_counts(long_recording, tmp_path):
     between = replace(PART, from_tick=101, to_tick=119, steps=8)
-    done = reconstruct(recording, tmp_path / "run", between, quiet)
+    done = reconstruct(long_recording, tmp_path / "run", between, quiet)
     metrics = json.loads((done.path / "metrics.json").read_text())
     assert metrics["counts.mae"] > 0
     assert "no truth" in metrics["note"]
@@ -144,8 +134,8 @@ def test_a_part_between_the_instants_of_the_truth_is_scored_by_its_counts(record
     ],
 )
 @pytest.mark.slow
-def test_ticks_that_are_not_there_are_one_line_and_make_nothing(ticks, said, recording, tmp_path):
-    refused = spike4dgs("reconstruct", recording, "--out", tmp_path / "run", *ticks)
+def test_ticks_that_are_not_there_are_one_line_and_make_nothing(ticks, said, long_recording, tmp_path):
+    refused = spike4dgs("reconstruct", long_recording, "--out", tmp_path / "run", *ticks)
     assert refused.returncode == 2
     assert said in refused.stderr.splitlines()[-1]
     assert "Traceback" not in refused.stderr

@@ -3,15 +3,14 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
-from acquisition.session.record import simulate
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.gaussians.spanned import SpannedScene
@@ -26,36 +25,38 @@ from reconstruction.run.folder import RunFolder
 from reconstruction.run.parts import STILL, Failure, PartFolder, span_name
 from reconstruction.tensors import packed
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
-from rigs.toml import catalog_rig
 
 pytestmark = pytest.mark.slow
-PLANES, SPAN, STEPS = 300, 100, 24
+SPAN, STEPS = 100, 24
 CONFIG = ReconstructionConfig(holdout="cam11", steps=STEPS, budget_s=None, seed=1, gaussians=3000, span=SPAN)
+HURRIED = replace(CONFIG, steps=None, budget_s=0.01)
 
 
 def quiet(stage):
     return silent
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    path = tmp_path_factory.mktemp("recordings") / "rec"
-    simulate(Simulation("fan_and_ball", seed=3), catalog_rig("ci3x3"), PLANES, path)
+def hurried(begun: Path, path: Path) -> Path:
+    """Copy a run that has begun, as if it had been given next to no time."""
+    shutil.copytree(begun, path)
+    run = RunFolder.open(path)
+    run.document.configuration = HURRIED
+    run.save()
     return path
 
 
 @pytest.fixture(scope="module")
-def begun(recording, tmp_path_factory):
+def begun(long_recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "begun"
-    reconstruct(recording, path, CONFIG, quiet, last="points")
+    reconstruct(long_recording, path, CONFIG, quiet, last="points")
     return path
 
 
 @pytest.fixture(scope="module")
-def run(recording, begun, tmp_path_factory):
+def run(long_recording, begun, tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "run"
     shutil.copytree(begun, path)
-    return reconstruct(recording, path, CONFIG, quiet)
+    return reconstruct(long_recording, path, CONFIG, quiet)
 
 
 def test_every_span_is_scored_and_the_whole_beats_the_nearest_view(run):
@@ -78,8 +79,8 @@ def test_the_curve_begins_with_the_still_scene_and_ends_with_all_spans(run):
     assert rows[-1]["dynamic_psnr_db"] > rows[0]["dynamic_psnr_db"]
 
 
-def test_images_of_any_plane_show_the_movers(run, recording):
-    opened = Recording.open(recording)
+def test_images_of_any_plane_show_the_movers(run, long_recording):
+    opened = Recording.open(long_recording)
     for _, source in read_targets(run, opened).values():
         image = source.at(150)
         count = source.stream.counts(142, 159) / 17
@@ -96,31 +97,31 @@ def test_formats_show_the_span_of_their_instant(run, tmp_path):
 
 
 @pytest.mark.parametrize("kills", [(0,), (STEPS + 3,), (STEPS - 1, 2 * STEPS + 1)])
-def test_killed_within_a_part_it_ends_in_the_same_scene(kills, run, recording, begun, tmp_path):
+def test_killed_within_a_part_it_ends_in_the_same_scene(kills, run, long_recording, begun, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(begun, path)
     for steps in kills:
         left = iter([False] * steps + [True] * 10**6)
         with pytest.raises(StoppedError, match=r"stopped in (still|span)"):
-            reconstruct(recording, path, CONFIG, quiet, stage="train", should_stop=lambda left=left: next(left))
-    again = reconstruct(recording, path, CONFIG, quiet, stage="train")
+            reconstruct(long_recording, path, CONFIG, quiet, stage="train", should_stop=lambda left=left: next(left))
+    again = reconstruct(long_recording, path, CONFIG, quiet, stage="train")
     for (name, a), (_, b) in zip(
         load_cloud(run.checkpoint).tensors(), load_cloud(again.checkpoint).tensors(), strict=True
     ):
         assert torch.equal(a, b), name
 
 
-def test_what_is_learnt_is_not_learnt_again_unless_it_is_asked_for(run, recording, tmp_path):
+def test_what_is_learnt_is_not_learnt_again_unless_it_is_asked_for(run, long_recording, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(run.path, path)
     files = [PartFolder(path).file(name) for name in (STILL, span_name(1))]
     before = [file.stat().st_mtime_ns for file in files]
-    again = reconstruct(recording, path, CONFIG, quiet, stage="train", again=1)
+    again = reconstruct(long_recording, path, CONFIG, quiet, stage="train", again=1)
     assert all(file.stat().st_mtime_ns > then for file, then in zip(files, before, strict=True))
     assert isinstance(load_cloud(again.checkpoint), SpannedScene)
 
 
-def test_a_span_in_the_dark_is_left_out(run, begun, recording, tmp_path):
+def test_a_span_in_the_dark_is_left_out(run, begun, long_recording, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(begun, path)
     dark = RunFolder.open(path)
@@ -128,29 +129,24 @@ def test_a_span_in_the_dark_is_left_out(run, begun, recording, tmp_path):
         dark.write_array(BLIND.format(view=view), np.array([False, True, False]))
     assert moving_spans(RunFolder.open(run.path)) == [0, 1, 2]
     assert moving_spans(dark) == [0, 2]
-    done = reconstruct(recording, path, CONFIG, quiet, stage="train")
+    done = reconstruct(long_recording, path, CONFIG, quiet, stage="train")
     scene = load_cloud(done.checkpoint)
     assert isinstance(scene, SpannedScene)
     assert scene.spans[1].cloud is None
     assert any(d.about == "spans at rest" for d in done.plan.decisions)
 
 
-def test_a_budget_that_is_over_is_a_warning(recording, begun, tmp_path):
-    path = tmp_path / "run"
-    config = replace(CONFIG, steps=None, budget_s=0.01)
-    shutil.copytree(begun, path)
-    begun_run = RunFolder.open(path)
-    begun_run.document.configuration = config
-    begun_run.save()
-    done = reconstruct(recording, path, config, quiet, stage="train")
+def test_a_budget_that_is_over_is_a_warning(long_recording, begun, tmp_path):
+    path = hurried(begun, tmp_path / "run")
+    done = reconstruct(long_recording, path, HURRIED, quiet, stage="train")
     assert "was over before training began" in done.document.warnings["train"]
     assert len(load_cloud(done.checkpoint).moving) > 0
 
 
-def command(recording, run, *options):
+def command(long_recording, run, *options):
     """The command line of the configuration of these tests."""
     asked = ["--holdout", "cam11", "--steps", STEPS, "--seed", 1, "--span", SPAN]
-    return ["reconstruct", recording, "--out", run, *asked, "--stage", "train", *options]
+    return ["reconstruct", long_recording, "--out", run, *asked, "--stage", "train", *options]
 
 
 @pytest.fixture
@@ -164,25 +160,25 @@ def planned(begun, tmp_path):
     return path
 
 
-def test_parts_that_processes_share_make_the_same_scene_to_the_bit(run, planned, recording, spike4dgs):
+def test_parts_that_processes_share_make_the_same_scene_to_the_bit(run, planned, long_recording, spike4dgs):
     path = planned
     before = (path / "run.json").read_bytes()
     for name in ("still", "2", "000000"):
-        assert spike4dgs(*command(recording, path, "--part", name))[0] == 0
-    status, _, lines = spike4dgs(*command(recording, path, "--part", "2"))
+        assert spike4dgs(*command(long_recording, path, "--part", name))[0] == 0
+    status, _, lines = spike4dgs(*command(long_recording, path, "--part", "2"))
     assert status == 0
     assert lines[-1] == "part 000002: it was there already; what this process has learnt is dropped"
     assert (path / "run.json").read_bytes() == before
     assert PartFolder(path).there() == {"still", "000000", "000002"}
     assert (path / "preview.png").exists()
-    assert spike4dgs(*command(recording, path))[0] == 0
+    assert spike4dgs(*command(long_recording, path))[0] == 0
     again = RunFolder.open(path)
     for (name, a), (_, b) in zip(
         load_cloud(run.checkpoint).tensors(), load_cloud(again.checkpoint).tensors(), strict=True
     ):
         assert torch.equal(a, b), name
     assert again.document.seconds["train"] > 0
-    assert spike4dgs(*command(recording, path, "--part", "2"))[0] == 0  # the stage is finished: nothing to do
+    assert spike4dgs(*command(long_recording, path, "--part", "2"))[0] == 0  # the stage is finished: nothing to do
 
 
 @pytest.mark.parametrize(
@@ -193,42 +189,42 @@ def test_parts_that_processes_share_make_the_same_scene_to_the_bit(run, planned,
         (["--part", "1"], "found no part still, which 000001 begins with; run --part still first"),
     ],
 )
-def test_a_part_that_cannot_be_learnt_is_refused(options, said, planned, recording, spike4dgs):
-    status, _, lines = spike4dgs(*command(recording, planned, *options))
+def test_a_part_that_cannot_be_learnt_is_refused(options, said, planned, long_recording, spike4dgs):
+    status, _, lines = spike4dgs(*command(long_recording, planned, *options))
     assert status == 2
     assert said in lines[-1]
 
 
-def test_a_span_that_was_given_up_is_left_out_with_a_warning(begun, recording, tmp_path):
+def test_a_span_that_was_given_up_is_left_out_with_a_warning(begun, long_recording, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(begun, path)
     PartFolder(path).give_up(span_name(1), Failure("found a fault", 3))
-    done = reconstruct(recording, path, CONFIG, quiet, stage="train")
+    done = reconstruct(long_recording, path, CONFIG, quiet, stage="train")
     scene = load_cloud(done.checkpoint)
     assert isinstance(scene, SpannedScene)
     assert [span.cloud is None for span in scene.spans] == [False, True, False]
     said = "spans 1 were given up and show the still scene alone; the first after 3 tries: found a fault"
     assert done.document.warnings["train"] == said
     assert not any(d.about == "spans at rest" for d in done.plan.decisions)
-    done = reconstruct(recording, path, CONFIG, quiet, stage="train", again=1)
+    done = reconstruct(long_recording, path, CONFIG, quiet, stage="train", again=1)
     assert "train" not in done.document.warnings
 
 
-def test_without_its_still_scene_a_run_fails(begun, recording, tmp_path):
+def test_without_its_still_scene_a_run_fails(begun, long_recording, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(begun, path)
     PartFolder(path).give_up(STILL, Failure("found the dark", 1, bad_input=True))
     with pytest.raises(PartError, match="found the still scene given up after 1 tries: found the dark") as raised:
-        reconstruct(recording, path, CONFIG, quiet, stage="train")
+        reconstruct(long_recording, path, CONFIG, quiet, stage="train")
     assert raised.value.bad_input
 
 
-def test_each_part_has_seconds_of_its_own_whenever_it_begins(begun, recording):
+def test_each_part_has_seconds_of_its_own_whenever_it_begins(begun, long_recording):
     now = [100.0]
     run = RunFolder.open(begun)
     run.document.seconds = dict.fromkeys(run.document.seconds, 0.5)  # of four stages
     budget = Budget(lambda: now[0], 0.0, 0.0, 11.0, None)
-    training = SpanTraining(run, Recording.open(recording), silent, budget, lambda: False)
+    training = SpanTraining(run, Recording.open(long_recording), silent, budget, lambda: False)
     for name, own_s in ((STILL, 3.0), ("000000", 2.0), ("000002", 2.0)):
         done = training.done_of(name)
         found = []
@@ -238,16 +234,11 @@ def test_each_part_has_seconds_of_its_own_whenever_it_begins(begun, recording):
         assert found == pytest.approx([0.0, 0.5, 1.0, 1.0])
 
 
-def test_seconds_of_a_part_that_was_learnt_elsewhere_are_the_stages_own(begun, recording, tmp_path):
-    path = tmp_path / "run"
-    config = replace(CONFIG, steps=None, budget_s=0.01)
-    shutil.copytree(begun, path)
-    made = RunFolder.open(path)
-    made.document.configuration = config
-    made.save()
-    assert reconstruct_part(recording, path, config, STILL, silent)
+def test_seconds_of_a_part_that_was_learnt_elsewhere_are_the_stages_own(begun, long_recording, tmp_path):
+    path = hurried(begun, tmp_path / "run")
+    assert reconstruct_part(long_recording, path, HURRIED, STILL, silent)
     kept = PartFile(PartFolder(path), STILL)
     kept.folder.file(STILL).write_bytes(packed({**kept.read(), "seconds": 1000.0}))
-    done = reconstruct(recording, path, config, quiet, stage="train")
+    done = reconstruct(long_recording, path, HURRIED, quiet, stage="train")
     assert list(load_checkpoint(done.checkpoint)["seconds"]) == ["still", "span 0", "span 1", "span 2"]
     assert done.document.seconds["train"] > 1000
