@@ -37,11 +37,9 @@ def standing(rates: Image, moving: Masks, usual: Background) -> Standing:
     what the `usual` background of the whole recording says.
     """
     still = ~moving
-    least = UNLIKE * dimming(float(np.percentile(usual.image, WHITE_PERCENTILE)))
     mostly = _masked_median(rates, still)
-    unlike = np.nan_to_num(np.where(still, rates - mostly, np.float32(0)))
-    gaps = np.stack([cv2.blur(gap, (3, 3)) for gap in unlike])
-    alike = still & (np.abs(gaps) <= least)
+    gaps = np.nan_to_num(np.where(still, rates - mostly, np.float32(0)))
+    alike = still & ~np.stack([_differing(gap, usual.image) for gap in gaps])
     counted = alike.sum(axis=0)
     ever = counted > 0
     mean = np.where(alike, rates, 0).sum(axis=0, dtype=np.float32) / np.maximum(counted, 1)
@@ -50,6 +48,17 @@ def standing(rates: Image, moving: Masks, usual: Background) -> Standing:
     kernel = np.ones((2 * GROW_PX + 1,) * 2, np.uint8)
     differs = np.stack([cv2.dilate((s & ~a).astype(np.uint8), kernel) > 0 for s, a in zip(still, alike, strict=True)])
     return Standing(Background(image, trusted, usual.stuck), differs & still & ever)
+
+
+def unlike_share(rates: Image, others: Image) -> float:
+    """Return the share of the pixels whose mean light [H, W], in spikes per tick, is not alike in two spans."""
+    return float(_differing(rates - others, np.maximum(rates, others)).mean())
+
+
+def _differing(gap: Image, usual: Image) -> NDArray[np.bool_]:
+    """Return where a `gap` [H, W] in light is one that shows, beside the `usual` light [H, W]."""
+    least = UNLIKE * dimming(float(np.percentile(usual, WHITE_PERCENTILE)))
+    return np.abs(cv2.blur(gap, (3, 3))) > least
 
 
 def _masked_median(rates: Image, still: Masks) -> Image:

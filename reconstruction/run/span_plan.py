@@ -10,7 +10,8 @@ from acquisition.progress import Progress
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import moving_pixels
 from reconstruction.images.catalogue import GIVEN
-from reconstruction.images.flicker import Light
+from reconstruction.images.flicker import DARK, Light
+from reconstruction.images.standing import unlike_share
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.ours import BASES
 from reconstruction.parallel import each
@@ -20,8 +21,6 @@ from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import PLANES, STILL_SHARE, Span, cut
 
 UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
-GLANCE = 16  # planes that tell how bright a span is
-UNLIKE = 0.2  # share of their light by which two spans at rest differ, where they are not one
 FROM_IMAGES = ("auto", "pixels")  # supervisions that spans can be learnt by
 
 
@@ -51,27 +50,36 @@ def find_spans(
     for view, mask in zip(streams, found, strict=True):
         masks[view] = mask
         progress(len(masks) / len(streams), f"movers of {view}")
-    firsts = _firsts(spans, shares_of(masks), streams)
+    firsts = _firsts(spans, shares_of(masks), streams, light)
     ends = [spans[i].first for i in firsts] + [spans[-1].last]
     joined = tuple(Span(first, last) for first, last in pairwise(ends))
     return joined, {view: np.logical_or.reduceat(mask, firsts, axis=0) for view, mask in masks.items()}
 
 
-def _firsts(spans: Sequence[Span], shares: NDArray[np.float64], streams: Mapping[str, SpikeStream]) -> list[int]:
-    """Return the numbers of the spans that begin one: all but those at rest that look like the one before."""
-    firsts = [0]
+def _firsts(
+    spans: Sequence[Span], shares: NDArray[np.float64], streams: Mapping[str, SpikeStream], light: Light
+) -> list[int]:
+    """Return the numbers of the spans that begin one: all but those at rest that show what the one begun before does.
+
+    What moves too slowly to be seen in a span is elsewhere in a later one, and a camera that was lost is dark.
+    """
+    firsts, shown = [0], None
     for i in range(1, len(spans)):
         rests = max(shares[i - 1], shares[i]) < STILL_SHARE
-        if not (rests and all(_alike(stream, spans[i - 1], spans[i]) for stream in streams.values())):
+        if rests and shown is None:
+            shown = _rates(streams, light, spans[i - 1])
+        rates = _rates(streams, light, spans[i]) if rests else None
+        if shown is None or rates is None or np.mean(list(map(unlike_share, rates, shown))) >= STILL_SHARE:
             firsts.append(i)
+            shown = rates
     return firsts
 
 
-def _alike(stream: SpikeStream, a: Span, b: Span) -> bool:
-    """Return whether two spans are about as bright: neither light nor the camera was lost between them."""
-    middles = ((span.first + span.last - GLANCE) // 2 for span in (a, b))
-    few, many = sorted(int(np.bitwise_count(stream.window(m, m + GLANCE)).sum()) for m in middles)
-    return many - few <= UNLIKE * many
+def _rates(streams: Mapping[str, SpikeStream], light: Light, span: Span) -> list[NDArray[np.float32]]:
+    """Return the mean light [H, W] of each view over a span, in spikes per tick under the usual light."""
+    usual_planes = np.float32(len(span) * max(light.over(span.first, span.last), DARK))
+    counts = each(lambda stream: stream.counts(span.first, span.last), streams.values())
+    return [seen.astype(np.float32) / usual_planes for seen in counts]
 
 
 def span_masks(stream: SpikeStream, light: Light, spans: Sequence[Span]) -> NDArray[np.bool_]:

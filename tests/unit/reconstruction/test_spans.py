@@ -106,6 +106,15 @@ def test_a_camera_that_is_lost_parts_spans_at_rest():
     assert found(stream_of([0.25] * 4), stream_of([0.25, 0.25, 0.0, 0.0]))[0] == [(0, 2), (2, 4)]
 
 
+def test_what_moves_too_slowly_to_be_seen_in_a_span_parts_spans_at_rest():
+    """A square of a brightness of its own stands elsewhere in the second half."""
+    light = np.full((4 * EACH, SIDE, SIDE), 0.25, np.float32)
+    light[: 2 * EACH, 4:10, 4:10] = light[2 * EACH :, 12:18, 12:18] = 0.4
+    planes = Sensor(SIDE, SIDE, "ideal", 1, 0).expose(light)
+    layout = PlaneLayout(SIDE, SIDE)
+    assert found(SpikeStream(pack(planes, layout), layout, 20_000.0)) == ([(0, 2), (2, 4)], [False, False])
+
+
 def test_recordings_at_rest_have_no_spans_whatever_their_length():
     assert found(stream_of([0.25]))[0] == [(0, 1)]
     assert found(stream_of([0.25] * 60))[0] == [(0, 60)]

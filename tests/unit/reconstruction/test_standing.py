@@ -1,9 +1,10 @@
 """Pixels of a long recording that are crossed once, put down, taken away, or never still."""
 
 import numpy as np
+import pytest
 
 from reconstruction.images.background import Background
-from reconstruction.images.standing import standing
+from reconstruction.images.standing import standing, unlike_share
 
 SHAPE = (20, 30)
 SPANS = 6
@@ -69,3 +70,17 @@ def test_one_span_and_no_light_are_finite():
     found = standing(np.zeros((1, *SHAPE), np.float32), np.zeros((1, *SHAPE), dtype=bool), usual(0.0))
     assert np.isfinite(found.background.image).all()
     assert not found.differs.any()
+
+
+@pytest.mark.parametrize(("step", "share"), [(0.0, 0.0), (0.004, 0.0), (0.05, 1.0), (-0.05, 1.0)])
+def test_two_pictures_differ_where_the_step_between_them_shows(step, share):
+    rates = np.full((12, 16), 0.3, np.float32)
+    assert unlike_share(rates, rates + np.float32(step)) == share
+    assert unlike_share(rates + np.float32(step), rates) == share
+
+
+def test_a_noisy_pixel_alone_is_no_difference():
+    rates = np.full((12, 16), 0.3, np.float32)
+    noisy = rates.copy()
+    noisy[5, 5] += 0.05
+    assert unlike_share(rates, noisy) == 0.0
