@@ -1,12 +1,13 @@
 """The job engine as the service uses it: names, queues, and the questions and orders of a client."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import sqlalchemy as sa
 from dbos import DBOSClient, DBOSPortableJSONSerializer, EnqueueOptions
 from dbos import error as engine_errors
 
-from reconstruction.run.configuration import STAGES
+from reconstruction.run.configuration import FOLLOW, STAGES
 from server.errors import StateError
 from server.pickles import refuse_pickles
 from server.schemas.progress import ENDED, Status
@@ -34,14 +35,17 @@ _QUEUED = ("ENQUEUED", "DELAYED")
 Queued = Entry | Listed | Open
 
 
-def stages_of(entry_type: str) -> tuple[str, ...]:
-    """Return the stages of a kind of work, in order."""
-    return STAGES if entry_type == "reconstruct" else (entry_type,)
+def stages_of(entry_type: str, request: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the stages of a request, in order."""
+    if entry_type != "reconstruct":
+        return (entry_type,)
+    return (FOLLOW, *STAGES) if request.get("follow") else STAGES
 
 
-def steps_of(entry_type: str) -> list[str]:
-    """Return the steps of a kind of work, in order: its stages and, before a training, the handing out of its parts."""
-    return [step for stage in stages_of(entry_type) for step in ((PARTS, stage) if stage == "train" else (stage,))]
+def steps_of(entry_type: str, request: Mapping[str, Any]) -> list[str]:
+    """Return the steps of a request, in order: its stages and, before a training, the handing out of its parts."""
+    stages = stages_of(entry_type, request)
+    return [step for stage in stages for step in ((PARTS, stage) if stage == "train" else (stage,))]
 
 
 def priority_of(entry: Entry, *, part: bool = False) -> int:
@@ -107,7 +111,7 @@ class Engine:
             "app_version": APPLICATION_VERSION,
             "priority": priority_of(entry),
         }
-        self._client.enqueue(options, entry.id, steps_of(entry.type))
+        self._client.enqueue(options, entry.id, steps_of(entry.type, entry.request))
 
     def status(self, entry: Queued) -> Status:
         """Return the status of one entry, as `statuses` does."""

@@ -26,12 +26,14 @@ class Recording:
     """A recording folder: its rig, its manifest and its streams. Build with `open`.
 
     `part_planes`: how many planes are at hand, from the tick at which the rig's clock begins; None for all of them.
+    `becomes`: where a recording that is still written will lie when it is whole; None for a finished one.
     """
 
     path: Path
     rig: Rig
     manifest: Manifest
     part_planes: int | None = None
+    becomes: Path | None = None
 
     def __post_init__(self) -> None:
         known = {camera.id for camera in self.manifest.cameras}
@@ -43,9 +45,13 @@ class Recording:
     @classmethod
     def open(cls, path: Path) -> Recording:
         """Read manifest and rig; raises BadRecordingError when `path` is no recording. The planes are not touched."""
-        manifest = read_manifest(path)
+        return cls.of(path, read_manifest(path))
+
+    @classmethod
+    def of(cls, path: Path, manifest: Manifest, becomes: Path | None = None) -> Recording:
+        """Return the recording of the folder `path` that `manifest` describes."""
         rig = replace(load_rig(path / RIG_FILE), first_tick=manifest.cameras[0].first_tick)
-        return cls(path, rig, manifest)
+        return cls(path, rig, manifest, becomes=becomes)
 
     @property
     def tick_rate_hz(self) -> float:
@@ -96,18 +102,28 @@ class Recording:
 
     def _stream(self, camera_id: str) -> SpikeStream:
         entry = self.manifest.camera(camera_id)
-        if not (self.path / entry.stored_file).exists():  # it may have become compact since the manifest was read
+        if (
+            not self.becomes and not (self.path / entry.stored_file).exists()
+        ):  # it may have become compact since the manifest was read
             entry = read_manifest(self.path).camera(camera_id)
         if not entry.planes:
             do = "mend or leave it out, and record again"
             raise BadRecordingError(f"found no plane of {camera_id}", "at least one", do, where=self.path)
         if entry.compact:
             return SpikeStream(compact_planes(self.path, entry), entry.layout, self.tick_rate_hz)
+        if self.becomes:
+            return self._growing_stream(entry, self.becomes)
         stream = SpikeStream.open(self.path / entry.file, entry.layout, self.tick_rate_hz)
         if len(stream) != entry.planes:
             found, expected = f"found {len(stream)} planes", str(entry.planes)
             raise BadRecordingError(found, expected, "verify the recording", where=self.path / entry.file)
         return stream
+
+    def _growing_stream(self, entry: CameraFile, becomes: Path) -> SpikeStream:
+        """Map the planes that were known when a recording in the making was opened; it may have got its name since."""
+        folder = self.path if (self.path / entry.file).exists() else becomes
+        stream = SpikeStream.open(folder / entry.file, entry.layout, self.tick_rate_hz, allow_partial=True)
+        return stream.mapped(0, entry.planes)
 
 
 def ticks_between(known: range, from_tick: int | None, to_tick: int | None, where: Path | None = None) -> range:

@@ -17,13 +17,12 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.gaussians.stored import restored, stored
 from reconstruction.rendering.result import Instantaneous
 from reconstruction.scene_model import Rate, TimeSpan, View
 from rigs.camera import Camera
 
 OWN = ("opacity_logits", "intensities")  # of a still Gaussian, what a span may change: its presence and its light
-PRECISE = ("means", "velocities", "accelerations", "jerks", "knot_quats", "knot_centers")  # kept in 32 bits
-HALF_MAX = 6e4  # within what 16 bits hold
 LEARNT = tuple(f"still.{kind}" for kind in OWN)
 
 
@@ -97,11 +96,11 @@ class SpanContent:
         return cls(clip, changed, **own, cloud=movers)
 
     def state(self) -> dict[str, Any]:
-        """Return tensors and numbers, for a checkpoint: half as large, since no picture needs more."""
-        own = {kind: _stored(kind, getattr(self, kind)) for kind in ("changed", *OWN)}
+        """Return tensors and numbers, for a checkpoint: as small as no picture tells from more."""
+        own = {kind: stored(kind, getattr(self, kind)) for kind in ("changed", *OWN)}
         cloud = self.cloud.state() if self.cloud else None
         if cloud:
-            cloud["tensors"] = {name: _stored(name, tensor) for name, tensor in cloud["tensors"].items()}
+            cloud["tensors"] = {name: stored(name, tensor) for name, tensor in cloud["tensors"].items()}
         return {"clip": [self.clip.first_s, self.clip.last_s], **own, "cloud": cloud}
 
     @classmethod
@@ -109,21 +108,10 @@ class SpanContent:
         """Return the content whose `state` this is."""
         cloud = state["cloud"]
         if cloud:
-            tensors = {name: _restored(tensor) for name, tensor in cloud["tensors"].items()}
+            tensors = {name: restored(tensor) for name, tensor in cloud["tensors"].items()}
             cloud = DynamicCloud.from_state({**cloud, "tensors": tensors})
-        own = {kind: _restored(state[kind]) for kind in ("changed", *OWN)}
+        own = {kind: restored(state[kind]) for kind in ("changed", *OWN)}
         return cls(TimeSpan(*state["clip"]), **own, cloud=cloud)
-
-
-def _stored(name: str, tensor: Tensor) -> Tensor:
-    """Return a tensor as it is stored: whole numbers in 32 bits, and numbers in 16, but for places and poses."""
-    if not tensor.is_floating_point():
-        return tensor.to(torch.int32)
-    return tensor if name.rpartition(".")[2] in PRECISE else tensor.clamp(-HALF_MAX, HALF_MAX).half()
-
-
-def _restored(tensor: Tensor) -> Tensor:
-    return tensor.float() if tensor.is_floating_point() else tensor.long()
 
 
 def _detached_movers(learnt: DynamicCloud) -> dict[str, Tensor]:
@@ -273,7 +261,7 @@ class SpannedScene:
             "model": self.kind,
             "clip": [self.clip.first_s, self.clip.last_s],
             "light": self.light.clone(),
-            "still": {name: tensor.detach().clone() for name, tensor in vars(self.still).items()},
+            "still": {name: stored(name, tensor.detach().clone()) for name, tensor in vars(self.still).items()},
             "spans": [span.state() for span in self.spans],
         }
 
@@ -282,7 +270,8 @@ class SpannedScene:
         """Return the scene whose `state` this is; raises ReconstructionError for other content."""
         try:
             spans = [SpanContent.from_state(span) for span in state["spans"]]
-            return cls(GaussianCloud(**state["still"]), spans, TimeSpan(*state["clip"]), state["light"])
+            still = GaussianCloud(**{name: restored(kept) for name, kept in state["still"].items()})
+            return cls(still, spans, TimeSpan(*state["clip"]), state["light"])
         except (KeyError, TypeError, ValueError) as error:
             found, expected = "found a scene of spans that lacks something", "it as this version stores it"
             raise ReconstructionError(found, expected, "train again") from error

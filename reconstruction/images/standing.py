@@ -5,6 +5,7 @@ span and is not the background (something put down, or not yet taken away) diffe
 W columns.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,8 +14,10 @@ from numpy.typing import NDArray
 
 from reconstruction.images.background import Background, dimming
 from reconstruction.images.composite import WHITE_PERCENTILE
+from reconstruction.images.noise import window_sigma
 
 UNLIKE = 0.01  # spikes per tick, mean of 3x3, by which a span's light is not that of the background
+SURE = 4.0  # deviations of the noise of that mean by which it is not, too: a span by dim light has few spikes
 GROW_PX = 2  # an edge is soft: its neighbours see what differs, too
 ALIKE = 0.5  # least share of the spans in which a pixel is still that must show the same
 
@@ -30,16 +33,16 @@ class Standing:
     differs: Masks
 
 
-def standing(rates: Image, moving: Masks, usual: Background) -> Standing:
+def standing(rates: Image, moving: Masks, usual: Background, planes: Sequence[int]) -> Standing:
     """Return what stands still behind the `moving` pixels [S, H, W] of spans with the mean light `rates` [S, H, W].
 
-    Rates are in spikes per tick, with what the light as a whole does taken out. A pixel that moves in every span has
-    what the `usual` background of the whole recording says.
+    Rates are means over so many `planes` [S], in spikes per tick, without what the light as a whole does. A pixel that
+    moves in every span has what the `usual` background of the whole recording says.
     """
     still = ~moving
     mostly = _masked_median(rates, still)
     gaps = np.nan_to_num(np.where(still, rates - mostly, np.float32(0)))
-    alike = still & ~np.stack([_differing(gap, usual.image) for gap in gaps])
+    alike = still & ~np.stack([_differing(gap, usual.image, n) for gap, n in zip(gaps, planes, strict=True)])
     counted = alike.sum(axis=0)
     ever = counted > 0
     mean = np.where(alike, rates, 0).sum(axis=0, dtype=np.float32) / np.maximum(counted, 1)
@@ -50,15 +53,17 @@ def standing(rates: Image, moving: Masks, usual: Background) -> Standing:
     return Standing(Background(image, trusted, usual.stuck), differs & still & ever)
 
 
-def unlike_share(rates: Image, others: Image) -> float:
-    """Return the share of the pixels whose mean light [H, W], in spikes per tick, is not alike in two spans."""
-    return float(_differing(rates - others, np.maximum(rates, others)).mean())
+def unlike_share(rates: Image, others: Image, planes: int) -> float:
+    """Return the share of the pixels whose mean light [H, W] over so many planes is not alike in two spans."""
+    return float(_differing(rates - others, np.maximum(rates, others), planes).mean())
 
 
-def _differing(gap: Image, usual: Image) -> NDArray[np.bool_]:
-    """Return where a `gap` [H, W] in light is one that shows, beside the `usual` light [H, W]."""
+def _differing(gap: Image, usual: Image, planes: int) -> NDArray[np.bool_]:
+    """Return where a `gap` [H, W] in light over so many planes is one that shows, beside the `usual` light [H, W]."""
     least = UNLIKE * dimming(float(np.percentile(usual, WHITE_PERCENTILE)))
-    return np.abs(cv2.blur(gap, (3, 3))) > least
+    noise = window_sigma(usual, planes) * np.float32(2**0.5 / 3)  # of two means, and over 3x3 pixels
+    chance = np.float32(SURE) * noise + np.float32(0.5 / planes)  # a median of counts is a whole number of spikes
+    return np.abs(cv2.blur(gap, (3, 3))) > np.maximum(np.float32(least), chance)
 
 
 def _masked_median(rates: Image, still: Masks) -> Image:

@@ -65,7 +65,7 @@ def _standing(run: RunFolder, view: str, stream: SpikeStream, light: Light, resp
         blind[number] = gain < DARK_GAIN or rate.mean() < DARK_RATE * len(span)
         rate /= np.float32(len(span) * max(gain, DARK_GAIN))
         rate[:] = mended(response.light(rate) if response else rate, usual.stuck)
-    found = standing(rates, planned | blind[:, None, None], usual)
+    found = standing(rates, planned | blind[:, None, None], usual, [len(span) for span in spans])
     write_masks(run, MASKS, view, (planned | found.differs) & ~blind[:, None, None])
     run.write_array(BLIND.format(view=view), blind)
     run.write_array(MOVING.format(view=view), ~found.background.trusted)

@@ -4,6 +4,7 @@ Each part has a share of the training's seconds that is its own, whichever proce
 run that was stopped or killed goes on with the next part, and several processes can share the parts.
 """
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -107,7 +108,9 @@ class SpanTraining:
                 content = learn_span(self.run, self.recording, int(name), still, *task).state()
             return {"content": content, "seconds": self.budget.elapsed_s() - began, "steps": counted.steps}
 
-        return self.file(name).keep(learnt)
+        kept = self.file(name).keep(learnt)
+        gc.collect()  # closures hold one another, and with them the images of a span and its planes
+        return kept
 
     def content(self, name: str) -> dict[str, Any]:
         """Return what was learnt of a part, and count its seconds and steps."""

@@ -83,6 +83,9 @@ def learn_span(
     seen = _looked_at_again(run, read_span_views(run, recording, number, grown))
     views = [TrainingView(one.camera, one.source, focus=_around(one.shown)) for one in seen]
     cloud, changed = _started(run, recording, seen, still, len(grown))
+    own = TimeSpan.of_planes(clock, span.first, span.last)
+    if not len(cloud.moving) and not len(changed):  # what was seen to move has no depth
+        return SpanContent.as_usual(own)
     light = artefacts.read_light(run)
     if light.flickers:
         cloud.light = torch.from_numpy(light.gains[grown.first : grown.last])
@@ -90,7 +93,7 @@ def learn_span(
     trainer = Trainer(cloud, views, settings, RigClock(clock.tick_rate_hz), run.config.seed + number)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
     cloud.clip = TimeSpan.of_planes(clock, grown.first, grown.last)
-    return SpanContent.of(TimeSpan.of_planes(clock, span.first, span.last), changed, cloud)
+    return SpanContent.of(own, changed, cloud)
 
 
 def _looked_at_again(run: RunFolder, seen: Mapping[str, SpanView]) -> list[SpanView]:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from acquisition.progress import Progress
+from acquisition.recording.growing import open_growing
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.errors import BadRunError
@@ -25,17 +26,19 @@ def reconstruct(
     last: str = STAGES[-1],
     started: float | None = None,
     should_stop: Callable[[], bool] = lambda: False,
+    grows: bool = False,
 ) -> RunFolder:
     """Run every stage up to `last` that is still due, or `stage` alone, and return the run.
 
     `started` is the process's start on the monotonic clock. With `again` (a number that grows from time to time)
-    `stage` and those after it are forgotten first, also in a finished run. Raises BadRunError for a finished run,
+    `stage` and those after it are forgotten first, also in a finished run. With `grows` the recording may still be
+    written; then its planes so far are read. Raises BadRunError for a finished run,
     another configuration, a stage whose predecessors are missing, or a device that is not here.
     """
     began = time.monotonic() if started is None else started
     if config.device == CUDA and stage != STAGES[-1]:
         _expect_device()
-    recording = Recording.open(recording_path).part(config.from_tick, config.to_tick)
+    recording = (open_growing if grows else Recording.open)(recording_path).part(config.from_tick, config.to_tick)
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
     if again is not None and stage is not None:

@@ -16,6 +16,7 @@ from reconstruction.training.term import supervisions
 
 DEFAULT_BUDGET_S = 120.0
 STAGES = ("plan", "poses", "images", "points", "train", "report")
+FOLLOW = "follow"  # before the first stage, where the recording is still written: looks at its newest planes
 SUPERVISIONS = supervisions()
 MAPS, EVEN = "maps", "even"  # what is taken of single pixels: what a calibration found, or that all are alike
 PIXELS = (MAPS, EVEN)

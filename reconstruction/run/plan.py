@@ -47,7 +47,7 @@ def make_plan(
     views = _training_views(config, rig, streams, decisions)
     light = _light([streams[view] for view in views], decisions)
     seen = {view: streams[view] for view in views}
-    spans = choose_spans(config, init_of(config, rig), min(map(len, seen.values())))
+    spans = choose_spans(config, init_of(config, rig), list(seen.values()))
     progress(LIGHT_SHARE, "light")
     spans, masks = find_spans(seen, light, spans, part(progress, LIGHT_SHARE, MASKS_SHARE))
     if len(spans) > 1:

@@ -1,5 +1,6 @@
 """Decides whether a recording is reconstructed in spans, and finds what moves in each."""
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -11,6 +12,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import moving_pixels
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.images.flicker import DARK, Light
+from reconstruction.images.scarce import lit_spikes
 from reconstruction.images.standing import unlike_share
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.ours import BASES
@@ -20,14 +22,26 @@ from reconstruction.run.decisions import Decision
 from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import PLANES, STILL_SHARE, Span, cut
 
+LEAST_SPIKES = 10.0  # spikes in a span of a pixel that sees light, below which nothing in it can be told to move
+SAMPLED, SAMPLED_VIEWS = 2000, 4  # planes in the middle of a recording, and views, that tell how often pixels fire
 UNADJUSTED = ("sfm", "dust3r")  # initialisers whose poses no covariance vouches for; training refines them
 FROM_IMAGES = ("auto", "pixels")  # supervisions that spans can be learnt by
 
 
-def choose_spans(config: ReconstructionConfig, init: str, planes: int) -> tuple[Span, ...]:
+def choose_spans(config: ReconstructionConfig, init: str, streams: Sequence[SpikeStream]) -> tuple[Span, ...]:
     """Return the spans that movers are learnt in: one, the whole, for a short recording or the method of a baseline."""
-    spans = cut(planes, config.span or PLANES)
-    return spans if _spanned(config, init) else (Span(0, planes),)
+    planes = min(map(len, streams))
+    if (len(cut(planes)) == 1 and config.span is None) or not _spanned(config, init):
+        return (Span(0, planes),)
+    return cut(planes, config.span or _most_planes(streams, planes))
+
+
+def _most_planes(streams: Sequence[SpikeStream], planes: int) -> int:
+    """Return the most planes of a span: more than usual where pixels in the light of a view fire seldom."""
+    first = max(0, planes - SAMPLED) // 2
+    parts = [stream.mapped(first, min(planes, first + SAMPLED)) for stream in streams[:SAMPLED_VIEWS]]
+    spikes = float(np.mean([lit_spikes(part) / len(part) for part in parts]))
+    return max(PLANES, math.ceil(min(LEAST_SPIKES / max(spikes, 1e-9), planes)))
 
 
 def _spanned(config: ReconstructionConfig, init: str) -> bool:
@@ -69,10 +83,15 @@ def _firsts(
         if rests and shown is None:
             shown = _rates(streams, light, spans[i - 1])
         rates = _rates(streams, light, spans[i]) if rests else None
-        if shown is None or rates is None or np.mean(list(map(unlike_share, rates, shown))) >= STILL_SHARE:
+        if shown is None or rates is None or _unlike(rates, shown, len(spans[i])) >= STILL_SHARE:
             firsts.append(i)
             shown = rates
     return firsts
+
+
+def _unlike(rates: Sequence[NDArray[np.float32]], shown: Sequence[NDArray[np.float32]], planes: int) -> float:
+    """Return the share of the pixels of all views that do not show alike in two spans of so many planes."""
+    return float(np.mean([unlike_share(*pair, planes) for pair in zip(rates, shown, strict=True)]))
 
 
 def _rates(streams: Mapping[str, SpikeStream], light: Light, span: Span) -> list[NDArray[np.float32]]:

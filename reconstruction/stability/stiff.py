@@ -82,8 +82,15 @@ class StiffScene:
 
     def run(self, seed: int, model: str) -> RunFolder:
         """Return a run folder that is ready for training."""
+        extent, in_one = self.extent, self.extent.planes[self.name]
         config = ReconstructionConfig(
-            model, holdout=HOLDOUT, budget_s=None, steps=self.extent.steps, seed=seed, gaussians=self.extent.gaussians
+            model,
+            holdout=HOLDOUT,
+            budget_s=None,
+            steps=extent.steps,
+            seed=seed,
+            gaussians=extent.gaussians,
+            span=in_one,
         )
         path = self.folder / f"{self.name}-{model}-{seed}"
         return reconstruct(self.recording.path, path, config, lambda _: silent, last="points")

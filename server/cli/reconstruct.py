@@ -3,6 +3,7 @@
 import json
 import signal
 import threading
+import time
 from pathlib import Path
 
 import click
@@ -11,7 +12,7 @@ from acquisition.durable import write_array
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.stages import reconstruct, reconstruct_part
 from reconstruction.rendering.limits import frames_to_render
-from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, STAGES, ReconstructionConfig
+from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, FOLLOW, STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.parts import STILL, span_name
 from reconstruction.truth import Truth
@@ -50,7 +51,7 @@ _choices = (
 @click.option("--budget-s", type=float, help=f"Wall seconds to the final checkpoint [default: {DEFAULT_BUDGET_S:g}].")
 @click.option("--steps", type=int, help="Training steps instead of a budget; repeatable to the bit.")
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--stage", type=click.Choice(STAGES), help="Run only this stage.")
+@click.option("--stage", type=click.Choice((FOLLOW, *STAGES)), help="Run only this stage.")
 @click.option(
     "--again", type=int, metavar="N", help="With --stage: forget it and the later ones first; N grows with each repeat."
 )
@@ -59,6 +60,7 @@ _choices = (
     metavar="still|NUMBER",
     help="With --stage train: learn this part of a long recording alone; its seconds are a share of --budget-s.",
 )
+@click.option("--follow", "follows", is_flag=True, help="REC is still recorded: show looks at it until it is whole.")
 @json_option
 @click.pass_obj
 def reconstruct_command(
@@ -71,6 +73,7 @@ def reconstruct_command(
     stage: str | None,
     again: int | None,
     part: str | None,
+    follows: bool,
     as_json: bool,
     **choices: str,
 ) -> None:
@@ -84,11 +87,20 @@ def reconstruct_command(
     stop = threading.Event()  # training then saves a checkpoint and ends
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    if follows and stage is not None:
+        raise click.UsageError(f"found --follow with --stage, expected `--stage {FOLLOW}` for the looks alone")
     if part is not None:
         name = _part_name(part, stage)
         own = progress_of("train")
         if not reconstruct_part(recording, out, config, name, own, again=again, should_stop=stop.is_set):
             click.echo(f"part {name}: it was there already; what this process has learnt is dropped", err=True)
+        return
+    if follows or stage == FOLLOW:
+        from reconstruction.pipeline.follow import follow
+
+        follow(recording, out, config, progress_of("follow"), stop.is_set)
+        started = time.monotonic()
+    if stage == FOLLOW:
         return
     run = reconstruct(
         recording, out, config, progress_of, stage=stage, again=again, started=started, should_stop=stop.is_set

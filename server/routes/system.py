@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from server.engine import stages_of
+from reconstruction.run.configuration import STAGES
 from server.middleware.problems import problem
 from server.routes.parameters import TheServices
 from server.schemas.job_types import JOB_TYPES
@@ -22,7 +22,7 @@ def get_info(request: Request) -> Info:
     """Return name, version, the stages of a reconstruction, and what the request's token allows."""
     token: Token | None = request.state.token
     role = token.role if token else None
-    return Info(name="spike4dgs", version=version("spike4dgs"), stages=stages_of("reconstruct"), role=role)
+    return Info(name="spike4dgs", version=version("spike4dgs"), stages=STAGES, role=role)
 
 
 @router.get("/options")

@@ -86,7 +86,8 @@ class ReconstructRequest(OfCapture):
     `budget_s` bounds the wall seconds up to the last checkpoint, `steps` the training steps; give at most one. `span`
     is the most planes of a span of a long recording. All workers share the spans, so its `budget_s` counts the seconds
     of each of them, and its `steps` are those of one span. A part is the ticks [from_tick, to_tick) of the rig clock;
-    its instants are those of the whole.
+    its instants are those of the whole. With `follow` the capture may still be recorded: the job shows looks at its
+    newest planes until it is whole.
     """
 
     model_config = example(_CAPTURE | {"holdout": "cam11", "budget_s": 300}, {"type": "reconstruct"} | _CAPTURE)
@@ -109,6 +110,7 @@ class ReconstructRequest(OfCapture):
     budget_s: Annotated[float | None, Field(gt=0, le=7 * 24 * 3600, allow_inf_nan=False)] = None
     steps: Annotated[int | None, Field(ge=1, le=10_000_000)] = None
     seed: Annotated[int | None, Field(ge=0, lt=2**31)] = None
+    follow: bool = False
 
     _ticks = model_validator(mode="after")(_some_ticks)
 
@@ -116,6 +118,8 @@ class ReconstructRequest(OfCapture):
     def _one_bound(self) -> ReconstructRequest:
         if self.budget_s is not None and self.steps is not None:
             raise ValueError("found both budget_s and steps, expected at most one")
+        if self.follow and (self.from_tick is not None or self.to_tick is not None):
+            raise ValueError("found follow with from_tick or to_tick, expected all of the capture")
         return self
 
 

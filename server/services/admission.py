@@ -16,6 +16,7 @@ from server.schemas.job_types import (
     ReconstructRequest,
     RenderRequest,
 )
+from server.schemas.progress import ACTIVE
 from server.services.captures import RigService
 from server.store.rig_files import fitted
 from server.store.store import Store
@@ -44,7 +45,9 @@ class Admission:
             else:
                 assert isinstance(request, OfCapture)
                 target = self._store.entries.get("capture", request.capture)
-        if not waits:
+        if isinstance(request, ReconstructRequest) and request.follow and self._engine.status(target) in ACTIVE:
+            self._check_followed(request, target)
+        elif not waits:
             self._expect_done(target)
             self._check_cameras(request, target)
             if isinstance(request, ReconstructRequest):
@@ -86,15 +89,28 @@ class Admission:
             do = "change `from_tick` or `to_tick`"
             raise UnknownReferenceError(error.found, error.expected, do) from error
 
+    def _check_followed(self, request: ReconstructRequest, target: Entry) -> None:
+        """Check a reconstruction of a capture that is still recorded: of all of it, with cameras that its rig has."""
+        if target.rig is None:
+            raise StateError(f"found capture {target.id} being imported", "it done", "wait for it")
+        rig = self._rigs.rig(target.rig)
+        for camera in _named(request):
+            rig.camera(camera)
+
     def _check_cameras(self, request: JobBase, target: Entry) -> None:
-        named: list[str | None] = []
-        if isinstance(request, ReconstructRequest):
-            named = [request.holdout, *(request.views or [])]
-        elif isinstance(request, ExportRequest):
-            named = [request.camera]
-        wanted = [camera for camera in named if camera is not None]
+        wanted = _named(request)
         capture = target.id if target.kind == "capture" else target.capture
         if wanted and capture is not None:
             rig = load_rig(self._store.folder.recording(capture) / "rig.toml")
             for camera in wanted:
                 rig.camera(camera)
+
+
+def _named(request: JobBase) -> list[str]:
+    """Return the cameras that a request names."""
+    named: list[str | None] = []
+    if isinstance(request, ReconstructRequest):
+        named = [request.holdout, *(request.views or [])]
+    elif isinstance(request, ExportRequest):
+        named = [request.camera]
+    return [camera for camera in named if camera is not None]

@@ -5,16 +5,26 @@ from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
+from reconstruction.run.configuration import FOLLOW
 from reconstruction.run.spans import PLANES
 from server.engine import stages_of
 from server.store.entries import Entries, Listed
 
 _LOOK_AT = 20  # newest finished jobs of a type
 _LEAST_FRACTION = 0.05  # of a stage, before its own speed tells anything
-_NOT_ALIKE = ("capture", "job", "name", "priority", "seed", "holdout")  # options that hardly change the duration
+_NOT_ALIKE = (
+    "capture",
+    "job",
+    "name",
+    "priority",
+    "seed",
+    "holdout",
+    "follow",
+)  # options that hardly change the duration
 _LENGTHS = ("from_tick", "to_tick")  # options that change it by the planes alone
 _SAMPLED = ("calibrate", "check-rig")  # types that read as many planes of any capture
-_SCORING = "report"  # the stage that a budget does not count
+_SCORING = "report"
+_UNCOUNTED = (FOLLOW, _SCORING)  # stages that a budget does not count
 Seconds = dict[str, float]
 _Earlier = tuple[dict[str, Any], float | None, Seconds]  # the options of a job, its length, and what its stages took
 
@@ -45,14 +55,17 @@ class Durations:
         return max(0.0, left - quiet_s)
 
     def _left(self, entry: Listed, progress: Mapping[str, Any]) -> float | None:
-        stages, request = stages_of(entry.type), json.loads(entry.request)
+        request = json.loads(entry.request)
+        stages = stages_of(entry.type, request)
         stage, spent = progress.get("stage"), progress.get("seconds", {})
+        if stage == FOLLOW:  # it lasts as long as the recording
+            return None
         at = stages.index(stage) if stage in stages else 0
         usual = self._usual(entry.type, request)
         here = _rest(spent.get(stages[at], 0.0), progress.get("fraction", 0.0), usual.get(stages[at]))
         later = [usual.get(name) for name in stages[at + 1 :]]
         if request.get("budget_s") is not None and stages[at] != _SCORING:
-            used = sum(seconds for name, seconds in spent.items() if name != _SCORING)
+            used = sum(seconds for name, seconds in spent.items() if name not in _UNCOUNTED)
             return max(0.0, request["budget_s"] - used) + (usual.get(_SCORING) or 0.0)
         return None if here is None or None in later else here + sum(s for s in later if s is not None)
 

@@ -39,15 +39,15 @@ class JobService:
     def add(self, requests: Mapping[str, JobBase], *, waits: bool = False) -> None:
         """Queue new jobs under ids that nobody has; raises as `Admission.target`.
 
-        Those that wait are kept, and queued by the announcer when their capture is made.
+        Those that wait are kept, and queued by the announcer when their capture is made; those that follow a capture,
+        when it has begun.
         """
         entries = [self._entry(job_id, request, waits) for job_id, request in requests.items()]
         for entry in entries:
             self._store.folder.job(entry.id).mkdir(exist_ok=True)
-        if waits:
-            self._store.entries.add_all(entries)
-        else:
-            self._queue.add_all(entries)
+        kept = [entry for entry in entries if waits or (entry.request.get("follow") and self._queue.waits(entry))]
+        self._store.entries.add_all(kept)
+        self._queue.add_all([entry for entry in entries if entry not in kept])
 
     def get(self, job_id: str) -> Job:
         """Return one job; raises NotFoundError."""
@@ -75,7 +75,7 @@ class JobService:
     def steps(self, job_id: str) -> Steps:
         """Return the stages of a job and how far each is; raises NotFoundError."""
         job = self.get(job_id)
-        names = stages_of(job.type)
+        names = stages_of(job.type, job.request.model_dump())
         at = len(names) if job.status == "done" else names.index(job.stage) if job.stage in names else 0
         here = {"running": "running", "failed": "failed"}.get(job.status, "waiting")
         words = ["done" if i < at else here if i == at else "waiting" for i in range(len(names))]
@@ -102,7 +102,7 @@ class JobService:
         Raises NotFoundError, StateError, UnknownReferenceError where the job has no such stage or never reached it.
         """
         entry = self._expected(job_id, *ENDED)
-        stages = stages_of(entry.type)
+        stages = stages_of(entry.type, entry.request)
         reached = entry.progress.get("stage")
         begun = stages[: stages.index(reached) + 1] if reached in stages else ()
         if stage not in begun:

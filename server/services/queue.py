@@ -95,7 +95,7 @@ class Queue:
         known = self._engine.known(old)
         for entry in reversed(old):
             cancelled = entry.told == "new" and known[entry.id] == "cancelled"
-            if (entry.told == "new" or (entry.told in ACTIVE and known[entry.id] is None)) and not self._waits(entry):
+            if (entry.told == "new" or (entry.told in ACTIVE and known[entry.id] is None)) and not self.waits(entry):
                 self._start_again(entry, cancelled=cancelled)
 
     def prioritise(self, entry: Entry, priority: int) -> None:
@@ -128,6 +128,17 @@ class Queue:
         for folder in (*made, self._store.folder.entry(entry.id)):
             self._store.folder.remove(folder)
 
+    def waits(self, entry: Entry) -> bool:
+        """Return whether a job's capture is still being made, or has not begun where the job follows it.
+
+        A job whose capture failed is queued and says so.
+        """
+        if entry.kind != "job" or entry.capture is None:
+            return False
+        made = self._engine.statuses(self._store.entries.find([entry.capture]))
+        early = ("queued",) if entry.request.get("follow") else ACTIVE
+        return any(status in early for status in made.values())
+
     def _tell_queued(self, entry: Entry) -> None:
         told = self._store.entries.get(entry.kind, entry.id).told
         if told not in ACTIVE:
@@ -154,10 +165,3 @@ class Queue:
             if cancelled:  # on its way to another priority
                 self._engine.forget(entry.id)
             self.start(latest)
-
-    def _waits(self, entry: Entry) -> bool:
-        """Return whether a job's capture is still being made; a job whose capture failed is queued and says so."""
-        if entry.kind != "job" or entry.capture is None:
-            return False
-        made = self._engine.statuses(self._store.entries.find([entry.capture]))
-        return any(status in ACTIVE for status in made.values())

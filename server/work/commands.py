@@ -20,7 +20,7 @@ def reconstruct_arguments(
     request: dict[str, Any], stage: str, recording: Path, run: Path, restart: dict[str, Any] | None
 ) -> list[str]:
     """Return the arguments of `spike4dgs` that run one stage of a reconstruction."""
-    options = {name: value for name, value in request.items() if name not in ("type", "capture", "views")}
+    options = {name: value for name, value in request.items() if name not in ("type", "capture", "views", "follow")}
     if request.get("views"):
         options["views"] = ",".join(request["views"])
     again = ["--again", str(restart["attempt"])] if restart is not None and restart["stage"] == stage else []

@@ -2,14 +2,15 @@
 
 import asyncio
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from acquisition.durable import write_durably
 from acquisition.recording.reader import Recording
+from reconstruction.run.configuration import FOLLOW
 from reconstruction.run.parts import PartFolder
 from rigs.errors import Spike4dgsError
 from server.contact_sheet import camera_picture, contact_sheet, figures
@@ -47,6 +48,7 @@ RUN_ARTEFACTS = (
     "poses/refined.toml",
 )
 _OUTAGE_POLL_S = 1.0
+_LOOKS_POLL_S = 2.0  # seconds between questions for a scene that a job shows before it has ended
 
 
 class Stages:
@@ -140,10 +142,9 @@ class Stages:
         arguments = reconstruct_arguments(entry.request, stage, self._recording(entry), run, entry.restart)
         begins = PARTS_SHARE if stage == STAGE and PartFolder(run).noted() else 0.0
         is_due = lambda: not is_finished(run, stage, entry)  # noqa: E731
-        try:
+        catalogue = lambda: self._store.artefacts.catalogue(entry.id, run, _run_artefacts(run))  # noqa: E731
+        async with _catalogued(catalogue, meanwhile=stage == FOLLOW):
             await self.processes.run(entry, stage, arguments, is_due=is_due, begins=begins)
-        finally:
-            self._store.artefacts.catalogue(entry.id, run, _run_artefacts(run))
 
     async def _task(self, entry: Entry, stage: str) -> None:
         is_finished = self.processes.finished(entry, stage).exists()
@@ -198,6 +199,29 @@ class Stages:
         self._folder.remove(out)
         out.mkdir(parents=True)
         return out
+
+
+@asynccontextmanager
+async def _catalogued(catalogue: Callable[[], None], *, meanwhile: bool) -> AsyncIterator[None]:
+    """Note in the end what a stage has made, and `meanwhile` every few seconds, also where one time fails."""
+    over = asyncio.Event()
+
+    async def look() -> None:
+        while not over.is_set():
+            try:
+                await asyncio.wait_for(over.wait(), _LOOKS_POLL_S)
+            except TimeoutError:
+                with suppress(SQLAlchemyError, OSError):
+                    await asyncio.to_thread(catalogue)
+
+    looking = asyncio.create_task(look()) if meanwhile else None
+    try:
+        yield
+    finally:
+        over.set()
+        if looking is not None:
+            await looking
+        catalogue()
 
 
 def _keep_look(recording: Recording, out: Path, rig: Path) -> None:

@@ -20,7 +20,7 @@ from fastapi.testclient import TestClient
 from acquisition.scenes.catalog import SCENES
 from reconstruction.export.catalogue import FORMATS
 from reconstruction.images import catalogue as image_catalogue
-from reconstruction.run.configuration import CHOICES, STAGES
+from reconstruction.run.configuration import CHOICES, FOLLOW, STAGES
 from server.app import create_app
 from server.cli.bench_runs import BENCHES
 from server.cli.main import COMMANDS, cli
@@ -145,7 +145,7 @@ def test_reconstruct_offers_each_choice_of_a_run(name):
 
 
 def test_the_other_commands_offer_what_there_is():
-    assert f"--stage [{'|'.join(STAGES)}]" in help_of("reconstruct")
+    assert f"--stage [{'|'.join((FOLLOW, *STAGES))}]" in help_of("reconstruct")
     assert f"One of: {', '.join(FORMATS)}." in help_of("export")
     assert f"One of: {', '.join(image_catalogue.names())}." in help_of("images")
     assert set(SCENES) <= set(re.findall(r"\w+", help_of("simulate")))

@@ -24,12 +24,12 @@ from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import Capture, CaptureRequest, ImportRequest
-from server.schemas.job_types import LookRequest, PreflightRequest, VerifyRequest
+from server.schemas.job_types import LookRequest, PreflightRequest, ReconstructRequest, VerifyRequest
 from server.schemas.uploads import UploadRequest
 from server.settings import RigSource, ServiceSettings
 
 pytestmark = pytest.mark.slow
-RIG = catalog_rig("lab3x3").scaled(40, 25)
+RIG, WIDE = catalog_rig("lab3x3").scaled(40, 25), catalog_rig("lab3x3").scaled(100, 64)
 DEVICES = "mock:fan_and_ball?samples=1&truth_every=1000000"
 
 
@@ -42,7 +42,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def client(data: Path) -> Iterator[ServiceClient]:
     data.mkdir()
     (data / "small.toml").write_text(dump_rig(RIG))
-    rigs = {"small": RigSource(rig=str(data / "small.toml"), devices=DEVICES)}
+    (data / "wide.toml").write_text(dump_rig(WIDE))
+    rigs = {name: RigSource(rig=str(data / f"{name}.toml"), devices=DEVICES) for name in ("small", "wide")}
     environment = os.environ | {"SPIKE4DGS_RIGS": json.dumps({name: rig.model_dump() for name, rig in rigs.items()})}
     command = [sys.executable, "-m", "server.cli", "worker", "--data", str(data)]
     worker = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
@@ -87,6 +88,21 @@ def test_a_capture_until_stopped_is_done_when_it_is_stopped(client: ServiceClien
     (planes,) = {camera.planes for camera in manifest.cameras}
     assert planes > 0
     assert Recording.open(data / "captures" / capture.id).planes == planes
+
+
+def test_a_scene_is_shown_while_its_capture_is_recorded(client: ServiceClient) -> None:
+    capture = client.start_capture("wide", CaptureRequest(until_stopped=True))
+    job = client.submit(ReconstructRequest(capture=capture.id, follow=True, holdout="cam11", steps=8))
+    shown = lambda: {one.name for one in client.artefacts(job.id)}  # noqa: E731
+    wait_for(lambda: "viewer.json" in shown() or client.job(job.id).status not in ("queued", "running"))
+    now = client.job(job.id)
+    assert (now.status, now.stage, client.capture(capture.id).status) == ("running", "follow", "running")
+    assert now.preview is not None
+    assert now.preview.camera == "cam11"
+    client.stop_capture(capture)
+    assert ended(client, capture).status == "done"
+    finished(client, job.id)
+    assert {"report.html", "metrics.json", "viewer.bin"} <= shown()
 
 
 def test_a_save_keeps_the_planes_before_it(client: ServiceClient) -> None:

@@ -328,6 +328,25 @@ def test_a_preview_is_what_the_training_drew_last(client: ServiceClient, data: P
     assert "preview.png" not in {one.name for one in client.artefacts(done)}  # the thumbnails show what it became
 
 
+def test_a_job_that_follows_begins_with_its_capture(client: ServiceClient) -> None:
+    capture = client.start_capture("lab3x3", CaptureRequest(until_stopped=True))
+    with pytest.raises(RefusedError, match="cam77"):
+        client.submit(ReconstructRequest(capture=capture.id, follow=True, holdout="cam77"))
+    with pytest.raises(RefusedError, match=f"found capture {capture.id}"):
+        client.submit(ReconstructRequest(capture=capture.id))
+    job = client.submit(ReconstructRequest(capture=capture.id, follow=True, holdout="cam11"))
+    wait_for(lambda: client.job(job.id).stage == "plan")  # the looks are played: they end at once
+    assert client.capture(capture.id).status == "running"
+    assert client.job(job.id).seconds["follow"] >= 0
+    client.stop_capture(capture)
+    wait_for(lambda: client.job(job.id).status == "done")
+    assert [step.stage for step in client.steps(job.id)][:2] == ["follow", "plan"]
+    assert "--stage follow" in client.log(job.id)
+    assert "--follow" not in client.log(job.id)
+    both = {"capture": capture.id, "follow": True, "from_tick": 3}
+    assert client._http.post("/v1/jobs", json=both).status_code == 422
+
+
 @pytest.mark.parametrize("kind", ["verify", "check-rig"])
 def test_an_answer_of_no_is_an_answer(client: ServiceClient, capture: Capture, kind: str) -> None:
     job = client.submit(JOB_TYPES[kind].model_validate({"type": kind, "capture": capture.id}))

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.gaussians.spanned import SpannedScene
+from reconstruction.pipeline import span_training
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.part_file import PartFile
 from reconstruction.pipeline.span_artefacts import BLIND, moving_spans, read_targets
@@ -57,6 +59,22 @@ def run(long_recording, begun, tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "run"
     shutil.copytree(begun, path)
     return reconstruct(long_recording, path, CONFIG, quiet)
+
+
+def test_a_span_that_is_learnt_leaves_no_images_in_memory(long_recording, begun, tmp_path, monkeypatch):
+    shutil.copytree(begun, tmp_path / "run")
+    seen, read = [], span_training.read_span_views
+
+    def noted(*given):
+        views = read(*given)
+        seen.extend(weakref.ref(view.source) for view in views.values())
+        return views
+
+    monkeypatch.setattr(span_training, "read_span_views", noted)
+    for part in (STILL, span_name(1)):
+        reconstruct_part(long_recording, tmp_path / "run", CONFIG, part, silent)
+    assert len(seen) == 8
+    assert not [ref for ref in seen if ref() is not None]
 
 
 def test_every_span_is_scored_and_the_whole_beats_the_nearest_view(run):

@@ -8,11 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from reconstruction.run.configuration import STAGES
 from reconstruction.run.parts import PartFolder
-from server.engine import stages_of
 from server.schemas.jobs import Artefact, Job
-
-STAGES = stages_of("reconstruct")
 
 
 def read_trace(job: Path) -> dict[str, int]:

@@ -40,7 +40,7 @@ function state(item, context) {
   ];
 }
 
-function running(item) {
+function running(item, context) {
   if (ended(item)) return null;
   const path = `/rigs/${item.rig}/captures/${item.id}`;
   return element('div', {},
@@ -48,7 +48,8 @@ function running(item) {
     item.message && element('p', {}, item.message),
     item.type === 'record' && actions(
       button('Stop', `stop-${item.id}`, () => post(`${path}/stop`), { plain: false, done: 'The recording ends' }),
-      item.pre_trigger_ms !== null && button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' })));
+      item.pre_trigger_ms !== null && button('Save from the pre-trigger', `save-${item.id}`, () => post(`${path}/save`), { done: 'What was kept is saved' }),
+      asking('Reconstruct meanwhile…', `Reconstruct ${item.name ?? item.id} while it is recorded`, 'reconstruct', { capture: item.id, follow: true }, item, context)));
 }
 
 function offered(item, context) {
@@ -83,6 +84,6 @@ export function capture(item, context) {
     state(item, context),
     failure(inWords(item.error)),
     item.status === 'cancelled' && item.message && quiet(item.message),
-    running(item),
+    running(item, context),
     offered(item, context));
 }

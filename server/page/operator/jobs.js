@@ -17,7 +17,7 @@ import { openPictures } from './zoom.js';
 const SCORES = [['psnr_db', 'held-out PSNR', 'dB', 2], ['ssim', 'SSIM', '', 3], ['abs_rel', 'depth AbsRel', '', 4], ['counts.rmse', 'count error', 'spikes', 3]];
 const MOST_LINKS = 3;
 
-const stagesOf = (item, context) => (item.type === 'reconstruct' ? context.stages : [item.type]);
+const stagesOf = (item, context) => (item.type === 'reconstruct' ? [...(item.request.follow ? ['follow'] : []), ...context.stages] : [item.type]);
 const path = (item, rest = '') => `/jobs/${item.id}${rest}`;
 
 function stages(item, context) {
@@ -97,7 +97,7 @@ function log(item, context) {
 }
 
 function restart(item, context) {
-  const names = stagesOf(item, context);
+  const names = context.stages;
   const begun = names.slice(0, names.indexOf(item.stage) + 1);
   if (!ended(item) || item.type !== 'reconstruct' || !begun.length) return [];
   const id = `stage-${item.id}`;
@@ -153,7 +153,7 @@ function main(item, context) {
 
 const ABOUT = {
   holdout: (camera) => `scored on ${camera}`, budget_s: (s) => `budget ${s} s`, views: (cameras) => `trained on ${cameras.length} cameras`,
-  disk_seconds: () => null, rig: () => null, apply: () => 'to be used at once', at_s: (s) => `at ${s} s`, tick_stride: (n) => `every ${n} planes`,
+  disk_seconds: () => null, follow: () => 'begun while it was recorded', rig: () => null, apply: () => 'to be used at once', at_s: (s) => `at ${s} s`, tick_stride: (n) => `every ${n} planes`,
 };
 
 function about(item, context) {

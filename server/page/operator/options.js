@@ -2,7 +2,7 @@
 import { element } from './dom.js';
 import { OPTIONS } from './words.js';
 
-const GIVEN = ['type', 'capture', 'job']; // filled in by the page
+const GIVEN = ['type', 'capture', 'job', 'follow']; // filled in by the page
 const FIRST = ['from', 'model', 'holdout', 'budget_s', 'board', 'method', 'ticks', 'format', 'at_s', 'name'];
 const HINTS = { board: 'charuco:6x4:100:67.5:DICT_4X4_50', ticks: 'all, or 0:400:20' };
 const NOTES = {

@@ -4,7 +4,7 @@ import { addFigure, scored } from './curve.js';
 import { artefact } from './media.js';
 
 const MOST_TEXT = 40_000; // characters of a log or result on the page
-const HISTORY_MS = 3000, QUIET_MS = 300;
+const HISTORY_MS = 3000, QUIET_MS = 300, LOOKS_MS = 5000;
 const known = new Map();
 let work = Promise.resolve(); // one request after another, so that a long list does not flood the service
 
@@ -15,6 +15,7 @@ export function of(id) {
   return known.get(id);
 }
 
+const has = (found, name) => found.artefacts.some((one) => one.name === name);
 const json = async (id, name) => (await request(artefact(id, name))).json();
 
 async function learnResults(item, found) {
@@ -43,6 +44,16 @@ async function learnHistory(item, draw) {
   await readEvents(`/v1/jobs/${item.id}/events?after=0`, told, { after: 0, signal: stop.signal });
 }
 
+// Learn of the scene that a job shows while its capture is recorded, a few seconds after a picture of it.
+function learnLooks(item, found, draw) {
+  if (found.looked || has(found, 'viewer.json')) return;
+  found.looked = setTimeout(async () => {
+    found.looked = null;
+    found.artefacts = (await get(`/jobs/${item.id}/artefacts`)).items;
+    draw();
+  }, LOOKS_MS);
+}
+
 // Ask for the details of jobs that the page lacks, and forget all other jobs; call `draw` when they arrive.
 // If the page is not `live`, take figures from the list, one a second.
 export function learn(jobs, live, draw) {
@@ -50,6 +61,7 @@ export function learn(jobs, live, draw) {
   for (const item of jobs) {
     const found = of(item.id), before = found.state;
     found.state = item.status;
+    if (item.stage === 'follow' && item.preview) learnLooks(item, found, draw);
     if (before !== item.status && ended(item)) work = work.then(() => learnResults(item, found)).then(draw, () => draw());
     else if (before !== item.status && item.status === 'running') learnHistory(item, draw).catch(() => draw()); // beside the others, which an endless stream would hold up
     if (!live && item.status === 'running' && item.stage === 'train') progressed(item.id, { kind: 'progress', seq: item.message, data: item });

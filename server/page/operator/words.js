@@ -3,7 +3,7 @@ export const OPTIONS = {
   model: 'Motion model', images: 'Images', init: 'Poses and points', supervision: 'Spike loss', refine: 'Refine poses', pixels: 'Pixels', gains: 'Gains and lags',
   device: 'Device to train on',
   holdout: 'Camera to score on', views: 'Cameras to train on', tick_stride: 'Planes between instants', span: 'Most planes of a span',
-  from_tick: 'First tick of a part', to_tick: 'Tick after a part',
+  follow: 'Begin while it is recorded', from_tick: 'First tick of a part', to_tick: 'Tick after a part',
   budget_s: 'Time budget (s)', steps: 'Steps', seed: 'Seed', name: 'Name', priority: 'Priority (lower is sooner)',
   board: 'Board', method: 'Method', ticks: 'Planes A:B:STEP', format: 'Format', at_s: 'Instant (s)', frames: 'Frames',
   camera: 'Camera', from: 'Capture', apply: 'Use it at once', dark: 'Calibrate the pixels: the capture without light',

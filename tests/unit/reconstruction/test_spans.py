@@ -37,8 +37,22 @@ def test_a_span_grows_within_the_recording():
     assert Span(900, 1000).grown(24, 1000) == Span(876, 1000)
 
 
+def fired(planes, rate):
+    """Return a stream of 16x8 pixels that fire `rate` times a plane, at chance."""
+    packed = np.packbits(np.random.default_rng(0).random((planes, 8, 16)) < rate, axis=2).reshape(planes, -1)
+    return [SpikeStream(packed, PlaneLayout(16, 8), 20_000.0)]
+
+
+LIT = fired(4000, 0.2)
+
+
 def test_a_span_is_as_long_as_was_asked_for():
-    assert len(choose_spans(ReconstructionConfig(span=100), "sweep", 1000)) == 10
+    assert len(choose_spans(ReconstructionConfig(span=100), "sweep", fired(1000, 0.001))) == 10
+
+
+@pytest.mark.parametrize(("rate", "count"), [(0.2, 10), (0.03, 10), (0.0126, 6), (0.002, 1), (0.0, 1)])
+def test_spans_are_longer_where_pixels_fire_seldom(rate, count):
+    assert len(choose_spans(ReconstructionConfig(), "sweep", fired(4000, rate))) == count
 
 
 @pytest.mark.parametrize(
@@ -46,12 +60,12 @@ def test_a_span_is_as_long_as_was_asked_for():
     [{"model": "4dgs"}, {"model": "static"}, {"refine": "on"}, {"images": "clean"}, {"supervision": "image-variation"}],
 )
 def test_what_cannot_be_learnt_in_spans_is_learnt_in_one_piece(choices):
-    assert choose_spans(ReconstructionConfig(**choices), "sweep", 4000) == (Span(0, 4000),)
+    assert choose_spans(ReconstructionConfig(**choices), "sweep", LIT) == (Span(0, 4000),)
 
 
 def test_poses_that_training_refines_are_learnt_in_one_piece():
-    assert len(choose_spans(ReconstructionConfig(), "sfm", 4000)) == 1
-    assert len(choose_spans(ReconstructionConfig(), "natural", 4000)) == 10
+    assert len(choose_spans(ReconstructionConfig(), "sfm", LIT)) == 1
+    assert len(choose_spans(ReconstructionConfig(), "natural", LIT)) == 10
 
 
 def test_too_short_a_span_is_refused():

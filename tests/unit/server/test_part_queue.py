@@ -88,8 +88,10 @@ def learnt(store: Store, name: str) -> None:
 
 
 def test_parts_are_handed_out_before_the_training() -> None:
-    assert steps_of("reconstruct") == ["plan", "poses", "images", "points", PARTS, "train", "report"]
-    assert steps_of("verify") == ["verify"]
+    steps = ["plan", "poses", "images", "points", PARTS, "train", "report"]
+    assert steps_of("reconstruct", {}) == steps
+    assert steps_of("reconstruct", {"follow": True}) == ["follow", *steps]
+    assert steps_of("verify", {}) == ["verify"]
 
 
 def test_words_of_the_engine() -> None:
