@@ -1,7 +1,7 @@
 """Measures long recordings: reconstructed in spans, beside some of their parts, each reconstructed alone.
 
-A part alone is what the whole must not be worse than: the same planes as a recording of their own, with a minute. Every
-run is a process of its own, through the command line.
+A part alone is what the whole must not be worse than: the same planes as a recording of their own, with a minute.
+Baselines take the whole in one piece, with its seconds. Every run is a process of its own, through the command line.
 """
 
 import io
@@ -27,20 +27,26 @@ from reconstruction.run.spans import Span, cut
 from reconstruction.training.checkpoint import load_checkpoint
 from rigs.errors import Spike4dgsError
 
-WHOLE, SPAN, ALONE = "whole", "span", "alone"  # parts of the document
-FULL_S, QUICK_S = (20.0, 60.0), (3.0, 6.0)  # budgets: for each span of the whole, and of a part alone
+WHOLE, SPAN, ALONE, BASELINE = "whole", "span", "alone", "baseline"  # parts of the document
+ALONE_S, QUICK_S = 60.0, 6.0  # budget of a part alone
 EVERY = 5  # spans from one that is reconstructed alone to the next
 CHECKPOINT = "checkpoint.pt"
+FLOORS = ("depth_blend.psnr_db", "depth_blend.dynamic_psnr_db")  # what any method must be better than
 
 
 @dataclass(frozen=True)
 class LongClip:
-    """A long recording of a scene, made by `recorded` when it is first needed."""
+    """A long recording of a scene, made by `recorded` when it is first needed.
+
+    `per_span_s`: the budget for each span that it is cut into. `baselines`: models that are given as much for all.
+    """
 
     scene: str
     seed: int
     planes: int
     recorded: Callable[[], Path]
+    per_span_s: float
+    baselines: Sequence[str] = ()
 
     @property
     def name(self) -> str:
@@ -52,20 +58,24 @@ class LongClip:
         """The spans that its reconstruction has."""
         return cut(self.planes)
 
+    @property
+    def budget_s(self) -> float:
+        """The budget of the whole."""
+        return self.per_span_s * len(self.spans)
+
 
 @dataclass
 class LongBench:
     """Measures `clips` as far as there is `time_left`; what was measured is kept in `work`, by code and machine.
 
-    `budgets_s`: the seconds for each span of the whole, and those of a part alone. `every`: spans from a part that is
-    reconstructed alone to the next.
+    `alone_s`: the seconds of a part alone. `every`: spans from a part that is reconstructed alone to the next.
     """
 
     clips: Sequence[LongClip]
     contender: Contender
     work: Path
     progress: Progress
-    budgets_s: tuple[float, float] = FULL_S
+    alone_s: float = ALONE_S
     every: int = EVERY
     time_left: Callable[[], bool] = lambda: True
 
@@ -90,18 +100,18 @@ class LongBench:
     @cached_property
     def _key(self) -> dict[str, str | int | float]:
         """The code, the machine and the budgets that a kept row must be of."""
-        per_span_s, alone_s = self.budgets_s
-        own = {"code": this_code(), "revision": code_revision(), "per_span_s": per_span_s, "alone_s": alone_s}
-        return device() | own
+        budgets = {f"{clip.name}_s": clip.budget_s for clip in self.clips}
+        return device() | {"code": this_code(), "revision": code_revision(), "alone_s": self.alone_s} | budgets
 
     def _tasks(self, clip: LongClip) -> list[tuple[str, Callable[[], dict]]]:
         numbers = range(min(self.every // 2, len(clip.spans) - 1), len(clip.spans), self.every)
         alone = [(f"{clip.name}-{number}", partial(self._alone, clip, number)) for number in numbers]
-        return [(clip.name, partial(self._whole, clip)), *alone]
+        others = [(f"{clip.name}-{model}", partial(self._baseline, clip, model)) for model in clip.baselines]
+        return [(clip.name, partial(self._whole, clip)), *alone, *others]
 
     def _whole(self, clip: LongClip) -> dict:
         """Return the row of the whole recording, and one for each of its spans."""
-        out, budget_s = self.work / f"{clip.name}.run", self.budgets_s[0] * len(clip.spans)
+        out, budget_s = self.work / f"{clip.name}.run", clip.budget_s
         row = run_to_end(self.contender, clip.recorded(), out, budget_s, _told)
         spans = row.pop("spans", [])
         about = {"clip": clip.name, "scene": clip.scene, "seed": clip.seed}
@@ -113,10 +123,18 @@ class LongBench:
         part, span = self.work / f"{clip.name}-{number}", clip.spans[number]
         if not part.exists():
             cut_out(Recording.open(clip.recorded()), span, part)
-        row = run_to_end(self.contender, part, self.work / f"{clip.name}-{number}.run", self.budgets_s[1], _told)
+        row = run_to_end(self.contender, part, self.work / f"{clip.name}-{number}.run", self.alone_s, _told)
         about = {"part": ALONE, "clip": clip.name, "scene": clip.scene, "seed": clip.seed, "number": number}
         about |= {"first_tick": span.first, "last_tick": span.last - 1}
-        return {"rows": [about | {"planes": len(span), "budget_s": self.budgets_s[1]} | row]}
+        return {"rows": [about | {"planes": len(span), "budget_s": self.alone_s} | row]}
+
+    def _baseline(self, clip: LongClip, model: str) -> dict:
+        """Return the row of a baseline on the whole recording."""
+        out = self.work / f"{clip.name}-{model}.run"
+        row = run_to_end(self.contender, clip.recorded(), out, clip.budget_s, _told, model=model)
+        del row["spans"]
+        about = {"part": BASELINE, "model": model, "clip": clip.name, "scene": clip.scene, "seed": clip.seed}
+        return {"rows": [about | {"planes": clip.planes, "budget_s": clip.budget_s} | row]}
 
 
 def _told(run: Path) -> dict:
@@ -125,7 +143,8 @@ def _told(run: Path) -> dict:
     torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
     seams = seam_ratio(run)
     own = {} if seams is None else {"seam_ratio": seams}
-    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", []), **own}
+    blend = {name: metrics[name] for name in FLOORS if name in metrics}
+    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", []), **blend, **own}
 
 
 def summarise(rows: Sequence[dict]) -> dict[str, float]:

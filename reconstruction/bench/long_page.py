@@ -1,15 +1,19 @@
 """Writes the page and the picture of the bench of long recordings: error along them, seconds, memory, bytes."""
 
+from collections.abc import Sequence
 from pathlib import Path
+
+from matplotlib.axes import Axes
 
 from acquisition.durable import write_durably
 from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure, write_figure
-from reconstruction.bench.long import ALONE, SPAN, WHOLE
+from reconstruction.bench.long import ALONE, BASELINE, FLOORS, SPAN, WHOLE
 from reconstruction.bench.paper.tables import markdown
 
-ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own. Every
-run is a process of its own. Seconds are wall seconds from the start of the process to the end of the report; those of a
-span are of its training alone. Bytes are those of the stored scene."""
+ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own. A baseline
+has the whole in one piece, and as many seconds. Every run is a process of its own. Seconds are wall seconds from the
+start of the process to the end of the report; those of a span are of its training alone. Bytes are those of the stored
+scene."""
 RUNS = (
     ("planes", "planes", ",.0f"),
     ("budget_s", "budget / s", ".0f"),
@@ -39,6 +43,12 @@ RATIOS = {
     "bytes_ratio": "bytes a plane, over those of the parts",
     "seam_ratio": "step of movers' errors at seams, over that within spans",
 }
+KINDS = {WHOLE: "in spans", ALONE: "a part alone", BASELINE: "a baseline in one piece"}
+BY_LENGTH = (  # of the runs: the name of a value, what the axis calls it, its unit, whether it is of a plane
+    ("wall_s", "seconds a plane", 1, True),
+    ("peak_mb", "memory / MB", 1, False),
+    ("stored_bytes", "kB of the scene a plane", 1e3, True),
+)
 LINES = (("psnr_db", "whole picture", COLOURS[0]), ("dynamic_psnr_db", "movers", COLOURS[1]))
 
 
@@ -56,8 +66,10 @@ def page(document: dict) -> str:
     parts = ["# Long recordings", head + "drawn from [long.json](long.json).", ABOUT.replace("\n", " ")]
     for clip in dict.fromkeys(row["clip"] for row in document["rows"]):
         own = [row for row in document["rows"] if row["clip"] == clip]
-        runs = [row for row in own if row["part"] in (WHOLE, ALONE)]
+        runs = [row for row in own if row["part"] != SPAN]
         parts += [f"## {clip}", _table("run", RUNS, [(_name(row), row) for row in runs])]
+        floor = [row for row in runs if row["part"] == WHOLE and all(name in row for name in FLOORS)]
+        parts += [_floor(*(row[name] for name in FLOORS)) for row in floor]
         ratios = {name: document["summary"].get(f"{clip}.{key}") for key, name in RATIOS.items()}
         lines = [(name, f"{value:.3f}") for name, value in ratios.items() if value is not None]
         parts += [markdown(("against the parts alone", ""), lines)] if lines else []
@@ -74,8 +86,11 @@ def plot_long(path: Path, document: dict) -> None:
     clips = list(dict.fromkeys(row["clip"] for row in rows if row["part"] == SPAN))
     if not clips:
         return
-    figure = new_figure("Error along a long recording", (8.6, 0.8 + 3.4 * len(clips)))
-    for axes, clip in zip(figure.subplots(len(clips), squeeze=False)[:, 0], clips, strict=True):
+    figure = new_figure("Long recordings", (8.6, 3.2 + 3.4 * len(clips)))
+    grid = figure.add_gridspec(len(clips) + 1, len(BY_LENGTH))
+    _plot_lengths([figure.add_subplot(grid[-1, i]) for i in range(len(BY_LENGTH))], rows)
+    for place, clip in enumerate(clips):
+        axes = figure.add_subplot(grid[place, :])
         spans = [row for row in rows if row["clip"] == clip and row["part"] == SPAN]
         alone = [row for row in rows if row["clip"] == clip and row["part"] == ALONE]
         for score, name, colour in LINES:
@@ -86,7 +101,7 @@ def plot_long(path: Path, document: dict) -> None:
                 color=colour,
                 label=f"{name}, in spans",
             )
-            middles = [(spans[row["number"]]["first_tick"] + spans[row["number"]]["last_tick"]) / 2 for row in alone]
+            middles = [(row["first_tick"] + row["last_tick"]) / 2 for row in alone]
             found = [row[score] for row in alone]
             axes.plot(middles, found, "s", color=colour, fillstyle="none", label=f"{name}, the part alone")
         axes.set_title(clip, fontsize=10)
@@ -96,7 +111,27 @@ def plot_long(path: Path, document: dict) -> None:
     write_figure(path, figure, caption(document, rows, told))
 
 
+def _plot_lengths(panels: Sequence[Axes], rows: Sequence[dict]) -> None:
+    """Draw what a plane costs, and the memory, against the length of a recording; parts alone are the shortest."""
+    for axes, (key, name, scale, a_plane) in zip(panels, BY_LENGTH, strict=True):
+        for part, mark, colour in ((WHOLE, "o-", COLOURS[0]), (ALONE, "s", COLOURS[2]), (BASELINE, "x", COLOURS[3])):
+            own = sorted((row for row in rows if row["part"] == part), key=lambda row: row["planes"])
+            values = [row[key] / scale / (row["planes"] if a_plane else 1) for row in own]
+            axes.plot([row["planes"] for row in own], values, mark, color=colour, label=KINDS[part])
+        axes.set_xscale("log")
+        axes.set_ylim(bottom=0)
+        name_axes(axes, "planes", name)
+    panels[0].legend(fontsize=7, frameon=False)
+
+
+def _floor(whole_db: float, movers_db: float) -> str:
+    """Return what a blend of the cameras' own pictures, warped by depth, has on the whole recording."""
+    return f"The depth-warped blend of the training cameras' pictures has {whole_db:.2f} dB, movers {movers_db:.2f}."
+
+
 def _name(row: dict) -> str:
+    if row["part"] == BASELINE:
+        return f"`{row['model']}` in one piece"
     return "in spans" if row["part"] == WHOLE else f"part {row['number']} alone"
 
 

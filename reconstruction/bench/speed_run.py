@@ -73,7 +73,13 @@ class Contender:
 
 
 def run_to_end(
-    contender: Contender, recording: Path, out: Path, budget_s: float, told: Callable[[Path], dict] = lambda out: {}
+    contender: Contender,
+    recording: Path,
+    out: Path,
+    budget_s: float,
+    told: Callable[[Path], dict] = lambda out: {},
+    *,
+    model: str = "auto",
 ) -> dict:
     """Reconstruct with a budget in a process of its own, and return seconds, memory and scores of its end.
 
@@ -83,6 +89,7 @@ def run_to_end(
     """
     shutil.rmtree(out, ignore_errors=True)
     options = ["--out", str(out), "--holdout", HOLDOUT, "--budget-s", f"{budget_s:g}", "--json"]
+    options += [] if model == "auto" else ["--model", model]
     others, began = Stolen(), time.monotonic()
     try:
         usage = _finished([*contender.words, "reconstruct", str(recording), *options], contender)

@@ -8,22 +8,26 @@ from acquisition.bench_document import BenchDocument
 from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, LONG_DEVELOPMENT
 from server.cli.bench_asked import QUICK_RIG, THIS, Asked, recording
 
-TICKS, QUICK_TICKS = 4000, 1200
+SPAN_S = {4000: 18.0, 20_000: 12.0}  # seconds for each span, by the planes of a recording
+QUICK_SPAN_S = {1200: 3.0}
+BASELINES = {4000: ("stg", "4dgs", "d3dgs")}  # models that reconstruct a recording in one piece, by its planes
 
 
 def long_recordings(asked: Asked) -> BenchDocument:
     """Measure the long development scenes that were asked for."""
-    from reconstruction.bench.long import FULL_S, QUICK_S, LongBench, LongClip
+    from reconstruction.bench.long import ALONE_S, QUICK_S, LongBench, LongClip
     from reconstruction.bench.paper.bench import timer
     from reconstruction.bench.speed_run import NEW, Contender
 
     seed, work = DEVELOPMENT_SEEDS[0], asked.work / "long"
-    planes, rig = (QUICK_TICKS, QUICK_RIG) if asked.quick else (TICKS, None)
-    named = asked.named(LONG_DEVELOPMENT[:1])
-    made = {scene: partial(recording, scene, seed, work / str(planes), planes, rig) for scene in named}
-    clips = [LongClip(scene, seed, planes, recorded) for scene, recorded in made.items()]
-    contender, budgets_s = Contender(NEW, THIS, Path(sys.executable)), QUICK_S if asked.quick else FULL_S
-    return LongBench(clips, contender, work, asked.progress_of("long"), budgets_s, time_left=timer(asked.limit_s)).run()
+    rig, span_s = (QUICK_RIG, QUICK_SPAN_S) if asked.quick else (None, SPAN_S)
+    clips = []
+    for planes, per_span_s in span_s.items():
+        for scene in asked.named(LONG_DEVELOPMENT[:1]):
+            recorded = partial(recording, scene, seed, work / str(planes), planes, rig)
+            clips.append(LongClip(scene, seed, planes, recorded, per_span_s, BASELINES.get(planes, ())))
+    contender, alone_s = Contender(NEW, THIS, Path(sys.executable)), QUICK_S if asked.quick else ALONE_S
+    return LongBench(clips, contender, work, asked.progress_of("long"), alone_s, time_left=timer(asked.limit_s)).run()
 
 
 def draw_long(_: Asked, out: Path, found: dict) -> None:
