@@ -18,12 +18,16 @@ from rigs.rig import Rig
 
 @dataclass(frozen=True, eq=False)
 class TruthFrame:
-    """Linear intensity [H, W] in spikes per tick, depth [H, W] in m (NaN where nothing is), moving pixels [H, W]."""
+    """Linear intensity [H, W] in spikes per tick, depth [H, W] in m (NaN where nothing is), moving pixels [H, W].
+
+    `ids` [H, W] are those of the objects.
+    """
 
     plane: int
     intensity: NDArray[np.float32]
     depth: NDArray[np.float32]
     moving: NDArray[np.bool_]
+    ids: NDArray[np.integer]
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ class Truth:
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError(f"found no readable truth at plane {tick}", "it whole", where=folder) from error
         intensity = intensity if self.gain == 1 else intensity * np.float32(self.gain)
-        return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers))
+        return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers), ids)
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
         """Return the mean light [H, W] of the exposure centred on a plane, whose length `scene.json` states."""

@@ -21,7 +21,7 @@ from acquisition.revision import code_revision
 from reconstruction.bench.conventions import kept, means
 from reconstruction.bench.long_part import cut_out
 from reconstruction.bench.paper.digest import this_code
-from reconstruction.bench.seams import seam_ratio
+from reconstruction.bench.seams import measured_seams
 from reconstruction.bench.speed_run import SCORES, Contender, run_to_end
 from reconstruction.run.spans import Span, cut
 from reconstruction.training.checkpoint import load_checkpoint
@@ -31,6 +31,7 @@ WHOLE, SPAN, ALONE, BASELINE = "whole", "span", "alone", "baseline"  # parts of 
 ALONE_S, QUICK_S = 60.0, 6.0  # budget of a part alone
 EVERY = 5  # spans from one that is reconstructed alone to the next
 CHECKPOINT = "checkpoint.pt"
+SEAMS = ("seam_ratio", "followed", "switched")
 FLOORS = ("depth_blend.psnr_db", "depth_blend.dynamic_psnr_db")  # what any method must be better than
 
 
@@ -141,10 +142,8 @@ def _told(run: Path) -> dict:
     """Return the bytes of the scene of a run, without its optimiser's, and the scores of its spans, if it has any."""
     metrics, scene = json.loads((run / "metrics.json").read_text()), io.BytesIO()
     torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
-    seams = seam_ratio(run)
-    own = {} if seams is None else {"seam_ratio": seams}
     blend = {name: metrics[name] for name in FLOORS if name in metrics}
-    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", []), **blend, **own}
+    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", []), **blend, **measured_seams(run)}
 
 
 def summarise(rows: Sequence[dict]) -> dict[str, float]:
@@ -152,7 +151,8 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
 
     `CLIP.psnr_db` and the other scores are the mean over the spans that were also reconstructed alone, less that of
     these parts. `CLIP.seconds_ratio`, with the report, and `CLIP.bytes_ratio` are of a plane, `CLIP.memory_ratio` is
-    of the peaks. `CLIP.seam_ratio` is of the steps of movers' errors at seams and within spans.
+    of the peaks. `CLIP.seam_ratio` is of the steps of movers' errors at seams and within spans; `CLIP.followed` and
+    `CLIP.switched` count bodies there.
     """
     summary: dict[str, float] = {}
     for whole in (row for row in rows if row["part"] == WHOLE):
@@ -165,7 +165,7 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
         inside, outside = means(spans, SCORES), means(alone, SCORES)
         differences = {score: inside[score] - outside[score] for score in inside if score in outside}
         ratios = {f"{n}_ratio": _a_plane([whole], k) / _a_plane(parts.values(), k) for n, k in _A_PLANE.items()}
-        ratios |= {name: whole[name] for name in ("seam_ratio",) if name in whole}
+        ratios |= {name: whole[name] for name in SEAMS if name in whole}
         ratios["memory_ratio"] = whole["peak_mb"] / float(np.mean([row["peak_mb"] for row in parts.values()]))
         summary |= {f"{whole['clip']}.{name}": value for name, value in (differences | ratios).items()}
     return summary

@@ -10,10 +10,10 @@ from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure
 from reconstruction.bench.long import ALONE, BASELINE, FLOORS, SPAN, WHOLE
 from reconstruction.bench.paper.tables import markdown
 
-ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own. A baseline
-has the whole in one piece, and as many seconds. Every run is a process of its own. Seconds are wall seconds from the
-start of the process to the end of the report; those of a span are of its training alone. Bytes are those of the stored
-scene."""
+ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own.
+A baseline has the whole in one piece, and as many seconds. Every run is a process of its own. Seconds are wall seconds
+from the start of the process to the end of the report; those of a span are of its training alone. Bytes are those of
+the stored scene."""
 RUNS = (
     ("planes", "planes", ",.0f"),
     ("budget_s", "budget / s", ".0f"),
@@ -42,6 +42,8 @@ RATIOS = {
     "memory_ratio": "peak memory, over that of the parts",
     "bytes_ratio": "bytes a plane, over those of the parts",
     "seam_ratio": "step of movers' errors at seams, over that within spans",
+    "followed": "bodies that were followed across a seam",
+    "switched": "of these, other objects after it",
 }
 KINDS = {WHOLE: "in spans", ALONE: "a part alone", BASELINE: "a baseline in one piece"}
 BY_LENGTH = (  # of the runs: the name of a value, what the axis calls it, its unit, whether it is of a plane
@@ -71,7 +73,7 @@ def page(document: dict) -> str:
         floor = [row for row in runs if row["part"] == WHOLE and all(name in row for name in FLOORS)]
         parts += [_floor(*(row[name] for name in FLOORS)) for row in floor]
         ratios = {name: document["summary"].get(f"{clip}.{key}") for key, name in RATIOS.items()}
-        lines = [(name, f"{value:.3f}") for name, value in ratios.items() if value is not None]
+        lines = [(name, f"{value:.3f}".removesuffix(".000")) for name, value in ratios.items() if value is not None]
         parts += [markdown(("against the parts alone", ""), lines)] if lines else []
         spans = [row for row in own if row["part"] == SPAN]
         parts += [_table("span", SPANS, [(str(row["number"]), row) for row in spans])] if spans else []

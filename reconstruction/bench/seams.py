@@ -1,4 +1,4 @@
-"""Measures seams: how far the error of movers jumps where one span ends and the next begins."""
+"""Measures seams: how far the error of movers jumps where one span ends and the next begins, and who is who there."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -7,28 +7,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.evaluation.evaluate import HeldOut
+from reconstruction.evaluation.identities import identities
 from reconstruction.gaussians.spanned import SpannedScene
+from reconstruction.gaussians.tracks import tracks_of
 from reconstruction.pipeline.artefacts import posed, recording_of
 from reconstruction.pipeline.report_stage import judged
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
+from rigs.rig import object_distance_m
 
 
-def seam_ratio(path: Path) -> float | None:
-    """Return by how much more the error of a finished run steps at seams than within spans; None without either.
+def measured_seams(path: Path) -> dict[str, float]:
+    """Return what there is to say of the seams of a finished run; nothing without spans or truth.
 
-    A step is the root mean square, over pixels that move, of the change of render minus truth from one instant of truth
-    to the next.
+    `seam_ratio`: by how much more the error steps at seams than within spans. A step is the root mean square, over
+    pixels that move, of the change of render minus truth from one instant of truth to the next. `followed`: how often
+    a body was followed across a seam. `switched`: how often it was another object then.
     """
     run = RunFolder.open(path)
     recording = posed(run, recording_of(run), refined=True)
     if recording.truth is None:
-        return None
+        return {}
     trained = judged(run, recording, Truth.open(recording.truth))
     if not isinstance(trained.cloud, SpannedScene) or trained.held_out is None or trained.truth is None:
-        return None
+        return {}
     at_seams, within = steps_of_error(trained.cloud, trained.held_out, trained.truth)
-    return float(np.mean(at_seams) / np.mean(within)) if at_seams and within else None
+    ratio = {"seam_ratio": float(np.mean(at_seams) / np.mean(within))} if at_seams and within else {}
+    tracks = tracks_of(trained.cloud, object_distance_m(recording.rig.cameras))
+    found = identities(tracks, trained.cloud, trained.camera, trained.truth, recording.rig.clock)
+    return {**ratio, "followed": found.followed, "switched": found.switched}
 
 
 def steps_of_error(scene: SpannedScene, held_out: HeldOut, truth: Truth) -> tuple[list[float], list[float]]:

@@ -91,7 +91,7 @@ def _scores(scene: Scenery, cloud: SceneModel, camera: Camera) -> dict[str, floa
     frames = scene.render(camera, instants_s, SAMPLES)
     moving = np.isin(frames.ids, list(scene.movers.values()))
     rows: list[dict[str, float]] = []
-    for instant_s, *found in zip(instants_s, frames.intensity, frames.depth, moving, strict=True):
+    for instant_s, *found in zip(instants_s, frames.intensity, frames.depth, moving, frames.ids, strict=True):
         frame, view = TruthFrame(-1, *found), cloud.look(camera, float(instant_s))
         known = np.isfinite(frame.depth)
         empty = float((known & ~np.isfinite(view.depth)).sum() / max(1, known.sum()))
