@@ -4,6 +4,7 @@ Letters: T planes, H rows (row 0 at the top), W columns, B bytes of a plane, N w
 """
 
 import ctypes
+import mmap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from acquisition.spikes.layout import PlaneLayout
 
 Bytes = NDArray[np.uint8]
 Planes = Bytes | CompactPlanes
+PIECE_BYTES = 16 << 20  # of a mapped file, read at a time
 _SIZE = (ctypes.c_int32,) * 4  # stored width, height, whether MSB first, whether bottom row first
 PLANES = (Address, ctypes.c_int64, *_SIZE)  # argument types that go with `plane_arguments`
 _unpack_planes = Kernel("acquisition", "unpack_planes", *PLANES, Address)
@@ -66,23 +68,52 @@ def window_counts(packed: Planes, layout: PlaneLayout, bounds: NDArray, *, threa
     if outside.any():
         first, last = bounds[outside][0]
         raise BadRecordingError(f"found planes {first}:{last}", f"a window inside 0:{len(packed)}")
-    if isinstance(packed, CompactPlanes):
-        return _counts_by_block(packed, layout, bounds, threads)
+    pieces = _pieces(packed, int(bounds[:, 0].min(initial=len(packed))), int(bounds[:, 1].max(initial=0)))
+    if pieces or isinstance(packed, CompactPlanes):
+        return _counts_by_piece(packed, pieces, layout, bounds, threads)
     out = np.empty((len(bounds), layout.height, layout.stored_width), dtype=np.uint32)
     data, _, *size = plane_arguments(packed, layout)
     _count_windows(data, *size, bounds, len(bounds), threads, out)
     return without_trailing(out, layout)
 
 
-def _counts_by_block(packed: CompactPlanes, layout: PlaneLayout, bounds: NDArray, threads: int) -> NDArray[np.uint32]:
-    """Count as `window_counts` does, one block after another, each decoded once."""
+def _pieces(packed: Planes, first: int, last: int) -> list[tuple[int, int]]:
+    """Return the pieces of planes [first, last) that are read one after another; none where they are read at once."""
+    if isinstance(packed, CompactPlanes):
+        return list(packed.spans(first, last))
+    if not is_mapped(packed) or (last - first) * packed.shape[1] <= PIECE_BYTES:
+        return []
+    step = max(1, PIECE_BYTES // packed.shape[1])
+    return [(start, min(last, start + step)) for start in range(first, last, step)]
+
+
+def _counts_by_piece(
+    packed: Planes, pieces: list[tuple[int, int]], layout: PlaneLayout, bounds: NDArray, threads: int
+) -> NDArray[np.uint32]:
+    """Count as `window_counts` does, one piece after another, each read or decoded once."""
     out = np.zeros((len(bounds), layout.height, layout.width), dtype=np.uint32)
-    for first, last in packed.spans(int(bounds[:, 0].min(initial=len(packed))), int(bounds[:, 1].max(initial=0))):
+    for first, last in pieces:
         inside = np.clip(bounds, first, last) - first
         touched = inside[:, 1] > inside[:, 0]
         if touched.any():
             out[touched] += window_counts(packed[first:last], layout, inside[touched], threads=threads)
+        let_go(packed)
     return out
+
+
+def is_mapped(packed: Planes) -> bool:
+    """Return whether planes lie in a file that is mapped into memory."""
+    return getattr(packed, "_mmap", None) is not None
+
+
+def let_go(packed: Planes) -> None:
+    """Hand the pages of a mapped file that were read back: the system keeps them as long as it has room.
+
+    They are read again as if nothing had happened. Without it, a process that has been through a long recording holds
+    all of it.
+    """
+    if is_mapped(packed):
+        packed._mmap.madvise(mmap.MADV_DONTNEED)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def window_means(packed: Planes, layout: PlaneLayout, bounds: NDArray, *, threads: int = 1) -> NDArray[np.float32]:

@@ -63,6 +63,10 @@ class SpikeStream:
             raise BadRecordingError(f"found the instant at plane {plane}", f"one inside 0:{len(self)}")
         return max(0, plane - reach), min(len(self), plane + reach + 1)
 
+    def let_go(self) -> None:
+        """Hand what was read of a mapped file back to the system; it is read again where it is asked for."""
+        packing.let_go(self.packed)
+
     def mapped(self, first: int, last: int) -> SpikeStream:
         """Return planes [first, last) as `part` does, but read nothing, not even of a compact file."""
         packed: packing.Planes = self.packed

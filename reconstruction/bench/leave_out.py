@@ -5,8 +5,8 @@ is (a plan may cost 0.1 dB), `saved_s` and `saved_mb` how much more processor ti
 decision these stand beside the plan's own claims. The price of a wrong plan is measured by a mover that it misses, with
 the watch and without.
 
-Clips are small, 200x125 and mostly 200 planes. Each run has as many Gaussians as its plan chooses, unless an arm says
-otherwise. Compare figures with one another, not with those of other benches.
+Clips are small, 200x125 and mostly 200 planes; one is long and at rest. Each run has as many Gaussians as its plan
+chooses, unless an arm says otherwise. Compare figures with one another, not with those of other benches.
 """
 
 import multiprocessing
@@ -102,6 +102,7 @@ UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a m
 UNLIKE: dict[str, Any] = {"camera_gains": 0.05, "camera_lags": 4.0}
 CASES = (
     PlanCase("static", "static", 101, (MOTION, Arm("supervision", {"supervision": "image-variation"}))),
+    PlanCase("at-rest", "static", 101, ticks=4000),
     PlanCase("mono", "fan_and_ball", 1, (COLOUR,)),
     PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}), Arm("gains", {"gains": "on"}))),
     PlanCase("unlike-cameras", "fan_and_ball", 1, (Arm("gains", {"gains": "off"}),), devices=UNLIKE),

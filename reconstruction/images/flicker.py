@@ -22,6 +22,7 @@ LEAST_SPIKES = 4.0  # a block and window, on average; dimmer blocks say little
 DARK = 0.05  # share of the usual light below which nothing is seen
 BRIGHT_PERCENTILE = 90  # of the windows, a usual one, also where most of them are dark
 TOGETHER = 4096  # windows compared at a time
+LET_GO_EVERY = 64  # windows that are counted until what was read of a file is handed back
 MEDIAN_NOISE = 1.25  # deviation of a median over that of the mean of as many spikes, were they a Poisson process
 SURE = 3.0  # deviations by which the gains must vary: a few dim blocks tell nothing
 FLICKER = 0.01  # standard deviation of the gain from which light is said to flicker; noise alone leaves some 0.002
@@ -122,4 +123,6 @@ def spikes_of_blocks(stream: SpikeStream, starts: range) -> NDArray[np.uint16]:
             counts = stream.counts(start, start + WINDOW)
             sums = np.add.reduceat(np.add.reduceat(counts, rows, axis=0), columns, axis=1)
         found[number] = sums.ravel()
+        if number % LET_GO_EVERY == LET_GO_EVERY - 1:
+            stream.let_go()
     return found

@@ -6,15 +6,19 @@ import numpy as np
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
+from reconstruction.errors import BadRunError
 from reconstruction.pipeline.artefacts import LIGHT, MOVING
 from reconstruction.pipeline.span_artefacts import PLANNED, write_masks
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.plan import make_plan
+from reconstruction.run.plan import LEAST_WINDOW, make_plan
 
 
 def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
-    """Make the plan, and keep the light and each training view's moving pixels."""
+    """Make the plan, and keep the light and each training view's moving pixels; raises BadRunError as `make_plan`."""
+    if recording.planes < LEAST_WINDOW:
+        do = "record for longer: a plane is one bit a pixel"
+        raise BadRunError(f"found {recording.planes} planes", f"at least {LEAST_WINDOW}", do, where=recording.path)
     streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
     plan, masks, light = make_plan(run.config, recording.rig, streams, progress)
     run.write_array(LIGHT, light.gains)

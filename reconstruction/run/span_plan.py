@@ -103,8 +103,12 @@ def _rates(streams: Mapping[str, SpikeStream], light: Light, span: Span) -> list
 
 def span_masks(stream: SpikeStream, light: Light, spans: Sequence[Span]) -> NDArray[np.bool_]:
     """Return the pixels [S, H, W] that see something move in each of S spans."""
-    parts = [(stream.part(s.first, s.last), Light(light.gains[s.first : s.last])) for s in spans]
-    return np.stack([moving_pixels(*part) for part in parts])
+    masks = []
+    for span in spans:
+        part, own = stream.part(span.first, span.last), Light(light.gains[span.first : span.last])
+        masks.append(moving_pixels(part, own))
+        stream.let_go()
+    return np.stack(masks)
 
 
 def shares_of(masks: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.float64]:

@@ -175,6 +175,30 @@ def test_an_endless_capture_is_stopped(service: Service, open_page: Callable[...
     assert seen.faults == []
 
 
+def test_a_reconstruction_begins_while_its_capture_is_recorded(
+    service: Service, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    page = open_page()
+    page.get_by_label("Until stopped").check()
+    page.fill("#name-lab3x3", "followed")
+    page.click("#record-lab3x3")
+    card = page.locator("#captures > li", has_text="followed")
+    expect(card.locator(".status")).to_have_text("recording")
+    card.get_by_role("button", name="Reconstruct meanwhile…").click()
+    page.get_by_label("Time budget (s)").fill("60")
+    page.locator("#dialog-go").click()
+    expect(page.locator("#dialog")).to_have_count(0)
+    job = page.locator(f"#job-{newest(service)}")
+    expect(job).to_contain_text("begun while it was recorded")
+    expect(job.locator(".stages li").first).to_contain_text("follow")
+    asked = service.client.job(newest(service)).request.model_dump()
+    assert (asked["follow"], asked["budget_s"], asked["holdout"]) == (True, 60, "cam11")
+    expect(card.locator(".status")).to_have_text("recording")
+    card.get_by_role("button", name="Stop").click()
+    expect(job.locator(".status")).to_have_text("done")
+    assert seen.faults == []
+
+
 def test_a_capture_stopped_before_anything_was_kept_is_cancelled_and_says_so(
     service: Service, open_page: Callable[..., Any], seen: Seen
 ) -> None:

@@ -16,6 +16,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.plan import LEAST_WINDOW
 from reconstruction.run.spans import Span
 from reconstruction.training.checkpoint import load_cloud
 
@@ -111,6 +112,13 @@ def test_a_part_is_resumed_as_the_same_part_alone(long_recording, tmp_path):
     assert (cloud.clip.first_s, cloud.clip.last_s) == (100 / RATE_HZ, 160 / RATE_HZ)
     metrics = json.loads((path / "metrics.json").read_text())
     assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"] + 2
+
+
+def test_too_few_planes_for_a_picture_are_refused(long_recording, tmp_path):
+    for count in (1, 2, LEAST_WINDOW - 1):
+        few = replace(PART, from_tick=100, to_tick=100 + count)
+        with pytest.raises(BadRunError, match=f"found {count} planes, expected at least {LEAST_WINDOW}"):
+            reconstruct(long_recording, tmp_path / f"run-{count}", few, quiet)
 
 
 @pytest.mark.slow
