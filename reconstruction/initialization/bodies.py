@@ -22,7 +22,7 @@ from rigs.transform import Transform
 
 LEAST_POINTS = 40  # points of a cluster that may become a body
 LINK = 3.0  # spacings within which points are one cluster
-LINK_APART = 2.0  # spacings within which points are one cluster in a body that may be several
+APART = 2 / 3  # of that, within which points are one cluster in a body that may be several
 REACH = 2.5  # spacings within which a body explains a point
 LEAST_SHARE = 0.4  # least share of its points that a body finds again; with fewer it is lost
 SURE = 0.6  # share of points explained above which no second guess is tried
@@ -120,18 +120,20 @@ class Bodies:
         )
 
 
-def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
+def find_bodies(points: Points, instants_s: Sequence[float], *, link: float = LINK, first: int | None = None) -> Bodies:
     """Return the rigid bodies among the points of movers that were swept at I instants (s), largest first.
 
-    A body that did not move as one piece may be several that touch, and is looked at once more by a shorter link.
+    Clusters are of points within `link` spacings. The search begins at the instant number `first`, by default where
+    most clusters are apart. A body that did not move as one piece may be several that touch, and is looked at once more
+    by a shorter link.
     """
     instants = len(instants_s)
     owners, reasons = np.full(len(points), -1, dtype=np.int64), np.full(len(points), LONE, dtype=f"<U{LONGEST}")
     bodies: list[Body] = []
     positions, intensities = points.positions.astype(np.float32), points.intensities.astype(np.float32)
     single = replace(points, positions=positions, intensities=intensities)
-    whole = _tracked(single, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], LINK)
-    parts = [part for one in whole for part in _torn(one, single, instants)]
+    whole = _tracked(single, [np.flatnonzero(points.instants_s == instant_s) for instant_s in instants_s], link, first)
+    parts = [part for one in whole for part in _torn(one, single, instants, APART * link)]
     for body in sorted(parts, key=lambda body: -body.size):
         reason = SHORT if _is_short(body, instants) else ""
         for members in body.members.values():
@@ -149,12 +151,12 @@ def find_bodies(points: Points, instants_s: Sequence[float]) -> Bodies:
     return Bodies(owners, quats, centers, np.array(instants_s, dtype=np.float64), seen, reasons)
 
 
-def _torn(body: Body, points: Points, instants: int) -> list[Body]:
-    """Return the parts of a doubtful body where most of it moves better in parts; else the body alone."""
+def _torn(body: Body, points: Points, instants: int, link: float) -> list[Body]:
+    """Return the parts of a doubtful body, clusters by `link`, where most of it moves better so; else it alone."""
     if len(body.members) < 2 or (body.likeness >= DOUBTFUL and not _is_short(body, instants)):
         return [body]
     nowhere = np.zeros(0, dtype=np.int64)
-    parts = _tracked(points, [np.sort(body.members.get(i, nowhere)) for i in range(instants)], LINK_APART)
+    parts = _tracked(points, [np.sort(body.members.get(i, nowhere)) for i in range(instants)], link)
     sure = [part for part in parts if not _is_short(part, instants)]
     sizes = np.array([part.size for part in sure], dtype=np.float64)
     if sizes.sum() < body.size / 2:
@@ -163,11 +165,12 @@ def _torn(body: Body, points: Points, instants: int) -> list[Body]:
     return parts if likeness > body.likeness + BETTER else [body]
 
 
-def _tracked(points: Points, swept: Sequence[NDArray[np.int64]], link: float) -> list[Body]:
-    """Return the bodies among the points at indices `swept`, by instant, begun where most are apart."""
+def _tracked(points: Points, swept: Sequence[NDArray[np.int64]], link: float, first: int | None = None) -> list[Body]:
+    """Return the bodies among the points at indices `swept`, by instant, begun at `first` or where most are apart."""
     gaps = [_spacing(points.positions[which]) * link if len(which) >= LEAST_POINTS else 0.0 for which in swept]
     apart = [len(clusters(points, which, gap)) for which, gap in zip(swept, gaps, strict=True)]
-    first = int(np.argmax(apart)) if apart else 0
+    if first is None:
+        first = int(np.argmax(apart)) if apart else 0
     bodies: list[Body] = []
     later, earlier = range(first, len(swept)), range(first - 1, -1, -1)
     for i, before in (*((i, i - 1) for i in later), *((i, i + 1) for i in earlier)):

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from acquisition.recording.reader import Recording
-from reconstruction.initialization.bodies import Bodies, find_bodies
+from reconstruction.initialization.bodies import Bodies
+from reconstruction.initialization.choosing import choose_bodies, ways_within
 from reconstruction.initialization.judging import judge
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.pipeline import artefacts
@@ -20,20 +21,22 @@ def keep_bodies(run: RunFolder, recording: Recording, moving: Points, planes: Se
     The plan is amended only where its motion was left open.
     """
     views, clock = list(artefacts.read_views(run, recording).values()), recording.rig.clock
-    found = find_bodies(moving, [clock.instant_s(plane) for plane in planes])
     clip, still = TimeSpan.of_planes(clock, 0, recording.planes), artefacts.read(run, artefacts.STILL, Points)
     cameras = [camera for camera, _ in views]
-    seeds = Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: found)
-    judgement = judge(seeds, views, clock)
-    bodies = found.only(judgement.kept)
+    judged = lambda found: judge(  # noqa: E731
+        Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: found), views, clock
+    )
+    budget_s = run.config.budget_s  # in one piece there are fewer bodies to miss: a shorter training has less to gain
+    ways = ways_within(None if budget_s is None else budget_s / 2)
+    bodies, found, ratio = choose_bodies(moving, [clock.instant_s(plane) for plane in planes], judged, ways)
     artefacts.write(run, artefacts.BODIES, bodies)
     run.document.bodies = BodyCounts(len(bodies), bodies.attached, bodies.free)
     if run.config.model == "auto":
         model = "bases" if len(bodies) else "linear"
         reason = (
-            f"{len(bodies)} of {len(found)} rigid bodies explain the counts between the swept instants, "
-            f"with {judgement.ratio:.3f} of the error of points at rest"
+            f"{len(bodies)} of {found} rigid bodies explain the counts between the swept instants, "
+            f"with {ratio:.3f} of the error of points at rest"
         )
-        facts = {"rigid_bodies": len(bodies), "found_bodies": len(found), "error_ratio": judgement.ratio}
+        facts = {"rigid_bodies": len(bodies), "found_bodies": found, "error_ratio": ratio, "ways": len(ways)}
         run.amend("points", Decision("motion", model, reason, "--model", facts=facts), model=model)
     return bodies

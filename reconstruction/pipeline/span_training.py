@@ -17,7 +17,8 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanCloud, SpanContent
 from reconstruction.images.background import dimming
-from reconstruction.initialization.bodies import Bodies, find_bodies
+from reconstruction.initialization.bodies import Bodies
+from reconstruction.initialization.choosing import choose_bodies, ways_within
 from reconstruction.initialization.judging import judge
 from reconstruction.initialization.points import Points, Seeds, sample_points
 from reconstruction.initialization.pyramid import swept_maps
@@ -122,9 +123,12 @@ def _started(
     clip = TimeSpan.of_planes(clock, 0, planes)
 
     def bodies() -> Bodies:
-        found = find_bodies(moving, list(instants.values()))
-        own = replace(seeds, moving=moving, bodies=lambda: found)
-        return found.only(judge(own, views, clock, still).kept).beside(len(resting))
+        judged = lambda found: judge(  # noqa: E731
+            replace(seeds, moving=moving, bodies=lambda: found), views, clock, still
+        )
+        part_s = None if run.config.budget_s is None else run.config.budget_s / len(run.plan.spans)
+        found = choose_bodies(moving, list(instants.values()), judged, ways_within(part_s))
+        return found.bodies.beside(len(resting))
 
     views = [(one.camera, one.source) for one in seen]
     points = Points.joined([moving, resting])
