@@ -18,7 +18,7 @@ LEAST_SHARE = 0.5  # of the Gaussians of a body that are seen, which must lie on
 
 
 class Identities(NamedTuple):
-    """How many seams bodies were followed across, and where the object behind the body was another one after it."""
+    """Counts the seams that bodies were followed across, and those after which the object behind it was another one."""
 
     followed: int
     switched: int

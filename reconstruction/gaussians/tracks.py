@@ -143,7 +143,7 @@ def _grown(cells: Cells) -> Cells:
 
 
 def _own_frame(cloud: DynamicCloud, riders: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the frame of a track that begins: turned as its body, in the middle of what rides on it."""
+    """Return the frame of a track that begins: turned as its body, in the middle of its riders."""
     weights = cloud.moving.opacity_logits[riders].sigmoid()[:, None]
     middle = (weights * cloud.moving.means[riders]).sum(dim=0, keepdim=True) / weights.sum().clamp_min(1e-9)
     return torch.tensor([[1.0, 0.0, 0.0, 0.0]]), middle

@@ -10,7 +10,7 @@ from server.cli.bench_asked import QUICK_RIG, THIS, Asked, recording
 
 SPAN_S = {4000: 18.0, 20_000: 12.0}  # seconds for each span, by the planes of a recording
 QUICK_SPAN_S = {1200: 3.0}
-BASELINES = {4000: ("stg", "4dgs", "d3dgs")}  # models that reconstruct a recording in one piece, by its planes
+WITH_BASELINES = (4000,)  # planes of a recording that baselines reconstruct, too
 
 
 def long_recordings(asked: Asked) -> BenchDocument:
@@ -18,14 +18,20 @@ def long_recordings(asked: Asked) -> BenchDocument:
     from reconstruction.bench.long import ALONE_S, QUICK_S, LongBench, LongClip
     from reconstruction.bench.paper.bench import timer
     from reconstruction.bench.speed_run import NEW, Contender
+    from reconstruction.methods.catalogue import METHODS
 
     seed, work = DEVELOPMENT_SEEDS[0], asked.work / "long"
+    rivals = [
+        name for name, method in METHODS.items() if not method.ours and method.moves and method.supervision == "pixels"
+    ]
     rig, span_s = (QUICK_RIG, QUICK_SPAN_S) if asked.quick else (None, SPAN_S)
     clips = []
     for planes, per_span_s in span_s.items():
         for scene in asked.named(LONG_DEVELOPMENT[:1]):
             recorded = partial(recording, scene, seed, work / str(planes), planes, rig)
-            clips.append(LongClip(scene, seed, planes, recorded, per_span_s, BASELINES.get(planes, ())))
+            clips.append(
+                LongClip(scene, seed, planes, recorded, per_span_s, rivals if planes in WITH_BASELINES else ())
+            )
     contender, alone_s = Contender(NEW, THIS, Path(sys.executable)), QUICK_S if asked.quick else ALONE_S
     return LongBench(clips, contender, work, asked.progress_of("long"), alone_s, time_left=timer(asked.limit_s)).run()
 

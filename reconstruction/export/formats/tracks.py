@@ -26,8 +26,8 @@ def write_tracks(path: Path, scene: Scene, choices: Choices, progress: Progress)
     from rigs.rig import object_distance_m
 
     cloud = scene.cloud
-    is_rigid = isinstance(cloud, DynamicCloud) and isinstance(cloud.motion, RigidMotion)
-    if not isinstance(cloud, DynamicCloud | SpannedScene) or not (is_rigid or isinstance(cloud, SpannedScene)):
+    is_free = isinstance(cloud, DynamicCloud) and len(cloud.moving) > 0 and not isinstance(cloud.motion, RigidMotion)
+    if is_free or not isinstance(cloud, DynamicCloud | SpannedScene):
         raise BadRunError(f"found the model {scene.model}", "one with rigid bodies", "reconstruct with --model bases")
     text = io.StringIO()
     table = csv.writer(text)

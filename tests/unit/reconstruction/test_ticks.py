@@ -17,7 +17,7 @@ from reconstruction.scene_model import TimeSpan
 from reconstruction.truth import Truth
 from rigs.clock import RigClock
 
-OVER_TIME = {"ply-sequence", "video", "depth", "nerfstudio", "viewer"}
+OVER_TIME = {"tracks", "ply-sequence", "video", "depth", "nerfstudio", "viewer"}
 
 
 def part(first, last, **others):
