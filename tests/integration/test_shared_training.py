@@ -113,7 +113,10 @@ class Watched:
         """Process ids of the stages and parts that run now, and what they do."""
         found = {}
         for pid in self.deployment.stages():
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+            try:
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+            except (FileNotFoundError, ProcessLookupError):  # it has ended since it was listed
+                continue
             if any(self.id in word for word in words):
                 found[pid] = words[words.index("--part" if "--part" in words else "--stage") + 1]
         return found
