@@ -102,9 +102,8 @@ class Recording:
 
     def _stream(self, camera_id: str) -> SpikeStream:
         entry = self.manifest.camera(camera_id)
-        if (
-            not self.becomes and not (self.path / entry.stored_file).exists()
-        ):  # it may have become compact since the manifest was read
+        is_there = bool(self.becomes) or (self.path / entry.stored_file).exists()
+        if not is_there:  # it may have become compact since the manifest was read
             entry = read_manifest(self.path).camera(camera_id)
         if not entry.planes:
             do = "mend or leave it out, and record again"

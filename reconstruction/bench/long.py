@@ -31,7 +31,7 @@ WHOLE, SPAN, ALONE, BASELINE = "whole", "span", "alone", "baseline"  # parts of 
 ALONE_S, QUICK_S = 60.0, 6.0  # budget of a part alone
 EVERY = 5  # spans from one that is reconstructed alone to the next
 CHECKPOINT = "checkpoint.pt"
-SEAMS = ("seam_ratio", "followed", "switched")
+SEAMS = ("seam_ratio", "followed", "switched")  # what a row of the whole has of its seams
 FLOORS = ("depth_blend.psnr_db", "depth_blend.dynamic_psnr_db")  # what any method must be better than
 
 
@@ -133,13 +133,12 @@ class LongBench:
         """Return the row of a baseline on the whole recording."""
         out = self.work / f"{clip.name}-{model}.run"
         row = run_to_end(self.contender, clip.recorded(), out, clip.budget_s, _told, model=model)
-        del row["spans"]
         about = {"part": BASELINE, "model": model, "clip": clip.name, "scene": clip.scene, "seed": clip.seed}
         return {"rows": [about | {"planes": clip.planes, "budget_s": clip.budget_s} | row]}
 
 
 def _told(run: Path) -> dict:
-    """Return the bytes of the scene of a run, without its optimiser's, and the scores of its spans, if it has any."""
+    """Return the bytes of the scene of a run, without its optimiser's, its floors, and of its spans and seams."""
     metrics, scene = json.loads((run / "metrics.json").read_text()), io.BytesIO()
     torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
     blend = {name: metrics[name] for name in FLOORS if name in metrics}

@@ -30,7 +30,7 @@ class Way(NamedTuple):
 
 USUAL = (Way(),)
 SEVERAL = (Way(), Way(link=APART * LINK), Way(first=0.5))
-LEAST_S = 15.0  # seconds of a training below which bodies are found in one way: the others take two
+PART_S, WHOLE_S = 15.0, 30.0  # least seconds of a span, and of a run in one piece, in which several ways pay
 
 
 class Found(NamedTuple):
@@ -42,17 +42,29 @@ class Found(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """Body number `body` of `source`, its points [m], and by how many spikes it is nearer to the counts than rest."""
+    """Body number `body` of `source`, its points [m], and the errors of counts with it and with points at rest."""
 
     source: Bodies
     body: int
     points: NDArray[np.int64]
-    gain: float
+    riding: float
+    resting: float
+
+    def gain(self, owners: NDArray[np.int64]) -> float:
+        """Return by how many spikes it is nearer to the counts than rest, on its points that have no owner yet.
+
+        It is minus infinity where too few are left for it to be kept.
+        """
+        free = int((owners[self.points] < 0).sum())
+        if free < max(LEAST_POINTS, LEFT * len(self.points)):
+            return -np.inf
+        gain = self.resting - self.riding
+        return gain * free / len(self.points) if gain > 0 else gain
 
 
-def ways_within(seconds: float | None) -> Sequence[Way]:
-    """Return the ways to find bodies for a training of so many seconds, None for one of given steps."""
-    return SEVERAL if seconds is None or seconds >= LEAST_S else USUAL
+def ways_within(seconds: float | None, least_s: float) -> Sequence[Way]:
+    """Return the ways to find bodies in so many seconds, None for given steps: one where there are under `least_s`."""
+    return SEVERAL if seconds is None or seconds >= least_s else USUAL
 
 
 def choose_bodies(
@@ -69,42 +81,31 @@ def choose_bodies(
         return found, judge(found)
 
     tried = list(each(judged, ways))
-    usual, judgement = tried[0]
-    count = sum(len(found) for found, _ in tried)
-    if len(tried) == 1:
-        return Found(usual.only(judgement.kept), count, judgement.ratio)
-    pool = [
-        _Candidate(found, k, np.flatnonzero(found.owners == k), float(own.resting[k] - own.riding[k]))
+    left = [
+        _Candidate(found, k, np.flatnonzero(found.owners == k), float(own.riding[k]), float(own.resting[k]))
         for found, own in tried
         for k in own.kept.tolist()
     ]
-    resting = sum(float(own.resting[own.kept].sum()) for _, own in tried)
-    riding = sum(float(own.riding[own.kept].sum()) for _, own in tried)
-    return Found(_packed(usual, pool), count, riding / resting if resting else 1.0)
-
-
-def _packed(usual: Bodies, pool: Sequence[_Candidate]) -> Bodies:
-    """Return bodies of `pool` that share no point, those that explain most first; reasons are those of `usual`."""
-    owners, chosen = np.full(len(usual.owners), -1), []
-    left = list(pool)
+    usual, chosen = tried[0][0], []
+    owners = np.full(len(usual.owners), -1)
     while left:
-        free = [one.points[owners[one.points] < 0] for one in left]
-        shares = [len(own) / len(one.points) for own, one in zip(free, left, strict=True)]
-        worth = [
-            (one.gain * share if one.gain > 0 else one.gain) if share >= LEFT and len(own) >= LEAST_POINTS else -np.inf
-            for one, share, own in zip(left, shares, free, strict=True)
-        ]
-        best = int(np.argmax(worth))
-        if worth[best] == -np.inf:
+        best = max(left, key=lambda one: one.gain(owners))
+        if best.gain(owners) == -np.inf:
             break
-        owners[free[best]] = len(chosen)
-        chosen.append(left.pop(best))
+        left = [one for one in left if one is not best]
+        owners[best.points[owners[best.points] < 0]] = len(chosen)
+        chosen.append(best)
+    riding, resting = (sum(getattr(one, name) for one in chosen) for name in ("riding", "resting"))
+    count = sum(len(found) for found, _ in tried)
+    return Found(_joined(usual, owners, chosen), count, riding / resting if resting else 1.0)
+
+
+def _joined(usual: Bodies, owners: NDArray[np.int64], chosen: Sequence[_Candidate]) -> Bodies:
+    """Return the `chosen` bodies as one set whose points have these `owners` [n]; reasons are those of `usual`."""
     unlike = (owners < 0) & (usual.owners >= 0)
     reasons = np.where(unlike, np.array(UNLIKE, usual.reasons.dtype), np.where(owners < 0, usual.reasons, ""))
-    nothing = usual.only(np.zeros(0, dtype=np.int64))
-    kept = [one.source.only(np.array([one.body])) for one in chosen]
+    parts = [usual.only(np.zeros(0, dtype=np.int64)), *(one.source.only(np.array([one.body])) for one in chosen)]
     quats, centers, seen = (
-        np.concatenate([getattr(nothing, name), *(getattr(own, name) for own in kept)])
-        for name in ("quats_wxyz", "centers", "seen")
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("quats_wxyz", "centers", "seen")
     )
     return Bodies(owners, quats, centers, usual.instants_s, seen, reasons.astype(usual.reasons.dtype))

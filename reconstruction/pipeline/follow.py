@@ -77,6 +77,7 @@ class _Follower:
     progress: Progress
     should_stop: Callable[[], bool]
     looks: list[Look] = field(default_factory=list)
+    shown: list[bytes] = field(default_factory=list)  # the picture and what is told of it
 
     def newest(self) -> Iterator[Recording]:
         """Yield the newest planes of the recording each time there are enough that no look has seen."""
@@ -100,16 +101,15 @@ class _Follower:
         began, ticks = time.monotonic(), growing.ticks
         folder, own = self.run.path / LOOK, self.run.config
         budget_s = None if own.budget_s is None else min(LOOK_S, own.budget_s)
-        config = replace(own, from_tick=ticks.start, to_tick=ticks.stop, budget_s=budget_s)
+        config = replace(own, from_tick=ticks.start, to_tick=ticks.stop, budget_s=budget_s, span=None)  # in one piece
         took = Look(ticks.start, ticks.stop - 1)
 
         def show(fraction: float, message: str) -> None:
             nonlocal took
             if self._show_picture(folder) and took.picture_s is None:
                 took = replace(took, picture_s=round(time.monotonic() - began, 2))
-            self.progress(
-                0.0, f"ticks {ticks.start} to {ticks.stop - 1}: {message.splitlines()[-1] if message else ''}"
-            )
+            *_, last = message.splitlines() or [""]
+            self.progress(0.0, f"ticks {ticks.start} to {ticks.stop - 1}: {last}")
 
         shutil.rmtree(folder, ignore_errors=True)  # of one that was stopped
         try:
@@ -132,11 +132,13 @@ class _Follower:
         write_json(self.run.path / LOOKS, {"looks": [asdict(look) for look in self.looks]})
 
     def _show_picture(self, folder: Path) -> bool:
-        """Show the newest picture of a look as that of the run; return whether there is one."""
+        """Show the newest picture of a look as that of the run, unless it is shown; return whether there is one."""
         with suppress(FileNotFoundError):
             pictures = [(folder / name).read_bytes() for name in PREVIEW]
-            for name, data in zip(PREVIEW, pictures, strict=True):
-                write_durably(self.run.path / name, data)
+            if pictures != self.shown:
+                for name, data in zip(PREVIEW, pictures, strict=True):
+                    write_durably(self.run.path / name, data)
+                self.shown = pictures
             return True
         return False
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from acquisition.recording.reader import Recording
 from reconstruction.initialization.bodies import Bodies
-from reconstruction.initialization.choosing import choose_bodies, ways_within
+from reconstruction.initialization.choosing import WHOLE_S, choose_bodies, ways_within
 from reconstruction.initialization.judging import judge
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.pipeline import artefacts
@@ -26,8 +26,7 @@ def keep_bodies(run: RunFolder, recording: Recording, moving: Points, planes: Se
     judged = lambda found: judge(  # noqa: E731
         Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: found), views, clock
     )
-    budget_s = run.config.budget_s  # in one piece there are fewer bodies to miss: a shorter training has less to gain
-    ways = ways_within(None if budget_s is None else budget_s / 2)
+    ways = ways_within(run.config.budget_s, WHOLE_S)
     bodies, found, ratio = choose_bodies(moving, [clock.instant_s(plane) for plane in planes], judged, ways)
     artefacts.write(run, artefacts.BODIES, bodies)
     run.document.bodies = BodyCounts(len(bodies), bodies.attached, bodies.free)

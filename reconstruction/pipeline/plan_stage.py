@@ -15,7 +15,10 @@ from reconstruction.run.plan import LEAST_WINDOW, make_plan
 
 
 def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
-    """Make the plan, and keep the light and each training view's moving pixels; raises BadRunError as `make_plan`."""
+    """Make the plan, and keep the light and each training view's moving pixels.
+
+    Raises BadRunError for too few planes, and as `make_plan`.
+    """
     if recording.planes < LEAST_WINDOW:
         do = "record for longer: a plane is one bit a pixel"
         raise BadRunError(f"found {recording.planes} planes", f"at least {LEAST_WINDOW}", do, where=recording.path)

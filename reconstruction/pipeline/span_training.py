@@ -18,7 +18,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanCloud, SpanContent
 from reconstruction.images.background import dimming
 from reconstruction.initialization.bodies import Bodies
-from reconstruction.initialization.choosing import choose_bodies, ways_within
+from reconstruction.initialization.choosing import PART_S, choose_bodies, ways_within
 from reconstruction.initialization.judging import judge
 from reconstruction.initialization.points import Points, Seeds, sample_points
 from reconstruction.initialization.pyramid import swept_maps
@@ -127,7 +127,7 @@ def _started(
             replace(seeds, moving=moving, bodies=lambda: found), views, clock, still
         )
         part_s = None if run.config.budget_s is None else run.config.budget_s / len(run.plan.spans)
-        found = choose_bodies(moving, list(instants.values()), judged, ways_within(part_s))
+        found = choose_bodies(moving, list(instants.values()), judged, ways_within(part_s, PART_S))
         return found.bodies.beside(len(resting))
 
     views = [(one.camera, one.source) for one in seen]

@@ -32,8 +32,8 @@ def reconstruct(
 
     `started` is the process's start on the monotonic clock. With `again` (a number that grows from time to time)
     `stage` and those after it are forgotten first, also in a finished run. With `grows` the recording may still be
-    written; then its planes so far are read. Raises BadRunError for a finished run,
-    another configuration, a stage whose predecessors are missing, or a device that is not here.
+    written; then its planes so far are read. Raises BadRunError for a finished run, another configuration, a stage
+    whose predecessors are missing, or a device that is not here.
     """
     began = time.monotonic() if started is None else started
     if config.device == CUDA and stage != STAGES[-1]:

@@ -118,6 +118,10 @@ class ReconstructRequest(OfCapture):
     def _one_bound(self) -> ReconstructRequest:
         if self.budget_s is not None and self.steps is not None:
             raise ValueError("found both budget_s and steps, expected at most one")
+        return self
+
+    @model_validator(mode="after")
+    def _follows_all(self) -> ReconstructRequest:
         if self.follow and (self.from_tick is not None or self.to_tick is not None):
             raise ValueError("found follow with from_tick or to_tick, expected all of the capture")
         return self

@@ -12,18 +12,11 @@ from server.store.entries import Entries, Listed
 
 _LOOK_AT = 20  # newest finished jobs of a type
 _LEAST_FRACTION = 0.05  # of a stage, before its own speed tells anything
-_NOT_ALIKE = (
-    "capture",
-    "job",
-    "name",
-    "priority",
-    "seed",
-    "holdout",
-    "follow",
-)  # options that hardly change the duration
+# Options that hardly change the duration.
+_NOT_ALIKE = ("capture", "job", "name", "priority", "seed", "holdout", "follow")
 _LENGTHS = ("from_tick", "to_tick")  # options that change it by the planes alone
 _SAMPLED = ("calibrate", "check-rig")  # types that read as many planes of any capture
-_SCORING = "report"
+_SCORING = "report"  # the stage after the last checkpoint
 _UNCOUNTED = (FOLLOW, _SCORING)  # stages that a budget does not count
 Seconds = dict[str, float]
 _Earlier = tuple[dict[str, Any], float | None, Seconds]  # the options of a job, its length, and what its stages took

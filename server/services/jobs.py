@@ -45,9 +45,9 @@ class JobService:
         entries = [self._entry(job_id, request, waits) for job_id, request in requests.items()]
         for entry in entries:
             self._store.folder.job(entry.id).mkdir(exist_ok=True)
-        kept = [entry for entry in entries if waits or (entry.request.get("follow") and self._queue.waits(entry))]
-        self._store.entries.add_all(kept)
-        self._queue.add_all([entry for entry in entries if entry not in kept])
+        early = {e.id for e in entries if waits or (e.request.get("follow") and self._queue.waits(e))}
+        self._store.entries.add_all([entry for entry in entries if entry.id in early])
+        self._queue.add_all([entry for entry in entries if entry.id not in early])
 
     def get(self, job_id: str) -> Job:
         """Return one job; raises NotFoundError."""

@@ -141,3 +141,23 @@ def test_a_look_that_fails_is_noted_and_the_next_one_made(long_recording, tmp_pa
         looks = following.result()
     assert looks[0].failed == "found nothing that moves, expected something"
     assert looks[1].failed is None
+
+
+def test_a_look_is_in_one_piece_and_takes_no_longer_than_it_may(long_recording, tmp_path, monkeypatch):
+    asked = []
+
+    def refused(*given, **named):
+        asked.append(given[2])
+        raise BadRunError("found a look", "none")
+
+    monkeypatch.setattr(module, "reconstruct", refused)
+    config = ReconstructionConfig(holdout="cam11", budget_s=600, span=LOOK_PLANES)
+    with Rewriter(long_recording, tmp_path / "rec") as rewriter, ThreadPoolExecutor(1) as aside:
+        rewriter.write(0, AT_FIRST)
+        following = aside.submit(follow, tmp_path / "rec", tmp_path / "run", config, silent)
+        awaited(lambda: asked or following.done())
+        rewriter.write(AT_FIRST, rewriter.source.planes)
+        rewriter.commit()
+        following.result()
+    assert (asked[0].span, asked[0].budget_s, asked[0].holdout) == (None, module.LOOK_S, "cam11")
+    assert asked[0].to_tick - asked[0].from_tick == LOOK_PLANES

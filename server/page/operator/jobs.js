@@ -9,7 +9,7 @@ import { labelling, note } from './labels.js';
 import { artefact, download, enlarging, renewed, video } from './media.js';
 import { heading } from './naming.js';
 import { outlook } from './outlook.js';
-import { ended, of } from './results.js';
+import { ended, has, of } from './results.js';
 import { box } from './selection.js';
 import { inWords, JOBS, OPTIONS } from './words.js';
 import { openPictures } from './zoom.js';
@@ -73,7 +73,6 @@ function curveOf(item) {
   return item.status === 'queued' ? null : curve(found.points, 'Training images', 'training');
 }
 
-const has = (item, name) => of(item.id).artefacts.some((one) => one.name === name);
 const archive = (item, id, label) => download(`${id}-${item.id}`, `/v1/jobs/${item.id}/archive`, `${item.id}.zip`, label);
 
 function results(item) {

@@ -4,6 +4,7 @@ import { addFigure, scored } from './curve.js';
 import { artefact } from './media.js';
 
 const MOST_TEXT = 40_000; // characters of a log or result on the page
+const MOST_READ = 200_000; // bytes of a file that is read for its figures
 const HISTORY_MS = 3000, QUIET_MS = 300, LOOKS_MS = 5000;
 const known = new Map();
 let work = Promise.resolve(); // one request after another, so that a long list does not flood the service
@@ -15,15 +16,16 @@ export function of(id) {
   return known.get(id);
 }
 
-const has = (found, name) => found.artefacts.some((one) => one.name === name);
+// Return whether a job has made a file, of fewer than `most` bytes.
+export const has = (item, name, most = Infinity) => of(item.id).artefacts.some((one) => one.name === name && one.bytes < most);
+
 const json = async (id, name) => (await request(artefact(id, name))).json();
 
 async function learnResults(item, found) {
   found.artefacts = (await get(`/jobs/${item.id}/artefacts`)).items;
-  const has = (name) => found.artefacts.some((one) => one.name === name && one.bytes < 200_000);
-  if (has('metrics.json')) found.scores = await json(item.id, 'metrics.json');
-  if (has('result.json')) found.answer = await json(item.id, 'result.json');
-  if (has('error_vs_time.json')) {
+  if (has(item, 'metrics.json', MOST_READ)) found.scores = await json(item.id, 'metrics.json');
+  if (has(item, 'result.json', MOST_READ)) found.answer = await json(item.id, 'result.json');
+  if (has(item, 'error_vs_time.json', MOST_READ)) {
     const history = await json(item.id, 'error_vs_time.json');
     const points = scored(history);
     found.steps = history.rows?.at(-1)?.steps;
@@ -46,12 +48,9 @@ async function learnHistory(item, draw) {
 
 // Learn of the scene that a job shows while its capture is recorded, a few seconds after a picture of it.
 function learnLooks(item, found, draw) {
-  if (found.looked || has(found, 'viewer.json')) return;
-  found.looked = setTimeout(async () => {
-    found.looked = null;
-    found.artefacts = (await get(`/jobs/${item.id}/artefacts`)).items;
-    draw();
-  }, LOOKS_MS);
+  if (found.looked || has(item, 'viewer.json')) return;
+  const look = async () => { found.artefacts = (await get(`/jobs/${item.id}/artefacts`)).items; };
+  found.looked = setTimeout(() => look().then(draw, () => draw()).finally(() => { found.looked = null; }), LOOKS_MS);
 }
 
 // Ask for the details of jobs that the page lacks, and forget all other jobs; call `draw` when they arrive.

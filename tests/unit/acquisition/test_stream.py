@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from acquisition.errors import BadRecordingError
+from acquisition.spikes import packing
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
@@ -65,3 +66,26 @@ def test_what_cannot_be_read_is_refused(tmp_path, dat):
     for rate in (0, -1, float("nan")):
         with pytest.raises(BadRecordingError, match="tick rate"):
             SpikeStream.open(dat, LAYOUT, rate)
+
+
+@pytest.mark.parametrize("piece_planes", [1, 7, 64, 10_000])
+def test_a_long_file_is_counted_in_pieces_and_read_again_after_it_was_let_go(tmp_path, monkeypatch, piece_planes):
+    planes = (np.random.default_rng(3).random((150, 10, 16)) < 0.3).astype(np.uint8)
+    (tmp_path / "cam00.dat").write_bytes(pack(planes, PlaneLayout(16, 10)).tobytes())
+    stream = SpikeStream.open(tmp_path / "cam00.dat", PlaneLayout(16, 10), 20_000.0)
+    monkeypatch.setattr(packing, "PIECE_BYTES", piece_planes * stream.layout.plane_bytes)
+    windows = [(0, 150), (0, 0), (3, 4), (63, 65), (100, 150), (140, 141), (0, 150)]
+    expected = [planes[first:last].sum(axis=0) for first, last in windows]
+    for part, shift in ((stream, 0), (stream.part(3, 150), 3)):
+        own = [(first - shift, last - shift) for first, last in windows if first >= shift]
+        kept = [counts for (first, _), counts in zip(windows, expected, strict=True) if first >= shift]
+        np.testing.assert_array_equal(part.window_counts(own), kept)
+        part.let_go()
+        np.testing.assert_array_equal(part.planes(0, 5), planes[shift : shift + 5])
+
+
+def test_planes_in_memory_have_nothing_to_let_go():
+    planes = np.ones((4, 2, 8), np.uint8)
+    stream = SpikeStream(pack(planes, PlaneLayout(8, 2)), PlaneLayout(8, 2), 20_000.0)
+    stream.let_go()
+    np.testing.assert_array_equal(stream.counts(0, 4), planes.sum(axis=0))

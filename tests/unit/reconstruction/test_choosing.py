@@ -5,7 +5,7 @@ import pytest
 
 from reconstruction.initialization import choosing
 from reconstruction.initialization.bodies import LONE, LONGEST, UNLIKE, Bodies
-from reconstruction.initialization.choosing import LEAST_S, SEVERAL, USUAL, Way, choose_bodies, ways_within
+from reconstruction.initialization.choosing import PART_S, SEVERAL, USUAL, WHOLE_S, Way, choose_bodies, ways_within
 from reconstruction.initialization.judging import Judgement
 from reconstruction.initialization.points import Points
 
@@ -82,5 +82,5 @@ def test_nothing_found_or_nothing_kept_is_no_body(choose):
 
 
 def test_a_short_training_has_no_time_for_more_than_one_way():
-    assert ways_within(None) == ways_within(LEAST_S) == SEVERAL
-    assert ways_within(LEAST_S - 1) == USUAL
+    assert ways_within(None, PART_S) == ways_within(PART_S, PART_S) == SEVERAL
+    assert ways_within(PART_S - 1, PART_S) == ways_within(WHOLE_S - 1, WHOLE_S) == USUAL

@@ -66,3 +66,9 @@ def test_a_budget_bounds_all_but_the_report() -> None:
 def test_images_of_some_planes_do_not_grow_with_the_capture() -> None:
     done = listed("images", {"images": 3.0}, capture="short", ticks="0:10")
     assert whole(listed("images", {}, capture="long", ticks="0:10"), done) == 3.0
+
+
+def test_looks_at_a_recording_that_is_written_count_for_nothing() -> None:
+    seconds = dict.fromkeys(("plan", "poses", "images", "points", "train", "report"), 1.0)
+    done = listed("reconstruct", seconds | {"follow": 500.0}, capture="short", budget_s=60, follow=True)
+    assert whole(listed("reconstruct", {}, capture="twice", budget_s=60), done) == 62.0
