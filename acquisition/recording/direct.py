@@ -49,6 +49,7 @@ class DirectFile:
             done = _libc().fallocate(self._handle, _KEEP_SIZE, self.reserved, size - self.reserved)
             number = ctypes.get_errno()
             if done and number not in (errno.EOPNOTSUPP, errno.ENOSYS):
+                self.cut(os.fstat(self._handle).st_size)  # gives back what was taken before the disk was full
                 raise OSError(number, os.strerror(number), str(self.path))
             self.reserved = size
 

@@ -140,15 +140,15 @@ class FailingFile(DirectFile):
 
 
 def test_what_a_disk_refuses_is_lost_in_its_layer_and_the_run_ends(tmp_path, capture):
-    senders = [Sender(number, 100_000, pause_s=0.001) for number in range(3)]
-    manifest = capture(senders, 100_000 * BLOCK_PLANES, file=FailingFile, use=DiskUse(ring_bytes=4 << 20))
+    senders = [Sender(number, 2_000, pause_s=0.001) for number in range(3)]
+    manifest = capture(senders, 2_000 * BLOCK_PLANES, file=FailingFile, use=DiskUse(ring_bytes=4 << 20))
     assert manifest.status == "incomplete"
     assert "cam01.dat: the disk is full or failing (No space left on device)" in manifest.reason
     assert manifest.camera("cam01").drops["disk"] > 0
     assert manifest.camera("cam01").written == (3 << 20) // LAYOUT.plane_bytes
     assert sum(manifest.camera("cam00").drops.values()) == 0
     assert len({camera.planes for camera in manifest.cameras}) == 1
-    assert all(sender.sent < 100_000 for sender in senders)
+    assert all(sender.sent < 2_000 for sender in senders)
     check(tmp_path / "rec")
 
 
@@ -156,8 +156,8 @@ def test_a_file_that_may_not_grow_ends_where_it_is_whole(tmp_path, capture):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3_500_000, hard))
     try:
-        senders = [Sender(number, 100_000, pause_s=0.001) for number in range(2)]
-        manifest = capture(senders, 100_000 * BLOCK_PLANES, use=DiskUse(ring_bytes=4 << 20))
+        senders = [Sender(number, 2_000, pause_s=0.001) for number in range(2)]
+        manifest = capture(senders, 2_000 * BLOCK_PLANES, use=DiskUse(ring_bytes=4 << 20))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert "cam00.dat: the disk is full or failing (File too large), " in manifest.reason
