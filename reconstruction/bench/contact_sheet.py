@@ -29,6 +29,11 @@ def write_sheet(path: Path, strips: Sequence[Sequence[tuple[str, Picture]]]) -> 
     write_png(path, sheet)
 
 
+def stack_sheets(path: Path, sheets: Sequence[Path]) -> None:
+    """Write sheets of one width below one another."""
+    write_png(path, np.concatenate([np.asarray(cv2.imread(str(sheet)), dtype=np.uint8) for sheet in sheets]))
+
+
 def _titled(title: str, picture: Picture) -> Picture:
     coloured = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=-1)
     tile = np.pad(coloured, ((TITLE_PX, GAP_PX), (0, GAP_PX), (0, 0)))

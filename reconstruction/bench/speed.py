@@ -31,12 +31,12 @@ STEPS_SHARE = 0.1  # share of the bench that times single steps
 class Extent:
     """The amount that is measured: runs as contenders and budgets in seconds, in turns; sizes of steps; turns of each.
 
-    `loaded`: the size of the steps beside a busy process.
+    `loaded`: the size of the steps beside a busy process; None for none.
     """
 
     runs: tuple[tuple[str, float], ...]
-    steps: tuple[StepSize, ...]
-    loaded: StepSize
+    steps: tuple[StepSize, ...] = ()
+    loaded: StepSize | None = None
     turns: int = TURNS
 
 
@@ -48,7 +48,9 @@ FULL = Extent(
 )
 _TINY = StepSize(2_000, 200, 125, 5)
 QUICK = Extent(((OLD, 6.0), (NEW, 3.0), (NEW, 6.0)), (_TINY,), _TINY, 2)
-LARGE_RUNS = ((OLD, 180.0), (NEW, 180.0), (OLD, 600.0), (NEW, 600.0))
+LARGE = Extent(((OLD, 180.0), (NEW, 180.0), (OLD, 600.0), (NEW, 600.0)))
+LARGE_QUICK = Extent(((NEW, 20.0),))
+LARGE_AGAIN = ((NEW, 180.0), (NEW, 600.0))  # runs of seeds after the first
 LARGE_SIZE = (1000, 1000)
 
 
@@ -64,15 +66,16 @@ class Clip:
 
     @property
     def name(self) -> str:
-        """The name in rows and summaries; a clip of another size than the rig's says so."""
-        return f"{self.scene}-{self.size[0]}x{self.size[1]}" if self.size else self.scene
+        """The name in rows and summaries; a clip of another size than the rig's says so, and its seed."""
+        return f"{self.scene}-{self.seed}-{self.size[0]}x{self.size[1]}" if self.size else self.scene
 
 
 @dataclass
 class SpeedBench:
     """Measures `contenders` on `clips`, as far as there is `time_left`; what was measured is kept in `work`.
 
-    What an earlier call has measured with the same revisions on the same machine is not measured again.
+    What an earlier call has measured with the same revisions on the same machine is not measured again. `name` is the
+    document's. `seen` is called with a clip and the folder of each run of this revision, before that is deleted.
     """
 
     contenders: Sequence[Contender]
@@ -81,10 +84,12 @@ class SpeedBench:
     progress: Progress
     extent: Extent = FULL
     time_left: Callable[[], bool] = lambda: True
+    name: str = "speed"
+    seen: Callable[[Clip, Path], None] = lambda clip, out: None
 
     def run(self) -> BenchDocument:
         """Return the document of all runs and steps; what failed or was left out stands in its omissions."""
-        document = BenchDocument("speed")
+        document = BenchDocument(self.name)
         self.work.mkdir(parents=True, exist_ok=True)
         with Steppers() as steppers:
             self._measure(document, self._steps(steppers), part(self.progress, 0.0, STEPS_SHARE))
@@ -92,7 +97,7 @@ class SpeedBench:
         document.summary = summarise(document.rows)
         if all(contender.name != OLD for contender in self.contenders):
             document.omissions.append("the older revision: no command of it was given with --against")
-        document.omissions.append("one seed a scene, one run a budget; a second one where others took a tenth of it")
+        document.omissions.append("one run a budget; a second one where others took a tenth of it")
         self.progress(1.0, f"{len(document.rows)} rows")
         return document
 
@@ -120,7 +125,8 @@ class SpeedBench:
         """Return the measurements of steps by their names: each size on one and on all threads, and beside a load."""
         most = len(os.sched_getaffinity(0))
         parts = [(STEPS, size, threads) for size in self.extent.steps for threads in sorted({1, most})]
-        parts.append((LOADED, self.extent.loaded, most))
+        if self.extent.loaded:
+            parts.append((LOADED, self.extent.loaded, most))
         return [
             (f"{kind}-{size.label}-{threads}", partial(self._in_turns, steppers, kind, size, threads))
             for kind, size, threads in parts
@@ -161,10 +167,16 @@ class SpeedBench:
         recording, tried = clip.recorded(), []
         while not tried or (len(tried) < TRIES and tried[-1]["stolen"] > QUIET):
             out = self.work / f"{clip.name}-{contender.name}.run"
-            tried.append(run_to_end(contender, recording, out, budget_s))
+            tried.append(run_to_end(contender, recording, out, budget_s, partial(self._told, clip, contender)))
         about = {"part": "ends", "which": contender.name, "command": contender.said, "clip": clip.name}
         about |= {"scene": clip.scene, "seed": clip.seed, "budget_s": budget_s}
         return {"rows": [about | min(tried, key=lambda row: row["stolen"])]}
+
+    def _told(self, clip: Clip, contender: Contender, out: Path) -> dict:
+        """Show a run that ended; the folder of an older revision is not read."""
+        if contender.name == NEW:
+            self.seen(clip, out)
+        return {}
 
 
 def _of_steps(steps: Sequence[dict[str, float]]) -> dict[str, float]:

@@ -51,9 +51,10 @@ def page(document: dict) -> str:
     device, rows = document["device"], document["rows"]
     old = sorted({row["revision"] for row in rows if row["which"] == OLD})
     against = f" against {', '.join(old)}" if old else ""
-    head = f"`spike4dgs bench speed`, revision {document['revision']}{against}, {device['processor']}, "
-    head += f"{device['threads']} threads; drawn from [speed.json](speed.json)."
-    parts = ["# Speed", head, ABOUT]
+    name = document["bench"]
+    head = f"`spike4dgs bench {name}`, revision {document['revision']}{against}, {device['processor']}, "
+    head += f"{device['threads']} threads; drawn from [{name}.json]({name}.json)."
+    parts = [f"# {name.capitalize()}", head, ABOUT]
     for title, table in TABLES.items():
         found = table(document)
         parts += [f"## {title}", found] if found else []

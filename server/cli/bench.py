@@ -35,16 +35,17 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
 )
 @click.option("--table", "tables", help="paper: NAME,... of its tables [default: all, by priority].")
 @click.option(
-    "--limit-s", type=click.FloatRange(min=0), help="paper, leave-out, speed: begin nothing after so many seconds."
+    "--limit-s",
+    type=click.FloatRange(min=0),
+    help="paper, leave-out, long, speed, large: begin nothing after so many seconds.",
 )
 @click.option("--keep", is_flag=True, help="paper: keep results of other code revisions; their rows say so.")
 @click.option(
     "--against",
     metavar="COMMAND",
     type=click.Path(path_type=Path, exists=True, dir_okay=False, executable=True),
-    help="speed: the installed spike4dgs of an older revision [default: this revision is measured alone].",
+    help="speed, large: the installed spike4dgs of an older revision [default: this revision is measured alone].",
 )
-@click.option("--large", is_flag=True, help="speed: pictures of 1000x1000 also where --scenes are named; an hour.")
 @click.option("--out", type=PATH, help="Folder for NAME.json and NAME.png; an interrupted bench resumes there.")
 @json_option
 def bench_command(name: str, out: Path | None, as_json: bool, **options: Any) -> None:

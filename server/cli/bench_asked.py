@@ -31,7 +31,6 @@ class Asked:
     limit_s: float | None = None
     keep: bool = False
     against: Path | None = None
-    large: bool = False
 
     def named(self, default: tuple[str, ...]) -> tuple[str, ...]:
         """Return the scenes asked for, or `default`; only the first of them with --quick."""

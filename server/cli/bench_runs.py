@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +17,9 @@ from acquisition.scenes.catalog import (
     REALISTIC,
     scenes_named,
 )
-from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, THIS, TICKS, Asked, Bench, recording
+from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, TICKS, Asked, Bench, recording
 from server.cli.bench_long import draw_long, long_recordings
+from server.cli.bench_speed import draw_speed, large, speed
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
@@ -170,36 +169,6 @@ def _viewpoints(asked: Asked) -> BenchDocument:
     return bench_viewpoints(_laboratory(asked, "paper").runs(cells), asked.progress_of("viewpoints"))
 
 
-def _speed(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.paper.bench import timer
-    from reconstruction.bench.speed import FULL, LARGE_RUNS, LARGE_SIZE, QUICK, Clip, SpeedBench
-    from reconstruction.bench.speed_run import NEW, Contender
-
-    extent, work, rig = (QUICK, "speed/quick", QUICK_RIG) if asked.quick else (FULL, "speed", None)
-    ticks, place = (QUICK_TICKS, asked.work / work) if asked.quick else (TICKS, asked.work)
-    seed = DEVELOPMENT_SEEDS[0]
-    clips = [
-        Clip(scene, seed, extent.runs, partial(recording, scene, seed, place, ticks, rig))
-        for scene in asked.named((*DEVELOPMENT, *REALISTIC))
-    ]
-    if asked.large or not (asked.scenes or asked.quick):
-        scene, size = DEVELOPMENT[0], "x".join(map(str, LARGE_SIZE))
-        made = partial(recording, scene, seed, asked.work / size, size=size)
-        clips.append(Clip(scene, seed, LARGE_RUNS, made, LARGE_SIZE))
-    contenders = [Contender(NEW, THIS, Path(sys.executable))]
-    if asked.against:
-        contenders.insert(0, Contender.installed(asked.against))
-    progress = asked.progress_of("speed")
-    return SpeedBench(contenders, clips, asked.work / work, progress, extent, timer(asked.limit_s)).run()
-
-
-def _draw_speed(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.speed_page import write_page
-
-    _draw(asked, out, found)
-    write_page(out / "speed.md", found)
-
-
 def _laboratory(asked: Asked, name: str) -> Laboratory:
     """Return the folder in which the runs of the bench `name` are made and kept."""
     from reconstruction.bench.paper.run import Laboratory
@@ -226,7 +195,6 @@ BENCHES: dict[str, Bench] = {
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
     "long": Bench("long recordings in spans, against parts of them alone", long_recordings, draw_long),
-    "speed": Bench(
-        "how much sooner than an older revision: whole runs and single steps, in turns", _speed, _draw_speed
-    ),
+    "speed": Bench("how much sooner than an older revision: whole runs and single steps, in turns", speed, draw_speed),
+    "large": Bench("whole runs at a million pixels, and of an older revision in turns", large, draw_speed),
 }

@@ -99,8 +99,8 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
             write_tables(folder / "paper.md", document, PROTOCOL)
         elif name == "long":
             write_long_page(folder / "long.md", document)
-        elif name == "speed":
-            write_speed_page(folder / "speed.md", document)
+        elif name in ("speed", "large"):
+            write_speed_page(folder / f"{name}.md", document)
         else:
             write_durably(folder / f"{name}.md", page(name, document).encode())
 

@@ -8,7 +8,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.progress import silent
 from reconstruction.bench import speed
 from reconstruction.bench.diagrams import PLOTS
-from reconstruction.bench.speed import FULL, LARGE_RUNS, LARGE_SIZE, QUICK, Clip, Extent, SpeedBench
+from reconstruction.bench.speed import FULL, LARGE, LARGE_SIZE, QUICK, Clip, Extent, SpeedBench
 from reconstruction.bench.speed_page import page, write_page
 from reconstruction.bench.speed_run import NEW, OLD, Contender, StepSize
 from reconstruction.bench.speed_summary import level_seconds, levels_db, serial_share, summarise
@@ -172,7 +172,11 @@ def contenders(*names: str) -> list[Contender]:
     return [Contender(name, (name,), Path(name), f"the {name} one") for name in names]
 
 
-def clip(name: str = "a", recorded=lambda: Path("recording"), runs=SHORT.runs) -> Clip:
+def recorded() -> Path:
+    return Path("recording")
+
+
+def clip(name: str = "a", recorded=recorded, runs=SHORT.runs) -> Clip:
     return Clip(name, 1, runs, recorded)
 
 
@@ -181,8 +185,9 @@ def made(monkeypatch):
     """Every run and every turn of steps that the bench asks for, none of which is done."""
     calls: list[str] = []
 
-    def told(contender, recording, out, budget_s):
+    def told(contender, recording, out, budget_s, ended):
         calls.append(f"{contender.name}@{budget_s:g}")
+        assert ended(out) == {}
         disturbed = contender.name == OLD and calls.count(calls[-1]) == 1
         return end("a", contender.name, budget_s, 30.0, 25.0) | {"stolen": 0.5 if disturbed else 0.0}
 
@@ -225,6 +230,15 @@ def test_both_revisions_are_run_in_turns_and_nothing_twice(made, tmp_path):
     assert (again.rows, again.summary) == (document.rows, document.summary)
 
 
+def test_each_run_of_this_revision_is_shown_before_it_is_deleted(made, tmp_path):
+    shown = []
+    SpeedBench(
+        contenders(OLD, NEW), [clip()], tmp_path, silent, Extent(SHORT.runs), seen=lambda c, out: shown.append((c, out))
+    ).run()
+    assert made == ["old@6", "old@6", "new@2", "new@6"]  # no single steps were asked for
+    assert shown == [(clip(), tmp_path / "a-new.run")] * 2
+
+
 def test_other_code_is_measured_again_on_both_sides(made, tmp_path, monkeypatch):
     SpeedBench(contenders(OLD, NEW), [clip()], tmp_path, silent, SHORT).run()
     whole = len(made)
@@ -262,6 +276,6 @@ def test_the_whole_bench_has_the_budgets_that_are_asked_for():
     assert budgets == {OLD: [20, 40, 60], NEW: [10, 20, 40, 60]}
     assert {(size.gaussians, size.width) for size in FULL.steps} == {(20_000, 400), (48_000, 400), (96_000, 1000)}
     assert FULL.turns >= 5
-    assert {budget for _, budget in LARGE_RUNS} == {180, 600}
-    assert Clip("a", 1, LARGE_RUNS, Path, LARGE_SIZE).name == "a-1000x1000"
+    assert {budget for _, budget in LARGE.runs} == {180, 600}
+    assert Clip("a", 1, LARGE.runs, Path, LARGE_SIZE).name == "a-1-1000x1000"
     assert max(budget for _, budget in QUICK.runs) < 10

@@ -1,4 +1,4 @@
-"""Options of the speed bench, and the clips and contenders that they make."""
+"""Options of the benches of speed, and the clips and contenders that they make."""
 
 import sys
 from pathlib import Path
@@ -8,12 +8,10 @@ import pytest
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, REALISTIC
-from reconstruction.bench.speed import FULL, LARGE_RUNS, LARGE_SIZE, QUICK, SpeedBench
+from reconstruction.bench.speed import FULL, LARGE, LARGE_AGAIN, LARGE_QUICK, LARGE_SIZE, QUICK, SpeedBench
 from server.cli import bench_asked
 from server.cli.bench_asked import Asked
 from server.cli.bench_runs import BENCHES
-
-LARGE = f"{DEVELOPMENT[0]}-1000x1000"
 
 
 @pytest.fixture
@@ -27,26 +25,34 @@ def chosen(monkeypatch, tmp_path):
 
     monkeypatch.setattr(SpeedBench, "run", keep)
 
-    def choose(**options) -> SpeedBench:
-        BENCHES["speed"].run(Asked(tmp_path, lambda _: silent, **options))
+    def choose(name="speed", **options) -> SpeedBench:
+        BENCHES[name].run(Asked(tmp_path, lambda _: silent, **options))
         return made.pop()
 
     return choose
 
 
-def test_the_full_bench_has_every_development_scene_and_large_pictures(chosen):
+def test_the_full_bench_has_every_development_scene(chosen):
     bench = chosen()
-    assert [clip.name for clip in bench.clips] == [*DEVELOPMENT, *REALISTIC, LARGE]
+    assert [clip.name for clip in bench.clips] == [*DEVELOPMENT, *REALISTIC]
     assert {clip.seed for clip in bench.clips} == {DEVELOPMENT_SEEDS[0]}
-    assert [clip.runs for clip in bench.clips] == [FULL.runs] * 4 + [LARGE_RUNS]
+    assert [clip.runs for clip in bench.clips] == [FULL.runs] * 4
     assert [contender.said for contender in bench.contenders] == ["this revision"]
 
 
-def test_scenes_narrow_it_and_large_pictures_are_asked_for(chosen):
+def test_scenes_narrow_it(chosen):
     assert [clip.name for clip in chosen(scenes="robot_arm").clips] == ["robot_arm"]
-    assert [clip.name for clip in chosen(scenes="robot_arm", large=True).clips] == ["robot_arm", LARGE]
     quick = chosen(quick=True)
     assert ([clip.name for clip in quick.clips], quick.extent) == ([DEVELOPMENT[0]], QUICK)
+
+
+def test_large_pictures_are_of_two_seeds_and_the_older_revision_has_the_first(chosen):
+    bench = chosen("large")
+    assert [clip.name for clip in bench.clips] == ["fan_and_ball-1-1000x1000", "fan_and_ball-2-1000x1000"]
+    assert [clip.runs for clip in bench.clips] == [LARGE.runs, LARGE_AGAIN]
+    assert (bench.name, bench.extent.steps, bench.extent.loaded) == ("large", (), None)
+    quick = chosen("large", quick=True)
+    assert ([clip.seed for clip in quick.clips], quick.extent) == ([1], LARGE_QUICK)
 
 
 def test_a_command_to_compare_with_is_run_first(chosen):
@@ -59,8 +65,8 @@ def test_a_command_to_compare_with_is_run_first(chosen):
 def test_a_large_recording_is_simulated_at_its_size(chosen, monkeypatch, tmp_path):
     calls = []
     monkeypatch.setattr(bench_asked.subprocess, "run", lambda command, **_: calls.append(command) or Done())
-    path = chosen(scenes="robot_arm", large=True).clips[-1].recorded()
-    assert path == tmp_path / "1000x1000" / "fan_and_ball-1"
+    path = chosen("large").clips[-1].recorded()
+    assert path == tmp_path / "large" / "400" / "fan_and_ball-2"
     assert calls[0][-2:] == ["--size", "x".join(map(str, LARGE_SIZE))]
 
 
