@@ -84,6 +84,6 @@ def _keep_tiles(asked: Asked, clip: Clip, out: Path) -> None:
     from reconstruction.bench.conventions import KnownRecording
     from reconstruction.run.folder import RunFolder
 
-    tiles = run_tiles(KnownRecording(clip.scene, clip.seed, clip.recorded()), RunFolder(out))
+    tiles = run_tiles(KnownRecording(clip.scene, clip.seed, clip.recorded()), RunFolder.open(out))
     _tiles(asked).mkdir(parents=True, exist_ok=True)
     write_sheet(_tiles(asked) / f"{clip.name}.png", [tiles[:3], tiles[3:]])
