@@ -1,7 +1,8 @@
 """`carried_boxes`: a crane puts boxes on a bench while carts, a gondola and a hopping ball come and go. Development."""
 
 from acquisition.scenes.bodies import Finish, at
-from acquisition.scenes.passing import Carrier, Lane, LongStage, Passer, cart
+from acquisition.scenes.long_stage import LongStage, Passer, cart
+from acquisition.scenes.passing import Carrier, Lane
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, Stage
 
@@ -26,8 +27,9 @@ def carried_boxes(seed: int) -> Scene:
     long = LongStage(stage, seed, NUMBER)
     rod = stage.shape("box", (0.02, ROD_M, 0.02), FINE[1], at(0, -ROD_M, 0))
     plate = stage.shape("box", (0.16, PLATE_M, 0.14), FINE[2])
-    crane = Carrier((rod, plate), (0.0, PLATE_M + BOX_HALF_M[1], 0.0), (0.0, -0.3, 0.0), 0.5)
-    long.boxes("crane", crane, PLACES, [stage.shape("box", BOX_HALF_M, FINE[i % 3]) for i in range(len(PLACES))])
+    crane = Carrier((0.0, PLATE_M + BOX_HALF_M[1], 0.0), (0.0, -0.3, 0.0), 0.5)
+    boxes = [stage.shape("box", BOX_HALF_M, FINE[i % 3]) for i in range(len(PLACES))]
+    long.boxes("crane", (rod, plate), crane, PLACES, boxes)
     long.passers(_things(stage))
     return long.scene("carried_boxes")
 

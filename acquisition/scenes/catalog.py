@@ -4,7 +4,8 @@ Methods are chosen and tuned on DEVELOPMENT scenes with DEVELOPMENT_SEEDS. They 
 EVALUATION_SEEDS, which nothing is tuned on. BACKGROUNDS develop far, even, empty and plain ones. STRESS scenes have
 one difficulty each; CALIBRATION ones calibrate a rig. REALISTIC ones, for development, and REALISTIC_EVALUATION ones
 are drawn by a path tracer, an extra that is needed only where one is drawn. LONG_DEVELOPMENT and
-LONG_EVALUATION scenes go on for any number of planes.
+LONG_EVALUATION scenes go on for any number of planes, REALISTIC_LONG and REALISTIC_LONG_EVALUATION ones for as long as
+they are drawn.
 Every other list of scene names, as of the command line and the benches, is made from these.
 """
 
@@ -25,9 +26,11 @@ from acquisition.scenes.realistic.rooms.banner import banner
 from acquisition.scenes.realistic.rooms.chrome_table import chrome_table
 from acquisition.scenes.realistic.rooms.courtyard import courtyard
 from acquisition.scenes.realistic.rooms.dominoes import dominoes
+from acquisition.scenes.realistic.rooms.loading_bay import loading_bay
 from acquisition.scenes.realistic.rooms.marbles import marbles
 from acquisition.scenes.realistic.rooms.plain_room import plain_room
 from acquisition.scenes.realistic.rooms.robot_arm import robot_arm
+from acquisition.scenes.realistic.rooms.sorting_hall import sorting_hall
 from acquisition.scenes.realistic.rooms.thrown_things import thrown_things
 from acquisition.scenes.realistic.scene import Build, DrawnScene
 from acquisition.scenes.rolling_and_sliding import rolling_and_sliding
@@ -48,14 +51,14 @@ def _listed(*builders: Callable[[int], Scenery]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _drawn(*builders: Build) -> tuple[str, ...]:
-    names = {build.__name__: functools.partial(_scene_of, build) for build in builders}
+def _drawn(*builders: Build, moved_by: tuple[str, ...] = ()) -> tuple[str, ...]:
+    names = {build.__name__: functools.partial(_scene_of, build, moved_by=moved_by) for build in builders}
     SCENES.update(names)
     return tuple(names)
 
 
-def _scene_of(build: Build, seed: int) -> Scenery:
-    return DrawnScene(build.__name__, seed, build)
+def _scene_of(build: Build, seed: int, moved_by: tuple[str, ...]) -> Scenery:
+    return DrawnScene(build.__name__, seed, build, moved_by=moved_by)
 
 
 DEVELOPMENT = _listed(fan_and_ball)
@@ -74,6 +77,9 @@ LONG_DEVELOPMENT = _listed(carried_boxes, rolling_and_sliding)
 LONG_EVALUATION = _listed(hoisted_barrels, pushed_blocks)
 REALISTIC = _drawn(plain_room, thrown_things, robot_arm)
 REALISTIC_EVALUATION = _drawn(chrome_table, dominoes, courtyard, banner, marbles)
+_JOURNEYS = ("realistic/journeys", "passing", "routes")
+REALISTIC_LONG = _drawn(sorting_hall, moved_by=_JOURNEYS)
+REALISTIC_LONG_EVALUATION = _drawn(loading_bay, moved_by=_JOURNEYS)
 PURPOSES = (
     ("What the cameras see. For development", DEVELOPMENT),
     ("for evaluation and nothing else", EVALUATION),
@@ -84,12 +90,16 @@ PURPOSES = (
     ("for evaluation and nothing else", LONG_EVALUATION),
     ("drawn by a path tracer, which takes minutes the first time, for development", REALISTIC),
     ("for evaluation and nothing else", REALISTIC_EVALUATION),
+    ("drawn by it too, for up to 5000 planes and hours, for development", REALISTIC_LONG),
+    ("for evaluation and nothing else", REALISTIC_LONG_EVALUATION),
 )
 GROUPS = {
     "realistic": REALISTIC,
     "realistic-evaluation": REALISTIC_EVALUATION,
     "long": LONG_DEVELOPMENT,
     "long-evaluation": LONG_EVALUATION,
+    "realistic-long": REALISTIC_LONG,
+    "realistic-long-evaluation": REALISTIC_LONG_EVALUATION,
 }
 
 

@@ -1,7 +1,8 @@
 """`hoisted_barrels`: a hoist puts barrels on a platform while six things pass. For evaluation only."""
 
 from acquisition.scenes.bodies import UPRIGHT, Finish, at
-from acquisition.scenes.passing import Carrier, Lane, LongStage, Passer, cart
+from acquisition.scenes.long_stage import LongStage, Passer, cart
+from acquisition.scenes.passing import Carrier, Lane
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, Stage
 
@@ -29,8 +30,8 @@ def hoisted_barrels(seed: int) -> Scene:
     barrels = [stage.shape("cylinder", (RADIUS_M, HALF_M), FINE[n % 3], UPRIGHT) for n in range(len(PLACES))]
     bar = stage.shape("box", (0.17, BAR_M, 0.06), FINE[2])
     cables = [stage.shape("box", (0.012, CABLE_M, 0.012), FINE[0], at(x, -CABLE_M, 0)) for x in (-0.14, 0.14)]
-    hoist = Carrier((bar, *cables), (0.0, BAR_M + HALF_M, 0.0), (0.0, -0.26, 0.0), 0.55)
-    long.boxes("hoist", hoist, PLACES, barrels)
+    hoist = Carrier((0.0, BAR_M + HALF_M, 0.0), (0.0, -0.26, 0.0), 0.55)
+    long.boxes("hoist", (bar, *cables), hoist, PLACES, barrels)
     long.passers(_things(stage))
     return long.scene("hoisted_barrels", to_sun=(0.08, -0.86, -0.5))
 

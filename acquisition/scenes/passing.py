@@ -1,4 +1,4 @@
-"""Builds scenes that go on for any length of time: things that pass on lanes, and a carrier that puts boxes down.
+"""Moves things for any length of time: they pass on lanes, and a carrier puts boxes down.
 
 Things enter the view, stop, turn back and leave it. No journey is like another: each is drawn from the seed and its
 number. One stretch in PERIOD_S is still.
@@ -14,11 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from acquisition.scenes.bodies import Body, Finish, Shape, at
 from acquisition.scenes.motion import Movement, Vector
 from acquisition.scenes.routes import Journeys, Paused, Pauses, Route, Stop
-from acquisition.scenes.scene import Scene
-from acquisition.scenes.stage import Stage
 
 SPAN_S = 0.02  # 400 planes of 20 kHz
 PERIOD_S, STILL_S = 20 * SPAN_S, 2 * SPAN_S  # two spans in twenty are still
@@ -29,7 +26,6 @@ PASSES = CROSSES, GOES_ON, TURNS_BACK = range(3)
 HALT_S = (0.012, 0.03)  # range of rests in the view
 PUT_DOWN_S = 0.08  # motion before the first box stands
 SHADOW_M = 0.7  # depth behind a thing that its shadow reaches
-SUN: Vector = (-0.1, -0.85, -0.5)  # steep, so that what is out of sight throws no shadow into it
 
 
 class Lane(NamedTuple):
@@ -58,16 +54,12 @@ def edge_of(z_m: float, half_m: float) -> float:
     return 0.73 * (z_m + SHADOW_M) - 0.1 + half_m
 
 
-Passer = tuple[str, Lane, tuple[Shape, ...]]
-
-
 class Carrier(NamedTuple):
     """A thing that brings boxes: it holds them `hold_m` from its middle, and comes and goes `lift_m` off their places.
 
     It reaches `half_m` along x to the middle of the view, and enters on the side of the place, or always `from_right`.
     """
 
-    shapes: tuple[Shape, ...]
     hold_m: Vector
     lift_m: Vector
     half_m: float
@@ -75,10 +67,9 @@ class Carrier(NamedTuple):
 
 
 @dataclass
-class LongStage:
-    """A stage whose things move without end, all of them still in the same pauses."""
+class Timetable:
+    """The ways of things that move without end, all of them still in the same pauses; drawn from two numbers."""
 
-    stage: Stage
     seed: int
     number: int
     pauses: Pauses = field(init=False)
@@ -88,47 +79,40 @@ class LongStage:
 
     def _still_from_s(self, period: int) -> float:
         low, high = FIRST_STILL if period == 0 else STILL
-        return SPAN_S * int(self.rng_of(0, period).integers(low, high + 1)) - EARLY_S
+        return SPAN_S * int(self._rng_of(0, period).integers(low, high + 1)) - EARLY_S
 
-    def rng_of(self, thing: int, journey: int) -> np.random.Generator:
+    def _rng_of(self, thing: int, journey: int) -> np.random.Generator:
         """Return the random numbers of one journey of one thing, which depend on no other."""
         return np.random.default_rng([self.seed, self.number, 2, thing, abs(journey), int(journey < 0)])
 
-    def paused(self, route_of: Callable[[int], Route], period_s: float, begins_s: float) -> Movement:
-        """Return the journeys as they are with the pauses."""
+    def _paused(self, route_of: Callable[[int], Route], period_s: float, begins_s: float) -> Movement:
         return Paused(Journeys(functools.lru_cache(maxsize=64)(route_of), period_s, begins_s), self.pauses)
 
-    def passers(self, things: Sequence[Passer]) -> None:
-        """Add things that pass on lanes of their own; they set out one after another, evenly over JOURNEY_S."""
-        for order, (name, lane, shapes) in enumerate(things):
-            route_of = functools.partial(self._pass, lane, order + 1)
-            begins_s = (order / len(things) - 0.75) * JOURNEY_S
-            self.stage.bodies.append(Body(name, shapes, self.paused(route_of, JOURNEY_S, begins_s)))
+    def passing(self, lanes: Sequence[Lane]) -> list[Movement]:
+        """Return how a thing passes on each lane; they set out one after another, evenly over JOURNEY_S."""
+        return [
+            self._paused(
+                functools.partial(self._pass, lane, order + 1), JOURNEY_S, (order / len(lanes) - 0.75) * JOURNEY_S
+            )
+            for order, lane in enumerate(lanes)
+        ]
 
     def _pass(self, lane: Lane, thing: int, journey: int) -> Route:
-        return pass_route(self.rng_of(thing, journey), lane)
+        return pass_route(self._rng_of(thing, journey), lane)
 
-    def boxes(self, name: str, carrier: Carrier, places: Sequence[Vector], boxes: Sequence[Shape]) -> None:
-        """Add a carrier that comes and goes without end, and the boxes that it puts down on `places`, each for good.
+    def carrying(self, carrier: Carrier, places: Sequence[Vector]) -> tuple[Movement, list[Movement]]:
+        """Return how a carrier comes and goes without end, and the boxes that it puts down on `places`, each for good.
 
         Box i stands from PUT_DOWN_S + i DELIVERY_S on, in time that motion has gone on for.
         """
-        nearby = [self.stage.near(*place) for place in places]
         begins_s = PUT_DOWN_S - DELIVERY_S / 2
 
         def route_of(journey: int) -> Route:
-            rng = self.rng_of(100, journey)
-            return delivery_route(rng, carrier, nearby[journey % len(nearby)])
+            return delivery_route(self._rng_of(100, journey), carrier, places[journey % len(places)])
 
-        moved = self.paused(functools.lru_cache(route_of), DELIVERY_S, begins_s)
-        self.stage.bodies.append(Body(name, carrier.shapes, moved))
-        for i, shape in enumerate(boxes[: len(nearby)]):
-            carried = _until_put_down(route_of(i), carrier, begins_s + i * DELIVERY_S)
-            self.stage.bodies.append(Body(f"box{i}", (shape,), Paused(carried, self.pauses)))
-
-    def scene(self, name: str, **light: Any) -> Scene:
-        """Return the scene of all that was added, in steep light."""
-        return self.stage.scene(name, self.number, self.seed, **({"to_sun": SUN, "ambient": 0.4} | light))
+        boxes = [_until_put_down(route_of(i), carrier, begins_s + i * DELIVERY_S) for i in range(len(places))]
+        moved = self._paused(functools.lru_cache(route_of), DELIVERY_S, begins_s)
+        return moved, [Paused(box, self.pauses) for box in boxes]
 
 
 def pass_route(rng: np.random.Generator, lane: Lane) -> Route:
@@ -197,11 +181,3 @@ def _until_put_down(route: Route, carrier: Carrier, begins_s: float) -> Route:
 def _vector(values: Any) -> Vector:
     x, y, z = map(float, values)
     return x, y, z
-
-
-def cart(stage: Stage, half: Vector, load: Vector, finishes: tuple[Finish, Finish]) -> tuple[Shape, ...]:
-    """Return a box of half sizes `half` with a smaller one of `load` on it."""
-    return (
-        stage.shape("box", half, finishes[0]),
-        stage.shape("box", load, finishes[1], at(0.25 * half[0], -half[1] - load[1], 0.0)),
-    )

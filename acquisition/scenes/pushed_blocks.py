@@ -1,7 +1,8 @@
 """`pushed_blocks`: a pusher from the right leaves blocks on the ground while six things pass. For evaluation only."""
 
 from acquisition.scenes.bodies import Finish, Shape, at
-from acquisition.scenes.passing import Carrier, Lane, LongStage, Passer, cart
+from acquisition.scenes.long_stage import LongStage, Passer, cart
+from acquisition.scenes.passing import Carrier, Lane
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, Stage
 
@@ -25,8 +26,8 @@ def pushed_blocks(seed: int) -> Scene:
     stage.marker((0.0, -0.35, 3.3), -0.1)
     long = LongStage(stage, seed, NUMBER)
     blocks = [stage.shape("box", BLOCK_HALF_M, FINE[(n + 1) % 3]) for n in range(len(PLACES))]
-    pusher = Carrier(_pusher(stage), (-HEAD_M - BLOCK_HALF_M[0], 0.0, 0.0), (0.0, -0.03, 0.0), 0.25, from_right=True)
-    long.boxes("pusher", pusher, PLACES, blocks)
+    pusher = Carrier((-HEAD_M - BLOCK_HALF_M[0], 0.0, 0.0), (0.0, -0.03, 0.0), 0.25, from_right=True)
+    long.boxes("pusher", _pusher(stage), pusher, PLACES, blocks)
     long.passers(_things(stage))
     return long.scene("pushed_blocks", to_sun=(-0.05, -0.88, -0.46))
 

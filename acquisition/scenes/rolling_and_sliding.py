@@ -1,7 +1,8 @@
 """`rolling_and_sliding`: drums roll, panels slide, balls hop, and an arm puts boxes on stands. Development."""
 
 from acquisition.scenes.bodies import Finish, Shape, at
-from acquisition.scenes.passing import Carrier, Lane, LongStage, Passer
+from acquisition.scenes.long_stage import LongStage, Passer
+from acquisition.scenes.passing import Carrier, Lane
 from acquisition.scenes.scene import Scene
 from acquisition.scenes.stage import BLOCKS, CLOTH, DISCS, Stage
 
@@ -29,8 +30,8 @@ def rolling_and_sliding(seed: int) -> Scene:
     stage.marker((0.45, -0.6, 3.2), -0.1)
     long = LongStage(stage, seed, NUMBER)
     boxes = [stage.shape("box", BOX_HALF_M, FINE[n]) for n in range(len(PLACES))]
-    arm = Carrier(_arm(stage), (-PALM_M - BOX_HALF_M[0], 0.0, 0.0), (0.0, -0.06, 0.0), 0.2, from_right=True)
-    long.boxes("arm", arm, PLACES, boxes)
+    arm = Carrier((-PALM_M - BOX_HALF_M[0], 0.0, 0.0), (0.0, -0.06, 0.0), 0.2, from_right=True)
+    long.boxes("arm", _arm(stage), arm, PLACES, boxes)
     long.passers(_things(stage))
     return long.scene("rolling_and_sliding", to_sun=(0.12, -0.86, -0.48))
 

@@ -13,7 +13,14 @@ from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
-from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION_SEEDS, LONG_DEVELOPMENT, REALISTIC
+from acquisition.scenes.catalog import (
+    DEVELOPMENT,
+    DEVELOPMENT_SEEDS,
+    EVALUATION_SEEDS,
+    LONG_DEVELOPMENT,
+    REALISTIC,
+    REALISTIC_LONG,
+)
 from reconstruction.calibration.features import long_image
 from reconstruction.errors import BadRunError
 from reconstruction.truth import Truth
@@ -32,7 +39,7 @@ VIEWS = tuple(sorted(_AWAY_M, key=_AWAY_M.__getitem__)[1:])  # all cameras but H
 
 def seed_of(scene: str, number: int = 0) -> int:
     """Return a scene's seed by its number; every bench uses number 0."""
-    developed = scene in (*DEVELOPMENT, *REALISTIC, *LONG_DEVELOPMENT)
+    developed = scene in (*DEVELOPMENT, *REALISTIC, *LONG_DEVELOPMENT, *REALISTIC_LONG)
     seeds = (*DEVELOPMENT_SEEDS[1:], DEVELOPMENT_SEEDS[0]) if developed else EVALUATION_SEEDS
     return seeds[number]
 

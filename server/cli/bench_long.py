@@ -5,11 +5,12 @@ from functools import partial
 from pathlib import Path
 
 from acquisition.bench_document import BenchDocument
-from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, LONG_DEVELOPMENT
+from acquisition.scenes.catalog import DEVELOPMENT_SEEDS, LONG_DEVELOPMENT, REALISTIC_LONG
 from server.cli.bench_asked import QUICK_RIG, THIS, Asked, recording
 
 SPAN_S = {4000: 18.0, 20_000: 12.0}  # seconds for each span, by the planes of a recording
 QUICK_SPAN_S = {1200: 3.0}
+MOST_DRAWN = 5000  # planes that a path tracer draws
 WITH_BASELINES = (4000,)  # planes of a recording that baselines reconstruct, too
 
 
@@ -27,7 +28,9 @@ def long_recordings(asked: Asked) -> BenchDocument:
     rig, span_s = (QUICK_RIG, QUICK_SPAN_S) if asked.quick else (None, SPAN_S)
     clips = []
     for planes, per_span_s in span_s.items():
-        for scene in asked.named(LONG_DEVELOPMENT[:1]):
+        for scene in asked.named((LONG_DEVELOPMENT[0], *REALISTIC_LONG)):
+            if scene in REALISTIC_LONG and planes > MOST_DRAWN:
+                continue
             recorded = partial(recording, scene, seed, work / str(planes), planes, rig)
             clips.append(
                 LongClip(scene, seed, planes, recorded, per_span_s, rivals if planes in WITH_BASELINES else ())

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from maintenance.realistic_digests import setting_digest
+from maintenance.realistic_digests import LONG_INSTANTS_S, setting_digest
 
 from acquisition.devices.open import Simulation
 from acquisition.scenes.bodies import about
-from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.catalog import REALISTIC_LONG, build_scene
 from acquisition.scenes.digest import COMMITTED_REALISTIC, committed_digests
 from acquisition.scenes.realistic.meshes import ball, box, sheet
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, Finish, Lamp, Setting, Thing
@@ -142,8 +142,27 @@ def test_a_realistic_scene_is_recorded_by_its_name(tmp_path, monkeypatch):
     assert len(list((tmp_path / "cache").rglob("light_*.npy"))) == 9 * 2 + 2
 
 
+def test_a_tenth_of_the_view_of_a_long_scene_moves_in_four_spans_of_five_and_some_are_still():
+    from acquisition.scenes.realistic.studio import Studio
+
+    scene = build_scene(REALISTIC_LONG[0], 2)
+    studio, spans, shares = Studio(scene.setting), 10, []
+    for instant_s in (np.arange(0, 400 * spans, 100) + 0.5) / 20000:
+        _, ids = studio.look(CAMERA, float(instant_s))
+        moves = {
+            thing.body
+            for thing in scene.setting.things
+            if (thing.vertices(instant_s) != thing.vertices(instant_s + 5e-5)).any()
+        }
+        shares.append(np.isin(ids, [scene.object_ids[name] for name in moves]).mean())
+    by_span = np.reshape(shares, (spans, -1)).mean(axis=1)
+    assert (by_span >= 0.1).mean() >= 0.8
+    assert 0 < (by_span == 0).mean() <= 0.2
+
+
 def test_the_realistic_evaluation_scenes_are_the_committed_ones():
     found = committed_digests(COMMITTED_REALISTIC)
+    assert setting_digest(build_scene("loading_bay", 102).setting, LONG_INSTANTS_S) == found["loading_bay-102"]
     for name in ("marbles-101", "banner-103", "courtyard-102"):
         scene, seed = name.split("-")
         assert setting_digest(build_scene(scene, int(seed)).setting) == found[name]

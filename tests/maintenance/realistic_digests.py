@@ -7,24 +7,31 @@ It needs the extra `realistic` for the physics and the meshes, and draws nothing
 
 import hashlib
 import json
+from collections.abc import Sequence
 
 import numpy as np
 
 from acquisition.durable import write_json
-from acquisition.scenes.catalog import EVALUATION_SEEDS, REALISTIC_EVALUATION, build_scene
+from acquisition.scenes.catalog import (
+    EVALUATION_SEEDS,
+    REALISTIC_EVALUATION,
+    REALISTIC_LONG_EVALUATION,
+    build_scene,
+)
 from acquisition.scenes.digest import COMMITTED_REALISTIC
 from acquisition.scenes.realistic.setting import Setting
 
 INSTANTS_S = (0.0, 0.005, 0.01, 0.02)
+LONG_INSTANTS_S = (0.0, 0.03, 0.07, 0.11, 0.13, 0.17, 0.2)
 
 
-def setting_digest(setting: Setting) -> str:
+def setting_digest(setting: Setting, instants_s: Sequence[float] = INSTANTS_S) -> str:
     """Return the SHA-256, in hexadecimal digits, of all that decides what a camera sees."""
     found = hashlib.sha256(json.dumps([repr(lamp) for lamp in setting.lamps]).encode())
     for thing in setting.things:
         found.update(f"{thing.body} {thing.finish!r} {thing.moving}".encode())
         found.update(thing.mesh.faces.astype(np.uint32).tobytes())
-        for instant_s in INSTANTS_S if thing.moving else INSTANTS_S[:1]:
+        for instant_s in instants_s if thing.moving else instants_s[:1]:
             found.update((np.round(thing.vertices(instant_s) * 1e3) + 0.0).astype(np.int64).tobytes())
         found.update((np.round(thing.mesh.uv * 1e4) + 0.0).astype(np.int64).tobytes())
     return found.hexdigest()
@@ -32,8 +39,12 @@ def setting_digest(setting: Setting) -> str:
 
 def realistic_digests() -> dict[str, str]:
     """Return the digest of each realistic evaluation scene and seed, by `name-seed`; takes half a minute."""
-    pairs = [(name, seed) for name in REALISTIC_EVALUATION for seed in EVALUATION_SEEDS]
-    return {f"{name}-{seed}": setting_digest(build_scene(name, seed).setting) for name, seed in pairs}
+    return {
+        f"{name}-{seed}": setting_digest(build_scene(name, seed).setting, instants_s)
+        for names, instants_s in ((REALISTIC_EVALUATION, INSTANTS_S), (REALISTIC_LONG_EVALUATION, LONG_INSTANTS_S))
+        for name in names
+        for seed in EVALUATION_SEEDS
+    }
 
 
 if __name__ == "__main__":

@@ -15,6 +15,8 @@ from acquisition.scenes.catalog import (
     LONG_EVALUATION,
     REALISTIC,
     REALISTIC_EVALUATION,
+    REALISTIC_LONG,
+    REALISTIC_LONG_EVALUATION,
     SCENES,
     build_scene,
 )
@@ -49,7 +51,7 @@ def _three(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def main(out: Path, seed: int, names: tuple[str, ...]) -> None:
     """Write one picture a scene."""
     out.mkdir(parents=True, exist_ok=True)
-    apart = (*REALISTIC, *REALISTIC_EVALUATION, *LONG_EVALUATION)
+    apart = (*REALISTIC, *REALISTIC_EVALUATION, *LONG_EVALUATION, *REALISTIC_LONG, *REALISTIC_LONG_EVALUATION)
     for name in names or [name for name in SCENES if name not in apart]:
         write_png(out / f"{name}.png", contact_sheet(build_scene(name, seed)))
 

@@ -38,7 +38,8 @@ class DrawnScene:
     """The setting that `build` makes of `seed`, in `level` times its light, going on for `begins_s` at instant 0.
 
     Its clip ends LASTS_S after the trigger. Light is drawn at keyframes, each a middle of every fourth plane of 20 kHz,
-    and runs straight between them; things move by less than a third of a pixel a plane.
+    and runs straight between them; things move by less than a third of a pixel a plane. `moved_by` are the modules of
+    `acquisition.scenes` that decide how, beside the one of `build`.
     """
 
     name: str
@@ -46,6 +47,7 @@ class DrawnScene:
     build: Build
     level: float = 1.0
     begins_s: float = 0.0
+    moved_by: tuple[str, ...] = ()
 
     @property
     def white(self) -> float:
@@ -85,6 +87,7 @@ class DrawnScene:
     def _digest(self, names: Sequence[str], counts: Callable[[bytes], bool]) -> str:
         folder = Path(__file__).parent
         sources = [folder / f"{name}.py" for name in names] + [Path(inspect.getfile(self.build))]
+        sources += [folder.parent / f"{name}.py" for name in self.moved_by]
         found = hashlib.sha256(json.dumps([self.name, self.seed, versions()], sort_keys=True).encode())
         for source in sources:
             found.update(b"".join(filter(counts, source.read_bytes().splitlines(keepends=True))))

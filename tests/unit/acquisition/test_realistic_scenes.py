@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from acquisition.errors import AcquisitionError, BadRecordingError
+from acquisition.scenes import passing
 from acquisition.scenes.catalog import (
     EVALUATION_SEEDS,
     REALISTIC,
     REALISTIC_EVALUATION,
+    REALISTIC_LONG,
+    REALISTIC_LONG_EVALUATION,
     SCENES,
     build_scene,
     scenes_named,
@@ -137,6 +140,14 @@ def test_scenes_differ_in_their_digests(cache):
     assert len(set(found)) == 2 * len(REALISTIC)
 
 
+def test_the_code_that_moves_things_is_in_the_digest_of_long_scenes_alone(cache, monkeypatch):
+    source, read = Path(passing.__file__), Path.read_bytes
+    scenes = [build_scene(name, 1) for name in (REALISTIC_LONG[0], REALISTIC[0])]
+    before = [one.digest for one in scenes]
+    monkeypatch.setattr(Path, "read_bytes", lambda path: b"" if path == source else read(path))
+    assert [replace(one).digest == digest for one, digest in zip(scenes, before, strict=True)] == [False, True]
+
+
 def test_what_lenses_need_changes_no_digest_of_pinholes(cache, monkeypatch):
     """Drawings of cameras whose lenses do not bend stay valid whatever is changed in the lines of lenses."""
     room = DrawnScene("plain_room", 3, SCENES["plain_room"].args[0])
@@ -168,19 +179,21 @@ def test_a_lens_that_folds_is_refused():
 def test_groups_stand_for_their_scenes():
     assert scenes_named("fan,realistic") == ("fan", *REALISTIC)
     assert scenes_named("realistic-evaluation") == REALISTIC_EVALUATION
+    assert scenes_named("realistic-long,realistic-long-evaluation") == (*REALISTIC_LONG, *REALISTIC_LONG_EVALUATION)
     assert (len(REALISTIC), len(REALISTIC_EVALUATION)) == (3, 5)
 
 
 def test_every_evaluation_scene_and_seed_is_written_down():
-    names = {f"{name}-{seed}" for name in REALISTIC_EVALUATION for seed in EVALUATION_SEEDS}
+    named = (*REALISTIC_EVALUATION, *REALISTIC_LONG_EVALUATION)
+    names = {f"{name}-{seed}" for name in named for seed in EVALUATION_SEEDS}
     found = committed_digests(COMMITTED_REALISTIC)
     assert set(found) == names
     assert len(set(found.values())) == len(names)
 
 
 def test_realistic_benches_use_the_seeds_of_their_purpose():
-    assert {seed_of(name) for name in REALISTIC} == {2}
-    assert {seed_of(name) for name in REALISTIC_EVALUATION} == {EVALUATION_SEEDS[0]}
+    assert {seed_of(name) for name in (*REALISTIC, *REALISTIC_LONG)} == {2}
+    assert {seed_of(name) for name in (*REALISTIC_EVALUATION, *REALISTIC_LONG_EVALUATION)} == {EVALUATION_SEEDS[0]}
 
 
 def test_things_move_straight_between_keyframes():

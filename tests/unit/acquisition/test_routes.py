@@ -111,7 +111,7 @@ def test_a_thing_passes_within_its_journey_from_edge_to_edge(lane):
 
 @pytest.mark.parametrize(("from_right", "x"), [(False, -0.7), (False, 0.7), (True, -0.7)])
 def test_a_carrier_leaves_the_place_in_the_middle_of_its_delivery(from_right, x):
-    carrier = Carrier((), (0.0, 0.1, 0.0), (0.0, -0.3, 0.0), 0.2, from_right)
+    carrier = Carrier((0.0, 0.1, 0.0), (0.0, -0.3, 0.0), 0.2, from_right)
     place = np.array([x, 0.2, 2.5])
     for number in range(20):
         stops = delivery_route(np.random.default_rng(number), carrier, tuple(place)).stops

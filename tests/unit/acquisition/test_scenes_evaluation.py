@@ -16,6 +16,8 @@ from acquisition.scenes.catalog import (
     LONG_EVALUATION,
     REALISTIC,
     REALISTIC_EVALUATION,
+    REALISTIC_LONG,
+    REALISTIC_LONG_EVALUATION,
     SCENES,
     STRESS,
     build_scene,
@@ -185,8 +187,8 @@ def test_the_marker_is_upright_and_not_mirrored(name):
 
 
 def test_the_lists_are_closed_and_keep_development_from_evaluation():
-    ours = (DEVELOPMENT, BACKGROUNDS, STRESS, CALIBRATION, LONG_DEVELOPMENT, REALISTIC)
-    lists = (*ours, EVALUATION, REALISTIC_EVALUATION, LONG_EVALUATION)
+    ours = (DEVELOPMENT, BACKGROUNDS, STRESS, CALIBRATION, LONG_DEVELOPMENT, REALISTIC, REALISTIC_LONG)
+    lists = (*ours, EVALUATION, REALISTIC_EVALUATION, LONG_EVALUATION, REALISTIC_LONG_EVALUATION)
     assert sorted(name for names in lists for name in names) == sorted(SCENES)
     assert len(EVALUATION) == 5
     assert not set(DEVELOPMENT_SEEDS) & set(EVALUATION_SEEDS)
