@@ -15,6 +15,7 @@ from rigs.errors import Spike4dgsError
 from rigs.rig import Rig
 from rigs.toml import catalog_rig, load_rig
 
+STAGE_COMMAND = (sys.executable, "-P", "-m", "server.cli")
 _HOST = re.compile(r"([a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?|\[[0-9a-f:.]{2,45}\])(:\d{1,5})?")
 
 
@@ -119,7 +120,7 @@ class ServiceSettings(BaseSettings):
     write_rate: float = Field(default=10.0, gt=0)
     write_burst: int = Field(default=100, ge=1)
     rigs: Annotated[dict[str, RigSource], *_DECODED] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
-    stage_command: Annotated[tuple[str, ...], *_DECODED] = (sys.executable, "-P", "-m", "server.cli")
+    stage_command: Annotated[tuple[str, ...], *_DECODED] = STAGE_COMMAND
     grace_s: float = 8.0
     max_upload_bytes: int = 64 * 2**30
     keep_free_bytes: int = 256_000_000

@@ -53,7 +53,7 @@ def large(asked: Asked) -> BenchDocument:
 
 
 def draw_speed(asked: Asked, out: Path, found: dict) -> None:
-    """Draw the picture of a document of either bench, write its page, and a sheet of what large runs left."""
+    """Draw the picture of a document of either bench, write its page, and a sheet of the ends of large runs."""
     from reconstruction.bench.contact_sheet import stack_sheets
     from reconstruction.bench.diagrams import PLOTS
     from reconstruction.bench.speed_page import write_page

@@ -33,10 +33,15 @@ def named_end(code: int) -> str:
     return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
+def die_with_parent(number: signal.Signals) -> None:
+    """Let the kernel send this process a signal when its parent dies."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
+
+
 def main() -> None:
     """Ask for the signal, check that the parent still lives, and become the command."""
     signal_name, parent, *command = sys.argv[1:]
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.Signals[signal_name], 0, 0, 0)
+    die_with_parent(signal.Signals[signal_name])
     if os.getppid() != int(parent):  # it died before the kernel was asked
         sys.exit(1)
     os.execvp(command[0], command)

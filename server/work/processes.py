@@ -9,7 +9,7 @@ from typing import Any
 from acquisition.errors import DiskError
 from rigs.errors import Spike4dgsError
 from server.part_queue import attempt_of
-from server.settings import ServiceSettings
+from server.settings import STAGE_COMMAND, ServiceSettings
 from server.store.store import Store
 from server.store.tables import Entry
 from server.work.part_reporter import PartReporter
@@ -99,9 +99,11 @@ class Processes:
         self, entry: Entry, arguments: Sequence[str], reporter: PartReporter, is_due: Callable[[], bool]
     ) -> None:
         """Run the process of one part of a training, beside those of other parts; raises as `supervise`."""
+        forks = self._settings.stage_command == STAGE_COMMAND
         try:
             await supervise(
-                [*self._settings.stage_command, *arguments],
+                [*(() if forks else self._settings.stage_command), *arguments],
+                forks=forks,
                 folders=list(self._accelerator(entry)),
                 beside=self._store.folder.parts(entry.id),
                 log=self._store.folder.log(entry.id),

@@ -18,6 +18,7 @@ from acquisition.errors import DiskError, StoppedError
 from acquisition.progress import Progress
 from server.errors import ServiceError
 from server.store.files import locked, shared
+from server.work.forks import Fork, fork
 from server.work.leash import leashed, named_end
 
 _LOCK_POLL_S = 0.1
@@ -81,6 +82,7 @@ async def supervise(
     finished: Path | None = None,
     is_due: Callable[[], bool] = lambda: True,
     ends_in_order: bool = False,
+    forks: bool = False,
 ) -> None:
     """Run `command` while holding the flock of every one of `folders`; raises StageError when it fails.
 
@@ -94,34 +96,43 @@ async def supervise(
     One that `ends_in_order` gets SIGUSR1 instead, when it is cancelled and when this process dies; any other is killed
     when this process dies.
     Where it `answers`, an exit code of 1 with an answer is no failure.
+    One that `forks` is the arguments of `spike4dgs`, whose imports are done already; it takes no orders.
     """
     async with _locked(folders, beside) as locks:
         if (finished is not None and finished.exists()) or not is_due():
             return
         mark = {} if finished is None else {"SPIKE4DGS_FINISHED": str(finished)}
+        variables = {"SPIKE4DGS_PROGRESS": "json"} | mark | dict(environment or {})
         with log.open("a") as text, stdout.open("w") if stdout else contextlib.nullcontext(text) as printed:
             relay = _Relay(text, on_progress, on_warning)
-            transport, _ = await asyncio.get_running_loop().subprocess_exec(
-                lambda: relay,
-                *leashed(list(command), "SIGUSR1" if ends_in_order else "SIGKILL"),
-                stdin=PIPE if control else DEVNULL,
-                stdout=printed,
-                stderr=PIPE,
-                env=os.environ | {"SPIKE4DGS_PROGRESS": "json"} | mark | dict(environment or {}),
-                start_new_session=True,
-                pass_fds=locks,
-            )
-            teller = asyncio.ensure_future(_tell(transport, relay, control)) if control else None
+            running: asyncio.SubprocessTransport | Fork
+            teller = None
+            if forks:
+                running = await fork(relay, command, variables, printed.fileno(), locks)
+                strike = running.send_signal
+            else:
+                running, _ = await asyncio.get_running_loop().subprocess_exec(
+                    lambda: relay,
+                    *leashed(list(command), "SIGUSR1" if ends_in_order else "SIGKILL"),
+                    stdin=PIPE if control else DEVNULL,
+                    stdout=printed,
+                    stderr=PIPE,
+                    env=os.environ | variables,
+                    start_new_session=True,
+                    pass_fds=locks,
+                )
+                strike = partial(os.killpg, running.get_pid())
+                teller = asyncio.ensure_future(_tell(running, relay, control)) if control else None
             try:
                 await relay.over.wait()
             finally:
                 if teller:
                     teller.cancel()
-                await _insist(_stop(transport, relay, grace_s, signal.SIGUSR1 if ends_in_order else signal.SIGTERM))
-                transport.close()
+                await _insist(_stop(strike, relay, grace_s, signal.SIGUSR1 if ends_in_order else signal.SIGTERM))
+                running.close()
         if relay.fault is not None:
             raise relay.fault
-        code = transport.get_returncode() or 0
+        code = running.get_returncode() or 0
         if code != 0 and not (code == 1 and answers and stdout and stdout.stat().st_size):
             raise relay.error or _bad_end(code, relay.last)
         if finished is not None:
@@ -238,12 +249,12 @@ class _Relay(asyncio.SubprocessProtocol):
         return False
 
 
-async def _stop(transport: asyncio.SubprocessTransport, relay: _Relay, grace_s: float, word: signal.Signals) -> None:
+async def _stop(strike: Callable[[int], None], relay: _Relay, grace_s: float, word: signal.Signals) -> None:
     for number, patience_s in ((word, grace_s), (signal.SIGKILL, None)):
         if relay.gone.is_set():
             break
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(transport.get_pid(), number)
+            strike(number)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(relay.gone.wait(), patience_s)
     with contextlib.suppress(TimeoutError):

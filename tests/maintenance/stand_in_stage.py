@@ -3,8 +3,9 @@
 With BENCH_BURN=1 it keeps one core as busy as a training would. Run by path, without the packages, so that a campaign
 costs little: the trace holds `begin` and `end` of every attempt. A training has as many spans as `--seed` says, which
 are learnt apart, each with a line `part`. A part fails, refuses its input or finds no room while the job's folder has
-`fail-NAME`, `refuse-NAME` or `fill-NAME`, and stands still while it has `hold-NAME`. With BENCH_RECORDER=real it
-becomes the real recorder, which `captures.trace` in the data folder notes first, a line a process.
+`fail-NAME`, `refuse-NAME` or `fill-NAME`, and stands still while it has `hold-NAME`. A step takes BENCH_STEP_S, but
+those of what the JSON object BENCH_SECONDS names take so many seconds together. With BENCH_RECORDER=real it becomes the
+real recorder, which `captures.trace` in the data folder notes first, a line a process.
 """
 
 import json
@@ -59,7 +60,7 @@ def _stage(run: Path, stage: str, again: int, spans: int) -> None:
     steps = 20 if stage == "train" else 3
     _trace(run, f"begin {stage} {again} {0 if stage in document['seconds'] else max(1, steps - state['done'])}")
     while state["done"] < steps:
-        _step(float(os.environ.get("BENCH_STEP_S", "0.05")))
+        _step(stage, steps)
         state["done"] += 1
         _write(checkpoint, state)
         event = {"event": "progress", "stage": stage, "fraction": state["done"] / steps, "message": "asleep"}
@@ -87,7 +88,7 @@ def _part(run: Path, name: str, again: int) -> None:
     (run / "spans").mkdir(exist_ok=True)
     _trace(run, f"part {name} {again} {attempt}")
     for done in range(10):
-        _step(float(os.environ.get("BENCH_STEP_S", "0.05")))
+        _step(name, 10)
         while (run.parent / f"hold-{name}").exists():
             time.sleep(0.05)
         event = {"event": "progress", "stage": "train", "fraction": (done + 1) / 10, "message": f"{name} asleep"}
@@ -122,7 +123,9 @@ def _fail(word: str, name: str) -> None:
     sys.exit(json.dumps(event))
 
 
-def _step(seconds: float) -> None:
+def _step(name: str, steps: int) -> None:
+    known = json.loads(os.environ.get("BENCH_SECONDS", "{}"))
+    seconds = known[name] / steps if name in known else float(os.environ.get("BENCH_STEP_S", "0.05"))
     if os.environ.get("BENCH_BURN") != "1":
         time.sleep(seconds)
         return

@@ -1,0 +1,33 @@
+"""Compares more workers with one: the tasks of a measured recording, and the shares of one worker's time."""
+
+import pytest
+from maintenance.sharing import STAGES, summarise, tasks_of
+
+SECONDS = {f"seconds.{stage}": 2.0 for stage in STAGES}
+LONG = {
+    "rows": [
+        {"part": "whole", "clip": "short", "planes": 4000, "seconds.train": 50.0, **SECONDS},
+        {"part": "whole", "clip": "long", "planes": 20000, "seconds.train": 30.0, **SECONDS},
+        {"part": "span", "clip": "short", "seconds": 40.0},
+        {"part": "span", "clip": "long", "seconds": 10.0},
+        {"part": "span", "clip": "long", "psnr_db": 30.0},
+        {"part": "span", "clip": "long", "seconds": 12.0},
+        {"part": "alone", "clip": "long", "seconds": 60.0},
+    ]
+}
+
+
+def test_the_tasks_are_those_of_the_longest_recording_and_what_rests_is_the_still_scene():
+    clip, tasks = tasks_of(LONG)
+    assert clip == "long"
+    assert tasks == {**dict.fromkeys(STAGES, 2.0), "still": 8.0, "000000": 10.0, "000001": 12.0}
+
+
+def test_each_number_of_workers_is_compared_with_one_of_its_kind():
+    rows = [
+        {"part": "worked", "workers": 1, "seconds": 100.0},
+        {"part": "worked", "workers": 2, "seconds": 55.0},
+        {"part": "played", "workers": 1, "seconds": 600.0},
+        {"part": "played", "workers": 8, "seconds": 120.0},
+    ]
+    assert summarise(rows) == {"worked.2": pytest.approx(0.55), "played.8": pytest.approx(0.2)}
