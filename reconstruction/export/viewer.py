@@ -11,7 +11,12 @@ A scene of spans has version 2. Its `arrays` are those of the still Gaussians al
 Each of `spans` has its own bytes, `length` from `offset` on, and says where its arrays begin in them. `changed` [C]
 uint32 are still Gaussians, numbered as they are stored, that have `changed_opacities` and `changed_intensities` in this
 span. The other arrays are those of M movers as above, over a clip of their own, `clip_s`, which may reach over the ends
-of the span. A part of a scene has version 2 too: the spans that it touches, cut to it, or one where there are none.
+of the span.
+But rigid ones are `bodies`, K with P `knots` each: `knot_quats` [K, P, 4] and `knot_centers` [K, P, 3], between which
+`gaussians.rigid` says how they move. A mover whose number in `bodies` [M] uint32 is below K has its `means` and
+`quats_wxyz` in the frame of that body; any other is a polynomial.
+
+A part of a scene has version 2 too: the spans that it touches, cut to it, or one where there are none.
 """
 
 from pathlib import Path
@@ -25,7 +30,7 @@ from torch import Tensor
 from acquisition.durable import made_aside, write_durably, write_json
 from reconstruction.export.scene import Choices, Scene
 from reconstruction.export.splats import floats
-from reconstruction.export.viewer_arrays import Arrays, motion_of, moving_arrays, still_arrays
+from reconstruction.export.viewer_arrays import Arrays, motion_of, moving_arrays, span_arrays, still_arrays
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanContent, SpannedScene
 from reconstruction.rendering.reference import ALPHA_MIN
@@ -93,7 +98,7 @@ def _ever_seen(cloud: SpannedScene) -> Tensor:
 
 def _write_span(file: IO[bytes], content: SpanContent, kept: Tensor, white: float) -> dict:
     """Append the arrays of a span; return what the document says of it."""
-    moving = moving_arrays(content.cloud) if content.cloud else {}
+    moving = span_arrays(content.cloud) if content.cloud else {}
     movers = len(moving["means"]) if moving else 0
     arrays = _changed(content, kept)
     changed = len(arrays["changed"]) if arrays else 0

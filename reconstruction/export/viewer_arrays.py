@@ -9,6 +9,7 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.course import LEAST_DURATION, MOST_DURATION
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.quaternions import unit
 from reconstruction.rendering.reference import ALPHA_MIN
 
@@ -38,16 +39,35 @@ def moving_arrays(cloud: DynamicCloud) -> Arrays:
     return _polynomial(cloud, cloud.motion) if type(cloud.motion) is PolynomialMotion else _keyframes(cloud)
 
 
+def span_arrays(cloud: DynamicCloud) -> Arrays:
+    """Return the same of a span, where bodies keep their knots: a tenth of the bytes of keyframes."""
+    return _riding(cloud, cloud.motion) if type(cloud.motion) is RigidMotion else moving_arrays(cloud)
+
+
 def _polynomial(cloud: DynamicCloud, motion: PolynomialMotion) -> Arrays:
-    moving, opacities = cloud.moving, cloud.moving.opacity_logits.sigmoid()
-    durations = motion.log_durations.exp().clamp(LEAST_DURATION, MOST_DURATION)
-    away = (motion.instants - motion.instants.clamp(0, 1)) / durations  # from the clip, where an instant is beyond it
-    kept = opacities * torch.exp(-away.square() / 2) >= ALPHA_MIN
-    arrays = _base(moving.means, moving.quats_wxyz, moving.log_scales, opacities, moving.intensities)
-    arrays |= {"velocities": floats(motion.velocities)}
+    arrays = {"velocities": floats(motion.velocities)}
     if len(motion.accelerations):
         arrays |= {"accelerations": floats(motion.accelerations), "jerks": floats(motion.jerks)}
-    arrays |= {"instants": floats(motion.instants), "durations": floats(durations)}
+    return _windowed(cloud.moving, arrays, motion.instants, motion.log_durations)
+
+
+def _riding(cloud: DynamicCloud, motion: RigidMotion) -> Arrays:
+    riders, free = len(motion.bodies), len(motion.velocities)
+    bodies = torch.cat([motion.bodies, torch.full((free,), len(motion.knot_quats))])
+    velocities = torch.cat([torch.zeros(riders, 3), motion.velocities])
+    own = {"velocities": floats(velocities), "bodies": bodies.numpy()}
+    knots = {"knot_quats": floats(motion.knot_quats), "knot_centers": floats(motion.knot_centers)}
+    return _windowed(cloud.moving, own, motion.instants, motion.log_durations) | knots
+
+
+def _windowed(moving: GaussianCloud, own: Arrays, instants: Tensor, log_durations: Tensor) -> Arrays:
+    """Return the arrays of Gaussians with time windows, and their `own`, without those that are never seen."""
+    opacities = moving.opacity_logits.sigmoid()
+    durations = log_durations.exp().clamp(LEAST_DURATION, MOST_DURATION)
+    away = (instants - instants.clamp(0, 1)) / durations  # from the clip, where an instant is beyond it
+    kept = opacities * torch.exp(-away.square() / 2) >= ALPHA_MIN
+    arrays = _base(moving.means, moving.quats_wxyz, moving.log_scales, opacities, moving.intensities)
+    arrays |= own | {"instants": floats(instants), "durations": floats(durations)}
     return {name: array[kept.numpy()] for name, array in arrays.items()}
 
 
@@ -83,5 +103,8 @@ def motion_of(arrays: Arrays) -> dict:
     """Return what the document says of the motion, told by the arrays there are."""
     if "key_means" in arrays:
         return {"motion": "keyframes", "degree": 0, "keyframes": KEYFRAMES}
+    if "knot_quats" in arrays:
+        bodies, knots = arrays["knot_quats"].shape[:2]
+        return {"motion": "bodies", "degree": 1, "keyframes": 0, "bodies": bodies, "knots": knots}
     degree = 3 if "jerks" in arrays else 1 if "velocities" in arrays else 0
     return {"motion": "polynomial" if degree else "static", "degree": degree, "keyframes": 0}

@@ -5,6 +5,7 @@ import { artefact } from '../operator/media.js';
 const [VERSION, SPANNED_VERSION] = [1, 2];
 const OPTIONAL = ['accelerations', 'jerks', 'key_scales'];
 const MOTIONS = ['static', 'polynomial', 'keyframes'];
+const [SPANNED_MOTIONS, WHOLE_NUMBERS] = [[...MOTIONS, 'bodies'], ['changed', 'bodies']];
 
 export class SceneError extends Error {}
 
@@ -108,8 +109,9 @@ function checkSpans({ spans, moving }) {
   if (spans.reduce((sum, span) => sum + span.moving, 0) !== moving) fault(`${moving} moving Gaussians`, 'as many as in all spans');
 }
 
-const isSpan = (span) => numbers([span.first_s, span.last_s, ...(span.clip_s ?? [])], 4) && MOTIONS.includes(span.motion)
-  && [span.offset, span.length, span.changed, span.moving].every((n) => Number.isInteger(n) && n >= 0);
+const isSpan = (span) => numbers([span.first_s, span.last_s, ...(span.clip_s ?? [])], 4) && SPANNED_MOTIONS.includes(span.motion)
+  && [span.offset, span.length, span.changed, span.moving, ...(span.motion === 'bodies' ? [span.bodies, span.knots] : [])]
+    .every((n) => Number.isInteger(n) && n >= 0);
 
 const numbers = (list, length) => Array.isArray(list) && list.length === length && list.every(Number.isFinite);
 
@@ -117,11 +119,13 @@ const isCamera = (camera) => numbers([camera.fx, camera.fy, camera.cx, camera.cy
   && camera.width > 0 && camera.height > 0 && numbers([camera.cam_from_rig].flat(2), 16);
 
 /** Return the shapes of the arrays that a manifest lists. */
-function shapesOf({ count, moving, motion, keyframes }) {
+function shapesOf({ count, moving, motion, keyframes, bodies, knots }) {
   const stored = { means: [count, 3], quats_wxyz: [count, 4], scales: [count, 3], opacities: [count], intensities: [count] };
   const vector = [moving, 3];
   if (moving === 0 || motion === 'static') return stored;
-  if (motion === 'polynomial') return { ...stored, velocities: vector, accelerations: vector, jerks: vector, instants: [moving], durations: [moving] };
+  const windows = { velocities: vector, instants: [moving], durations: [moving] };
+  if (motion === 'polynomial') return { ...stored, ...windows, accelerations: vector, jerks: vector };
+  if (motion === 'bodies') return { ...stored, ...windows, bodies: [moving], knot_quats: [bodies, knots, 4], knot_centers: [bodies, knots, 3] };
   const keys = { key_means: [keyframes, moving, 3], key_quats: [keyframes, moving, 4], key_opacities: [keyframes, moving], key_scales: [keyframes, moving, 3] };
   return { ...stored, ...keys };
 }
@@ -145,5 +149,5 @@ function view(name, entry, shape, bytes) {
   const length = shape.reduce((product, n) => product * n, 1);
   const end = entry.offset + 4 * length;
   if (end > bytes.byteLength) fault(`${bytes.byteLength} bytes`, `${end} or more for ${name}`, 'viewer.bin');
-  return new (name === 'changed' ? Uint32Array : Float32Array)(bytes, entry.offset, length);
+  return new (WHOLE_NUMBERS.includes(name) ? Uint32Array : Float32Array)(bytes, entry.offset, length);
 }

@@ -11,7 +11,9 @@ import torch
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices, Scene
 from reconstruction.export.viewer import viewer_of, write_viewer
+from reconstruction.gaussians.rigid import knot_weights
 from reconstruction.gaussians.spanned import SpanContent, SpannedScene
+from reconstruction.quaternions import product, rotated, unit
 from reconstruction.scene_model import TimeSpan
 
 SECONDS = [(0.0, 0.02), (0.02, 0.04), (0.04, 0.06), (0.06, 0.08)]
@@ -59,7 +61,10 @@ def shapes_of(span):
     base = {"means": (m, 3), "quats_wxyz": (m, 4), "scales": (m, 3), "opacities": (m,), "intensities": (m,)}
     tracks = {"key_means": (k, m, 3), "key_quats": (k, m, 4), "key_opacities": (k, m)}
     paths = {"velocities": (m, 3), "instants": (m,), "durations": (m,)}
-    motion = {"keyframes": tracks, "polynomial": paths}.get(span["motion"], {})
+    k, p = span.get("bodies", 0), span.get("knots", 0)
+    bodies = {"velocities": (m, 3), "bodies": (m,), "instants": (m,), "durations": (m,)}
+    bodies |= {"knot_quats": (k, p, 4), "knot_centers": (k, p, 3)}
+    motion = {"keyframes": tracks, "polynomial": paths, "bodies": bodies}.get(span["motion"], {})
     return changed | (base | motion if m else {})
 
 
@@ -70,7 +75,7 @@ def own_arrays(span, data):
     for (name, shape), (placed, start) in zip(shapes_of(span).items(), span["arrays"].items(), strict=True):
         assert (placed, start) == (name, used)
         count = math.prod(shape)
-        found[name] = np.frombuffer(own, "<u4" if name == "changed" else "<f4", count, start).reshape(shape)
+        found[name] = np.frombuffer(own, "<u4" if name in ("changed", "bodies") else "<f4", count, start).reshape(shape)
         used += 4 * count
     assert used == span["length"]
     return found
@@ -96,12 +101,39 @@ def test_every_span_is_the_part_of_the_scene(spanned, tmp_path):
         assert np.allclose(still["means"], part.still.means[seen])
         assert np.allclose(still["opacities"], part.still.opacity_logits[seen].sigmoid())
         assert np.allclose(still["intensities"], part.still.intensities[seen, 0] / spanned.white)
+        if span["motion"] == "bodies":
+            continue  # its movers are compared below, in place and not in form
         moving = viewer_arrays(Scene(part, spanned.rig, spanned.white, "bases", "cam01", dict))
         assert (span["moving"], span["motion"], span["keyframes"], span["degree"]) == (
             expected["moving"], expected["motion"], expected["keyframes"], expected["degree"]
         )  # fmt: skip
         for name in own.keys() - {"changed", "changed_opacities", "changed_intensities"}:
             np.testing.assert_array_equal(own[name], moving[name], err_msg=name)
+
+
+@pytest.mark.parametrize("u", [-0.2, 0.0, 0.13, 0.5, 0.77, 1.0, 1.3])
+def test_bodies_carry_their_movers_as_the_scene_does(spanned, tmp_path, u):
+    document, data = written(spanned, tmp_path)
+    arrays = {name: array.astype(float) for name, array in own_arrays(document["spans"][0], data).items()}
+    cloud = spanned.cloud.spans[0].cloud
+    expected = cloud.motion.at(cloud.moving, u)
+    kept = np.flatnonzero(np.isin(expected.intensities[:, 0] / spanned.white, arrays["intensities"].astype(np.float32)))
+    assert len(kept) == len(arrays["means"]) > 3
+    assert 0 < (arrays["bodies"] < len(arrays["knot_quats"])).sum() < len(kept)  # riders and free ones
+    weights = knot_weights(u, arrays["knot_quats"].shape[1]).numpy()
+    turns = unit(torch.from_numpy(np.einsum("p,kpi->ki", weights, arrays["knot_quats"])))
+    centers = torch.from_numpy(np.einsum("p,kpi->ki", weights, arrays["knot_centers"]))
+    since = u - arrays["instants"]
+    for m, body in enumerate(arrays["bodies"].astype(int)):
+        place, turn = (torch.from_numpy(arrays[name][m : m + 1]) for name in ("means", "quats_wxyz"))
+        if body < len(turns):
+            place, turn = rotated(turns[body : body + 1], place) + centers[body], product(turns[body : body + 1], turn)
+        else:
+            place = place + torch.from_numpy(arrays["velocities"][m] * since[m])
+        np.testing.assert_allclose(place[0], expected.means[kept[m]], atol=1e-5)
+        assert abs(float(turn[0] @ unit(expected.quats_wxyz[kept[m]]).double())) == pytest.approx(1, abs=1e-5)
+    opacities = arrays["opacities"] * np.exp(-((since / arrays["durations"]) ** 2) / 2)
+    np.testing.assert_allclose(opacities, expected.opacities[kept], atol=1e-5)
 
 
 def viewer_arrays(scene):
@@ -121,7 +153,7 @@ def test_the_document_is_as_agreed(spanned, tmp_path):
     assert document["still"] == 9
     assert document["moving"] == sum(span["moving"] for span in spans)
     assert document["count"] == document["still"] + document["moving"]
-    assert [span["motion"] for span in spans] == ["keyframes", "polynomial", "static", "static"]
+    assert [span["motion"] for span in spans] == ["bodies", "polynomial", "static", "static"]
     assert [span["changed"] for span in spans] == [3, 3, 0, 1]  # of the last's two one is not stored
     assert spans[2]["length"] == 0
     ends = [sum(4 * math.prod(place["shape"]) for place in document["arrays"].values())]
