@@ -1,7 +1,6 @@
 """Looks at the spikes once and decides what this scene needs; lists all that it leaves out, each with its reason."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,6 @@ LEAST_WINDOW = 7  # planes of a short image
 WINDOW_S, WINDOW_SPIKES = 1e-3, 0.35  # most seconds of a short image, and spikes that it should hold
 COARSE_PX = 100_000  # least pixels of a picture that was made smaller
 COARSE_UNTIL = 0.75  # share of the training after which pictures are whole
-A_PIXEL = 2  # most Gaussians for each pixel of a view
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
 BEST_METHOD = "adaptive"  # best image method without a network, on single images
 
@@ -56,7 +54,8 @@ def make_plan(
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
     method = METHODS[model]
-    work = replace(work, gaussians=config.gaussians or min(method.gaussians, A_PIXEL * work.pixels))
+    if config.gaussians is None:
+        work = work.furnished(method.gaussians, len(spans))
     _refuse_for_rays(config, method)
     if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}

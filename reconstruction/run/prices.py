@@ -30,6 +30,9 @@ SPLATS_S = 6.7e-7
 FLOAT_BYTES = 4
 INSTANTS = 8  # instants at which movers are swept
 KEPT_COPIES = 3  # of a trained number: itself and Adam's two moments
+A_PIXEL = 2  # most Gaussians for each pixel of a view
+PIXELS_EACH = 5  # of a view, for each Gaussian of a method that gets more than its own number
+WORTH_STEPS = 1400  # steps, at the prices here, that more Gaussians have to leave
 VIEW_DEPENDENT = 3 * 16 - 1  # extra numbers a Gaussian: three channels of third-degree harmonics, not one grey
 
 
@@ -62,6 +65,19 @@ class Work:
             return self.steps
         assert self.budget_s is not None
         return round(self.budget_s / self.step_s())
+
+    def furnished(self, usual: int, parts: int) -> "Work":
+        """Return the work with the `usual` Gaussians, doubled while pictures and time have use for more.
+
+        A recording of several `parts`, learnt one after the other, divides its time among them.
+        """
+        found = replace(self, gaussians=min(usual, A_PIXEL * self.pixels))
+        while 2 * found.gaussians * PIXELS_EACH <= self.pixels:
+            more = replace(found, gaussians=2 * found.gaussians)
+            if more.likely_steps() < WORTH_STEPS * parts:
+                break
+            found = more
+        return found
 
     def movers_s(self) -> float:
         """Return the seconds of looking for movers; steps without any cost nothing more."""

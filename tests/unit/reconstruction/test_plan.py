@@ -263,6 +263,27 @@ def test_the_cap_of_gaussians_is_the_operators_or_follows_the_pixels():
 
 
 @pytest.mark.parametrize(
+    ("size", "budget_s", "parts", "gaussians"),
+    [
+        ((400, 250), 600.0, 1, 48_000),
+        ((640, 480), 600.0, 1, 48_000),
+        ((1000, 1000), 60.0, 1, 48_000),
+        ((1000, 1000), 180.0, 1, 96_000),
+        ((1000, 1000), 600.0, 1, 192_000),
+        ((1000, 1000), 6000.0, 1, 192_000),
+        ((1000, 1000), 600.0, 4, 48_000),  # as much time as 150 s for each
+        ((40, 26), 600.0, 1, 2 * 40 * 26),
+        ((1, 1), 0.0, 1, 2),
+    ],
+)
+def test_large_pictures_get_more_gaussians_where_time_pays_for_them(size, budget_s, parts, gaussians):
+    work = Work(size[0] * size[1], 400, 8, 0, budget_s, None)
+    assert work.furnished(48_000, parts).gaussians == gaussians
+    long = dataclasses.replace(work, budget_s=None, steps=10_000)
+    assert long.furnished(48_000, 1).gaussians == (192_000 if size == (1000, 1000) else gaussians)
+
+
+@pytest.mark.parametrize(
     ("size", "doublings"), [((400, 250), ()), ((640, 480), ()), ((1000, 1000), (0.75,)), ((2000, 1000), (0.375, 0.75))]
 )
 def test_large_pictures_are_small_at_first(size, doublings):
