@@ -55,7 +55,7 @@ def make_plan(
     model = _choose_model(config, masks, work, decisions)
     method = METHODS[model]
     if config.gaussians is None:
-        work = work.furnished(method.gaussians, len(spans))
+        work = work.with_gaussians(method.gaussians, len(spans))
     _refuse_for_rays(config, method)
     if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}

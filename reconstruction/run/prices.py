@@ -66,7 +66,7 @@ class Work:
         assert self.budget_s is not None
         return round(self.budget_s / self.step_s())
 
-    def furnished(self, usual: int, parts: int) -> "Work":
+    def with_gaussians(self, usual: int, parts: int) -> "Work":
         """Return the work with the `usual` Gaussians, doubled while pictures and time have use for more.
 
         A recording of several `parts`, learnt one after the other, divides its time among them.

@@ -52,18 +52,23 @@ def large(asked: Asked) -> BenchDocument:
     return measured.run()
 
 
-def draw_speed(asked: Asked, out: Path, found: dict) -> None:
-    """Draw the picture of a document of either bench, write its page, and a sheet of the ends of large runs."""
-    from reconstruction.bench.contact_sheet import stack_sheets
+def draw_speed(_: Asked, out: Path, found: dict) -> None:
+    """Draw the picture of a document of either bench, and write its page."""
     from reconstruction.bench.diagrams import PLOTS
     from reconstruction.bench.speed_page import write_page
 
     name = found["bench"]
     PLOTS[name](out / f"{name}.png", found)
     write_page(out / f"{name}.md", found)
-    sheets = sorted(_tiles(asked).glob("*.png")) if name == "large" else []
-    if sheets:
-        stack_sheets(out / "large-sheet.png", sheets)
+
+
+def draw_large(asked: Asked, out: Path, found: dict) -> None:
+    """Do the same of the bench of large pictures, and write a sheet of its ends."""
+    from reconstruction.bench.contact_sheet import stack_sheets
+
+    draw_speed(asked, out, found)
+    if sheets := sorted(_tiles(asked).glob("*.png")):
+        stack_sheets(out / "large-sheet.jpg", sheets)
 
 
 def _contenders(asked: Asked) -> list[Contender]:

@@ -109,7 +109,7 @@ async def supervise(
             teller = None
             if forks:
                 running = await fork(relay, command, variables, printed.fileno(), locks)
-                strike = running.send_signal
+                send_signal = running.send_signal
             else:
                 running, _ = await asyncio.get_running_loop().subprocess_exec(
                     lambda: relay,
@@ -121,14 +121,14 @@ async def supervise(
                     start_new_session=True,
                     pass_fds=locks,
                 )
-                strike = partial(os.killpg, running.get_pid())
+                send_signal = partial(os.killpg, running.get_pid())
                 teller = asyncio.ensure_future(_tell(running, relay, control)) if control else None
             try:
                 await relay.over.wait()
             finally:
                 if teller:
                     teller.cancel()
-                await _insist(_stop(strike, relay, grace_s, signal.SIGUSR1 if ends_in_order else signal.SIGTERM))
+                await _insist(_stop(send_signal, relay, grace_s, signal.SIGUSR1 if ends_in_order else signal.SIGTERM))
                 running.close()
         if relay.fault is not None:
             raise relay.fault
@@ -249,12 +249,12 @@ class _Relay(asyncio.SubprocessProtocol):
         return False
 
 
-async def _stop(strike: Callable[[int], None], relay: _Relay, grace_s: float, word: signal.Signals) -> None:
+async def _stop(send_signal: Callable[[int], None], relay: _Relay, grace_s: float, word: signal.Signals) -> None:
     for number, patience_s in ((word, grace_s), (signal.SIGKILL, None)):
         if relay.gone.is_set():
             break
         with contextlib.suppress(ProcessLookupError):
-            strike(number)
+            send_signal(number)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(relay.gone.wait(), patience_s)
     with contextlib.suppress(TimeoutError):

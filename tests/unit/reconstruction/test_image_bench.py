@@ -11,7 +11,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.bench import images as bench
-from reconstruction.bench.contact_sheet import write_sheet
+from reconstruction.bench.contact_sheet import stack_sheets, write_sheet
 from reconstruction.bench.conventions import SLOWER
 from reconstruction.bench.decoding import tfi_recipe, tfp_recipe
 from reconstruction.bench.diagrams import plot_images
@@ -149,6 +149,9 @@ def test_titled_pictures_make_one_sheet_and_rows_a_plot(tmp_path):
     assert cv2.imread(str(tmp_path / "sheet.png")).shape == (64, 808, 3)
     write_sheet(tmp_path / "sheet.png", [tiles * 2])
     assert cv2.imread(str(tmp_path / "sheet.png")).shape == (32 * 1200 // 1616, 1200, 3)
+    stack_sheets(tmp_path / "both.jpg", [tmp_path / "sheet.png"] * 2)
+    both = cv2.imread(str(tmp_path / "both.jpg")).astype(int)
+    assert np.abs(both - np.tile(cv2.imread(str(tmp_path / "sheet.png")), (2, 1, 1))).mean() < 3
     base = {"part": "scenes", "method": "m", "light": 1.0, "rate_hz": 2e4, "rate_by": "full", "seconds": 0.002}
     rows = [base | {"psnr_db": 30.0}, base | {"psnr_db": 20.0, "light": 0.1}]
     plot_images(tmp_path / "plot.png", {"rows": rows, "device": {"processor": "p", "threads": 2}, "revision": "r"})

@@ -278,9 +278,9 @@ def test_the_cap_of_gaussians_is_the_operators_or_follows_the_pixels():
 )
 def test_large_pictures_get_more_gaussians_where_time_pays_for_them(size, budget_s, parts, gaussians):
     work = Work(size[0] * size[1], 400, 8, 0, budget_s, None)
-    assert work.furnished(48_000, parts).gaussians == gaussians
+    assert work.with_gaussians(48_000, parts).gaussians == gaussians
     long = dataclasses.replace(work, budget_s=None, steps=10_000)
-    assert long.furnished(48_000, 1).gaussians == (192_000 if size == (1000, 1000) else gaussians)
+    assert long.with_gaussians(48_000, 1).gaussians == (192_000 if size == (1000, 1000) else gaussians)
 
 
 @pytest.mark.parametrize(
