@@ -3,7 +3,7 @@
 It also calibrates, by lengthening each lens by a tenth, and checks rigs. Imports are true ones.
 
 FAKE_STEPS and FAKE_STEP_S set the length of the train stage; a stage fails while DATA/jobs/fail-STAGE exists, and
-refuses its input while DATA/jobs/refuse-STAGE does.
+refuses its input while DATA/jobs/refuse-STAGE does. Training does not end while DATA/jobs/hold-train exists.
 With FAKE_RESULTS a reconstruction leaves what a page shows of one, and recordings can be read; its training draws what
 it has learnt every PREVIEW_EVERY steps.
 """
@@ -108,7 +108,7 @@ def train(run: Path, steps: int, step_s: float) -> None:
     done = json.loads(checkpoint.read_text())["done"] if checkpoint.exists() else 0
     with (run / "attempts.txt").open("a") as attempts:
         attempts.write(f"{os.getpid()} {done}\n")
-    while done < steps:
+    while done < steps or (run.parents[1] / "hold-train").exists():
         if done % PREVIEW_EVERY == 0 and "FAKE_RESULTS" in os.environ:
             from fake_results import write_preview
 
@@ -118,8 +118,9 @@ def train(run: Path, steps: int, step_s: float) -> None:
         aside = checkpoint.with_suffix(".aside")
         aside.write_text(json.dumps({"done": done}))
         aside.replace(checkpoint)
-        close = f"loss {1 / done:.4f}, training PSNR {20 + 10 * done / steps:.2f} dB"
-        report(done / steps, f"step {done}, {close}, 900 Gaussians")
+        share = min(1.0, done / steps)
+        close = f"loss {1 / done:.4f}, training PSNR {20 + 10 * share:.2f} dB"
+        report(share, f"step {done}, {close}, 900 Gaussians")
         if told:
             sys.stderr.write("stopped with a checkpoint\n")
             sys.exit(143)

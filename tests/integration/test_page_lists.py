@@ -43,6 +43,8 @@ def asked(kind: str, **fields: object) -> JobBase:
 @pytest.fixture
 def queue(service: Service, pair: list[Capture]) -> Iterator[list[Job]]:
     """A reconstruction at work and two that wait, of which the second was asked for more urgently."""
+    hold = service.data / "jobs" / "hold-train"
+    hold.touch()
     requests = [ReconstructRequest(capture=pair[0].id, budget_s=600, name=f"queued {n}") for n in range(2)]
     requests += [ReconstructRequest(capture=pair[0].id, budget_s=600, name="urgent", priority=1)]
     jobs = [service.client.submit(requests[0])]
@@ -52,6 +54,7 @@ def queue(service: Service, pair: list[Capture]) -> Iterator[list[Job]]:
     for job in service.client.jobs():
         if job.status in ("queued", "running"):
             service.client.cancel(job.id)
+    hold.unlink()
     wait_for(lambda: not service.client.jobs(status="running") and not service.client.jobs(status="queued"))
 
 
@@ -194,8 +197,10 @@ def test_jobs_are_cancelled_exported_and_deleted_together(
     page.uncheck(f"#choose-{done}")
     assert page.locator("#choose-all-jobs").evaluate("one => one.indeterminate")
     page.get_by_role("button", name="Cancel 3", exact=True).click()
+    expect(page.locator("#said")).to_have_text("3 jobs cancelled")
     for job in queue:
         expect(page.locator(f"#job-{job.id} .status")).to_have_text("cancelled")
+        expect(page.locator(f"#choose-{job.id}")).not_to_be_checked()
     wait_for(lambda: not service.client.jobs(status="running"))
     page.check("#choose-all-jobs")
     page.uncheck("#choose-all-jobs")

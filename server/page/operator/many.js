@@ -36,11 +36,14 @@ async function each(items, act) {
 }
 
 // Do `work`, which returns what was refused, and say the outcome.
+// What was done is no longer chosen, before the lists are shown again: a person may choose anew meanwhile.
 async function outcome(kind, items, done, work) {
   let refused = [];
-  await performed(async () => { refused = await work(); }, '');
-  const left = refused.map(({ item }) => item.id);
-  unchoose(kind, items.map((item) => item.id).filter((id) => !left.includes(id)));
+  await performed(async () => {
+    refused = await work();
+    const left = refused.map(({ item }) => item.id);
+    unchoose(kind, items.map((item) => item.id).filter((id) => !left.includes(id)));
+  }, '');
   if (!refused.length) return say(`${counted(items.length, kind.slice(0, -1))} ${done}`);
   const why = refused.map(({ item, reason }) => `${nameOf(item)}: ${inWords(reason)}`).join('; ');
   return complain(`${items.length - refused.length} of ${items.length} ${done}. Refused: ${why}`);
