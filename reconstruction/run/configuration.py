@@ -33,7 +33,6 @@ CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "device": ("auto", "cpu", CUDA),
     }
 )
-RENAMED = {"variation": "image-variation"}  # supervisions of run folders written before the first had another meaning
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,6 @@ class ReconstructionConfig:
         for name, names in CHOICES.items():
             if getattr(self, name) not in names:
                 raise BadRunError(f"found {name} {getattr(self, name)!r}", f"one of {', '.join(names)}")
-        chosen = SUPERVISIONS.get(self.supervision)
-        if chosen and chosen.refused:
-            raise BadRunError(f"found supervision {chosen.name!r}: {chosen.refused}", do=chosen.instead)
         if self.device == CUDA and self.model != "auto" and METHODS[self.model].rays:
             found, do = f"found --device {CUDA} with --model {self.model}", "take --device cpu"
             raise BadRunError(found, "a model of Gaussians: rays are marched on the processor alone", do)
@@ -106,6 +102,15 @@ class ReconstructionConfig:
     @classmethod
     def from_json(cls, document: dict) -> ReconstructionConfig:
         """Return the configuration that `dataclasses.asdict` made plain, also one of an earlier revision."""
-        supervision = RENAMED.get(document["supervision"], document["supervision"])
+        supervision = supervision_of(document, "device")
         values: dict[str, Any] = {**document, "supervision": supervision, "views": tuple(document["views"])}
         return cls(**values)
+
+
+def supervision_of(document: dict, since: str) -> str:
+    """Return the supervision that a document names; one without the key `since` is of a revision before it.
+
+    There `variation` was what is `image-variation` now.
+    """
+    named = document["supervision"]
+    return "image-variation" if named == "variation" and since not in document else named

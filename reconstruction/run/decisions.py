@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from reconstruction.images.methods.interpolated import PLANES
-from reconstruction.run.configuration import EVEN, RENAMED
+from reconstruction.run.configuration import EVEN, supervision_of
 from reconstruction.run.spans import Span
 
 
@@ -71,7 +71,7 @@ class Plan:
     @classmethod
     def from_json(cls, document: dict) -> Plan:
         """Return the plan that `dataclasses.asdict` made plain; what an earlier revision had beyond is passed over."""
-        supervision = RENAMED.get(document["supervision"], document["supervision"])
+        supervision = supervision_of(document, "spans")
         known: dict[str, Any] = {f.name: document[f.name] for f in fields(cls) if f.name in document}
         known |= {"views": tuple(document["views"]), "supervision": supervision}
         known |= {"doublings": tuple(document.get("doublings", ()))}

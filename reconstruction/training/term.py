@@ -33,14 +33,11 @@ class Term(Protocol[M]):
 class Supervision:
     """A loss that the operator may choose by `name`, beside or in place of the comparison with images.
 
-    `term` makes its term, given the term on images: None where there is no other. `refused` says why it cannot be
-    chosen yet and `instead` what to choose; both are empty where it can.
+    `term` makes its term, given the term on images: None where there is no other.
     """
 
     name: str
     term: Callable[[ImageTerm, SpikeSampling], Term[DynamicCloud] | None]
-    refused: str = ""
-    instead: str = ""
 
 
 @functools.cache

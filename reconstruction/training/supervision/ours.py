@@ -1,7 +1,7 @@
 """The supervisions of this project: images alone, how they change over time, and spike counts by four measures.
 
-How images change is compared by the statistics of SPSS, the loss of Spike4DGS. SPSS itself compares renders with the
-recorded spikes; `variation` is its name here.
+`variation` is SPSS, the loss of Spike4DGS, as we read it: renders become spikes, and how their counts change is
+compared with the recorded ones. `image-variation` compares the same statistics of images.
 """
 
 from __future__ import annotations
@@ -32,6 +32,12 @@ def _image_variation_term(image: ImageTerm, _: SpikeSampling) -> Term[DynamicClo
     return ImageVariationTerm(image)
 
 
+def _spike_variation_term(image: ImageTerm, sampling: SpikeSampling) -> Term[DynamicCloud]:
+    from reconstruction.training.spike_variation_term import SpikeVariationTerm
+
+    return SpikeVariationTerm(image, sampling)
+
+
 def _both_terms(image: ImageTerm, sampling: SpikeSampling) -> Term[DynamicCloud]:
     """Return the sum of two terms, each at instants of its own."""
     first, second = _image_variation_term(image, sampling), _count_term(image, sampling, "counts")
@@ -44,9 +50,4 @@ L1, L2, COUNTS, CUMULATIVE = (
 )
 IMAGE_VARIATION = Supervision("image-variation", _image_variation_term)
 PIXELS = Supervision("pixels", lambda image, sampling: None)
-VARIATION = Supervision(
-    "variation",
-    lambda image, sampling: None,
-    refused="the loss on recorded spikes is not built yet",
-    instead="use image-variation, which compares images",
-)
+VARIATION = Supervision("variation", _spike_variation_term)

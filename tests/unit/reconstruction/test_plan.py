@@ -312,17 +312,16 @@ def test_the_lists_of_choices_are_those_of_the_contract():
     }
 
 
-def test_a_loss_that_is_not_built_is_refused_with_the_reason_and_what_to_use():
-    with pytest.raises(BadRunError, match="recorded spikes is not built yet; use image-variation") as refused:
-        ReconstructionConfig(supervision="variation")
-    assert refused.value.exit_code == 2
-
-
-def test_a_run_of_an_earlier_revision_says_variation_for_images():
-    config = ReconstructionConfig(supervision="image-variation")
-    assert ReconstructionConfig.from_json(dataclasses.asdict(config) | {"supervision": "variation"}) == config
-    plan, _, _ = make_plan(config, RIG, streams())
-    assert Plan.from_json(dataclasses.asdict(plan) | {"supervision": "variation"}) == plan
+def test_variation_was_the_name_of_a_loss_on_images_in_earlier_revisions():
+    named = ReconstructionConfig(supervision="variation")
+    assert ReconstructionConfig.from_json(dataclasses.asdict(named)) == named
+    plan, _, _ = make_plan(named, RIG, streams())
+    assert plan.supervision == "variation"
+    assert Plan.from_json(dataclasses.asdict(plan)) == plan
+    before = {name: value for name, value in dataclasses.asdict(named).items() if name != "device"}
+    assert ReconstructionConfig.from_json(before).supervision == "image-variation"
+    old_plan = {name: value for name, value in dataclasses.asdict(plan).items() if name != "spans"}
+    assert Plan.from_json(old_plan).supervision == "image-variation"
 
 
 def test_listing_the_choices_loads_no_torch():

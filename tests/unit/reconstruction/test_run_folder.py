@@ -151,6 +151,7 @@ def test_a_run_of_an_earlier_revision_is_read(tmp_path):
     for key in ("planned", "amendments", "held_out_used", "attempt"):
         del document[key]
     document["configuration"]["supervision"] = document["plan"]["supervision"] = "variation"
+    del document["configuration"]["device"], document["plan"]["spans"]
     for decision in document["plan"]["decisions"]:
         del decision["facts"]
     document |= {
