@@ -11,7 +11,7 @@ from reconstruction.evaluation.identities import identities
 from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.gaussians.tracks import tracks_of
 from reconstruction.pipeline.artefacts import posed, recording_of
-from reconstruction.pipeline.report_stage import judged
+from reconstruction.pipeline.judged import judged
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
 from rigs.rig import object_distance_m

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from reconstruction.gaussians.dynamic import DynamicCloud
     from reconstruction.images.composite import CompositeSource
     from reconstruction.scene_model import SceneModel, TimeSpan
+    from reconstruction.uncertainty.expected_error import Uncertainty
 
 FRAMES = 30
 TICKS = "from_tick", "to_tick"  # choices of every format over time
@@ -42,7 +43,8 @@ class Choices:
 class Scene:
     """A trained run. `targets()` reads the target images of the training views, by camera id.
 
-    `part`: the time that is written, None for all that the model covers.
+    `part`: the time that is written, None for all that the model covers. `uncertainty`: what tells its expected errors,
+    where the run has the evidence.
     """
 
     cloud: SceneModel
@@ -52,6 +54,7 @@ class Scene:
     holdout: str | None
     targets: Callable[[], Mapping[str, CompositeSource]]
     part: TimeSpan | None = None
+    uncertainty: Uncertainty | None = None
 
     @property
     def clip(self) -> TimeSpan:

@@ -16,6 +16,9 @@ But rigid ones are `bodies`, K with P `knots` each: `knot_quats` [K, P, 4] and `
 `gaussians.rigid` says how they move. A mover whose number in `bodies` [M] uint32 is below K has its `means` and
 `quats_wxyz` in the frame of that body; any other is a polynomial.
 
+Where the run has evidence, `expected_error` has `places` [P, 3] in m, and `of_white` [P]: the root mean square that the
+error is expected to have from there, over white.
+
 A part of a scene has version 2 too: the spans that it touches, cut to it, or one where there are none.
 """
 
@@ -30,6 +33,7 @@ from torch import Tensor
 from acquisition.durable import made_aside, write_durably, write_json
 from reconstruction.export.scene import Choices, Scene
 from reconstruction.export.splats import floats
+from reconstruction.export.trust import trust_table
 from reconstruction.export.viewer_arrays import Arrays, motion_of, moving_arrays, span_arrays, still_arrays
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanContent, SpannedScene
@@ -165,7 +169,9 @@ def _counts(scene: Scene, version: int, still: int, moving: int) -> dict:
 
 def _surroundings(scene: Scene, places: dict) -> dict:
     cameras = [_camera_table(camera, scene.holdout) for camera in scene.rig.cameras]
-    return {"arrays": places, "cameras": cameras, **_seen(scene)}
+    seen = _seen(scene)
+    trust = trust_table(scene, np.array(seen["centre"]))
+    return {"arrays": places, "cameras": cameras, **seen, **({"expected_error": trust} if trust else {})}
 
 
 def _camera_table(camera: Camera, holdout: str | None) -> dict:

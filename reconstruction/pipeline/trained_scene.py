@@ -6,6 +6,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.export.scene import Scene
 from reconstruction.pipeline.artefacts import posed, read_held_out, read_white, recording_of
+from reconstruction.pipeline.evidence_artefact import read_uncertainty
 from reconstruction.pipeline.span_artefacts import read_recorded_targets
 from reconstruction.run.folder import RunFolder
 from reconstruction.scene_model import SceneModel
@@ -21,7 +22,8 @@ def scene_of(run: RunFolder, recording: Recording, cloud: SceneModel) -> Scene:
     rig, placed = recording.rig, read_held_out(run)
     if placed is not None:
         rig = replace(rig, cameras=tuple(placed if c.id == placed.id else c for c in rig.cameras))
-    return Scene(cloud, rig, read_white(run), run.plan.model, run.config.holdout, targets)
+    model, holdout, uncertainty = run.plan.model, run.config.holdout, read_uncertainty(run, cloud)
+    return Scene(cloud, rig, read_white(run), model, holdout, targets, uncertainty=uncertainty)
 
 
 def trained_scene(run: RunFolder) -> Scene:

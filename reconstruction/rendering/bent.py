@@ -2,6 +2,9 @@
 
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from reconstruction.scene_model import View
 from rigs.camera import Camera
 from rigs.straight import straightening, view_of
@@ -17,3 +20,11 @@ def seen_through(camera: Camera, look: Callable[[Camera], View]) -> View:
     pinhole = view_of(camera)
     seen, way = look(pinhole), straightening(camera, pinhole)
     return View(way.bent(seen.intensity), way.nearest(seen.depth))
+
+
+def image_through(camera: Camera, look: Callable[[Camera], NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return the image [H, W] that `camera` has of something, from a `look` that shows a pinhole; raises RigError."""
+    if not camera.bends:
+        return look(camera)
+    pinhole = view_of(camera)
+    return straightening(camera, pinhole).bent(look(pinhole))

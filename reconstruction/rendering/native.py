@@ -1,6 +1,7 @@
 """The C++ renderer as a torch function: float32 on the CPU, torch's number of threads."""
 
 import ctypes
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -38,6 +39,8 @@ _forward = kernel(
 _backward = kernel("render_backward", _Handle, _CloudPointer, Addresses, Addresses, Long, Int)
 _release = kernel("render_release", _Handle)
 _work = kernel("render_work", _Handle, ctypes.POINTER(ctypes.c_int64))
+_attribute = kernel("render_attribute", _Handle, Address, Int, Address, Int)
+MOST_MAPS = 8  # that `attribute` takes at once
 
 
 class _Frame:
@@ -98,6 +101,25 @@ def work_of(gaussians: Instantaneous, camera: Camera, guards: Guards = GUARDS) -
     counts = (ctypes.c_int64 * 4)()
     _work(frame.handle, counts)
     return Work(*counts)
+
+
+def attribute(
+    gaussians: Instantaneous, camera: Camera, maps_of: Callable[[Rendering], Tensor]
+) -> tuple[Rendering, Tensor]:
+    """Return the rendering of the first channel, and what each Gaussian has to do with maps over it [N, K].
+
+    `maps_of` makes the maps [K, H, W] of the rendering, MOST_MAPS at most. The sums are over pixels, of the weight that
+    the Gaussian has in one times the map's value there: of a map of ones, they are the pixels that it fills.
+    """
+    cloud = (*gaussians[:4], gaussians.intensities[:, 0])
+    frame, seen = _rendered(_Seeing(camera), tuple(t.detach().contiguous() for t in cloud))
+    maps = maps_of(seen).contiguous()
+    if maps.dtype != torch.float32 or maps.shape[1:] != (camera.height, camera.width) or len(maps) > MOST_MAPS:
+        found, size = f"maps {tuple(maps.shape)} of {maps.dtype}", f"{camera.height}, {camera.width}"
+        raise ReconstructionError(f"found {found}", f"[K, {size}], K at most {MOST_MAPS}, of torch.float32")
+    sums = torch.zeros(len(gaussians.means), len(maps))
+    _attribute(frame.handle, maps, len(maps), sums, threads())
+    return seen, sums
 
 
 class _Render(Function):

@@ -81,10 +81,6 @@ inline void pass(uint32_t blocks, const Pair **at) {
     for (; blocks; blocks &= blocks - 1) ++at[__builtin_ctz(blocks)];
 }
 
-inline int64_t slot_of(const Splat &s, const Tile &t) {
-    return s.slot + int64_t(t.y / kTile - s.span.y_first) * s.span.across() + t.x / kTile - s.span.x_first;
-}
-
 // Writes the moments of a group's splats, but for those of the first `given` Gaussians.
 void backward_group(Frame &f, const Tile &t, int64_t first, const float *before, int64_t given, Scratch &s) {
     Group &g = s.group;

@@ -12,6 +12,11 @@ struct Tile {
     Tile(const Frame &f, int tile) : x(tile % f.tiles_x * kTile), y(tile / f.tiles_x * kTile) {}
 };
 
+// Where the moments of a splat over this tile are.
+inline int64_t slot_of(const Splat &s, const Tile &t) {
+    return s.slot + int64_t(t.y / kTile - s.span.y_first) * s.span.across() + t.x / kTile - s.span.x_first;
+}
+
 struct alignas(32) Near {  // the head of a splat, but u and v at the tile's first pixel centre instead of its place
     float u, v, p, q, r, veil, intensity, depth;
 };

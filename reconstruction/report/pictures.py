@@ -14,16 +14,16 @@ from rigs.camera import Camera
 MOST_PX = 400_000  # pixels of a picture that is looked at in passing
 
 
-def of_moderate_size(camera: Camera) -> Camera:
-    """Return the camera, halved until it has MOST_PX pixels or less."""
-    while camera.width * camera.height > MOST_PX:
+def of_moderate_size(camera: Camera, most_px: int = MOST_PX) -> Camera:
+    """Return the camera, halved until it has `most_px` pixels or fewer."""
+    while camera.width * camera.height > most_px:
         camera = camera.halved()
     return camera
 
 
-def difference(image: NDArray[np.float32], truth: NDArray[np.float32], white: float) -> Pixels:
-    """Return the absolute difference of images [H, W] in false colour [H, W, 3]; full scale is a fifth of `white`."""
-    scaled = np.clip(np.abs(image - truth) / max(white, 1e-9) * 5, 0, 1)
+def error_colours(error: NDArray[np.float32], white: float) -> Pixels:
+    """Return the size of errors [H, W] in false colour [H, W, 3]; full scale is a fifth of `white`."""
+    scaled = np.clip(np.abs(error) / max(white, 1e-9) * 5, 0, 1)
     return np.asarray(cv2.applyColorMap(np.round(scaled * 255).astype(np.uint8), cv2.COLORMAP_INFERNO), np.uint8)
 
 

@@ -11,6 +11,7 @@ from acquisition.progress import Progress, part
 from reconstruction.stability import (
     cameras,
     dimness,
+    expectations,
     images,
     lenses,
     losses,
@@ -26,7 +27,10 @@ from reconstruction.stability.drift import drift_cases
 from reconstruction.stability.probe import omissions
 from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, stiff_cases
 
-_SUBJECTS = (rendering, motion, losses, images, recordings, cameras, marching, dimness, pixels, lenses, spans)
+_SUBJECTS = (
+    *(rendering, motion, losses, expectations, images, recordings),
+    *(cameras, marching, dimness, pixels, lenses, spans),
+)
 _ALL = (case for subject in _SUBJECTS for case in subject.CASES)
 CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))
 

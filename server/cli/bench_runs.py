@@ -20,6 +20,7 @@ from acquisition.scenes.catalog import (
 from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, TICKS, Asked, Bench, recording
 from server.cli.bench_long import draw_long, long_recordings
 from server.cli.bench_speed import draw_large, draw_speed, large, speed
+from server.cli.bench_uncertainty import draw_uncertainty, uncertainty
 
 if TYPE_CHECKING:
     from reconstruction.bench.paper.method import Protocol
@@ -196,5 +197,6 @@ BENCHES: dict[str, Bench] = {
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
     "long": Bench("long recordings in spans, against parts of them alone", long_recordings, draw_long),
     "speed": Bench("how much sooner than an older revision: whole runs and single steps, in turns", speed, draw_speed),
+    "uncertainty": Bench("expected errors against true ones", uncertainty, draw_uncertainty, trains=True),
     "large": Bench("whole runs at a million pixels, and of an older revision in turns", large, draw_large),
 }

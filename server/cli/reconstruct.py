@@ -126,10 +126,13 @@ def _part_name(text: str, stage: str | None) -> str:
 @click.command("render")
 @click.argument("run_folder", metavar="RUN", type=PATH)
 @click.option("--cameras", type=PATH, required=True, help="transforms.json; each frame has a time in seconds.")
-@click.option("--out", type=PATH, required=True, help="Folder for NNNNNN.npy, NNNNNN.png and depth_NNNNNN.npy.")
+@click.option(
+    "--out", type=PATH, required=True, help="Folder for NNNNNN.npy, NNNNNN.png, depth_NNNNNN.npy and sd_NNNNNN.npy."
+)
 def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
-    """Render RUN from any cameras at any time, with depth."""
+    """Render RUN from any cameras at any time, with depth and the error to expect."""
     from reconstruction.pipeline.artefacts import read_white
+    from reconstruction.pipeline.evidence_artefact import read_uncertainty
     from reconstruction.report.display import grey
     from reconstruction.report.pictures import write_png
     from reconstruction.training.checkpoint import load_cloud
@@ -137,13 +140,17 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     run = RunFolder.open(run_folder)
     frames = frames_to_render(cameras)
     cloud = load_cloud(run.checkpoint)
-    white = read_white(run)
+    white, uncertainty = read_white(run), read_uncertainty(run, cloud)
+    if uncertainty is None:
+        warn("found no evidence in the run, expected that of its report stage; no expected errors are written")
     out.mkdir(parents=True, exist_ok=True)
     progress = progress_of("render")
     for i, frame in enumerate(frames):
         view = cloud.look(frame.camera, frame.instant_s)
         write_array(out / f"{i:06d}.npy", view.intensity)
         write_array(out / f"depth_{i:06d}.npy", view.depth)
+        if uncertainty:
+            write_array(out / f"sd_{i:06d}.npy", uncertainty.look(frame.camera, frame.instant_s))
         write_png(out / f"{i:06d}.png", grey(view.intensity, white))
         progress((i + 1) / len(frames), f"frame {i + 1} of {len(frames)}")
     click.echo(f"{len(frames)} frames in {out}")

@@ -82,6 +82,7 @@ class Player {
     this.clock = new Clock(scene.manifest.clip_s, PASS_S * spans, () => this.seek());
     this.moved = true;
     this.depths = scene.manifest.depth_m;
+    this.trust = (centre) => parts.inWords(scene.manifest.expected_error, centre);
     this.due = false;
     this.frames = 0;
     new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe(byId('stage'));
@@ -128,6 +129,7 @@ class Player {
     this.picture.draw(this.view, this.size);
     this.compare.place(this.view, this.size, this.clock.u, this.clock.running);
     byId('from').value = this.view.camera?.id ?? '';
+    byId('trust').textContent = this.trust(this.view.centre);
     this.frames += 1;
     byId('picture').dataset.frames = this.frames;
     if (this.clock.waits) return;
@@ -246,7 +248,7 @@ async function loadParts() {
   await import('./vendor/spark.js').catch((error) => {
     throw new SceneError(`found no renderer (${error.message}); run "make viewer" and reload this page`);
   });
-  const modules = ['view', 'cameras', 'splats', 'picture', 'compare', 'controls', 'sharing', 'spans'].map((name) => import(`./${name}.js`));
+  const modules = ['view', 'cameras', 'splats', 'picture', 'compare', 'controls', 'sharing', 'spans', 'trust'].map((name) => import(`./${name}.js`));
   return Object.assign({}, ...await Promise.all(modules));
 }
 

@@ -1,0 +1,189 @@
+"""Gathers what the training views tell of each Gaussian: how well the pixels that it fills fit, and who sees it.
+
+Letters: N Gaussians, M moving ones, V training views. A Gaussian has in each pixel the weight with which its light is
+blended there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from acquisition.progress import Progress, silent
+from reconstruction.errors import BadRunError
+from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.spanned import SpannedScene
+from reconstruction.images.composite import CompositeSource
+from reconstruction.native import shared_out
+from reconstruction.rendering.native import attribute
+from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.run.spans import Span
+from rigs.camera import Camera
+from rigs.clock import RigClock
+
+INSTANTS, SPAN_INSTANTS = 4, 2  # instants that are compared: of a recording in one piece, and of each span
+FEW_PX = 4.0  # pixels of the mean misfit that a Gaussian's own is mixed with
+SEEN_PX = 1.0  # least pixels that a Gaussian fills in a view that sees it
+Views = Mapping[str, tuple[Camera, CompositeSource]]
+GaussianScene = DynamicCloud | SpannedScene
+
+
+class Evidence(NamedTuple):
+    """What is known of N Gaussians.
+
+    `misfit` [N]: the mean square of render minus target in their pixels, of the square of white. `seen` [N, V], bool:
+    the views that see them.
+    """
+
+    misfit: Tensor
+    seen: Tensor
+
+    def beside(self, other: Evidence) -> Evidence:
+        """Return what is known of these Gaussians and then of others."""
+        return Evidence(*(torch.cat(pair) for pair in zip(self, other, strict=True)))
+
+
+@dataclass
+class _Tally:
+    """Sums over pictures: pixels [N, V] that Gaussians fill, and squares [N] of what does not fit there."""
+
+    pixels: Tensor
+    squares: Tensor
+
+    @classmethod
+    def of(cls, count: int, views: int) -> _Tally:
+        return cls(torch.zeros(count, views), torch.zeros(count))
+
+    def add(self, other: _Tally) -> None:
+        """Add other sums of the same Gaussians."""
+        self.pixels += other.pixels
+        self.squares += other.squares
+
+    def cut(self, first: int, last: int | None = None) -> _Tally:
+        """Return the sums of a range of Gaussians."""
+        return _Tally(self.pixels[first:last], self.squares[first:last])
+
+    def evidence(self, mean: Tensor) -> Evidence:
+        """Return what they tell; of what fills few pixels, that is nearly the `mean` misfit."""
+        misfit = (self.squares + FEW_PX * mean) / (self.pixels.sum(dim=1) + FEW_PX)
+        return Evidence(misfit, self.pixels >= SEEN_PX)
+
+
+@dataclass(frozen=True)
+class SceneEvidence:
+    """The evidence of a scene: of its N still Gaussians, and of the movers of each span, or of all in one piece.
+
+    `centres` [V, 3]: where the training cameras stand, m in the rig frame. `white`: the intensity that misfits are
+    relative to, spikes per tick.
+    """
+
+    still: Evidence
+    movers: Sequence[Evidence]
+    centres: Tensor
+    white: float
+
+    def at(self, number: int) -> Evidence:
+        """Return what is known of the Gaussians that are there in a span, the still ones first."""
+        return self.still.beside(self.movers[number])
+
+    def state(self) -> dict[str, Any]:
+        """Return tensors and numbers, for a file; misfits as their roots, which half precision holds well."""
+        packed = [{"misfit": e.misfit.sqrt().half(), "seen": _packed(e.seen)} for e in (self.still, *self.movers)]
+        return {"still": packed[0], "movers": packed[1:], "centres": self.centres, "white": self.white}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> SceneEvidence:
+        """Return the evidence whose `state` this is; raises BadRunError for other content."""
+        try:
+            views = len(state["centres"])
+            still, *movers = (
+                Evidence(kept["misfit"].float().square(), _unpacked(kept["seen"], views))
+                for kept in (state["still"], *state["movers"])
+            )
+            return cls(still, movers, state["centres"], float(state["white"]))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise BadRunError(
+                "found other evidence than this version stores", do="run the report stage again"
+            ) from error
+
+
+def _packed(seen: Tensor) -> Tensor:
+    return torch.from_numpy(np.packbits(seen.numpy(), axis=1))
+
+
+def _unpacked(packed: Tensor, views: int) -> Tensor:
+    return torch.from_numpy(np.unpackbits(packed.numpy(), axis=1, count=views).astype(bool))
+
+
+@torch.no_grad()
+def gather(
+    scene: GaussianScene,
+    views: Views,
+    clock: RigClock,
+    spans: Sequence[Span],
+    white: float,
+    progress: Progress = silent,
+) -> SceneEvidence:
+    """Compare the scene with the targets of its training views, and return what that tells of each Gaussian.
+
+    `spans`: those of the recording, or one that is all of it. `white`: spikes per tick, above zero.
+    """
+    still, movers = _Tally.of(len(scene.still), len(views)), []
+    for number, (part, planes) in enumerate(_compared(scene, spans)):
+        own = _Tally.of(len(part), len(views))
+        for plane in planes:
+            _compare(own, part.at(clock.instant_s(plane)), views, plane, white)
+        still.add(own.cut(0, len(scene.still)))
+        movers.append(own.cut(len(scene.still)))
+        progress((number + 1) / len(spans), f"evidence of span {number + 1} of {len(spans)}")
+    filled = sum(float(tally.pixels.sum()) for tally in (still, *movers))
+    mean = sum(float(tally.squares.sum()) for tally in (still, *movers)) / max(filled, 1.0)
+    centres = torch.tensor(np.stack([camera.center for camera, _ in views.values()]), dtype=torch.float32)
+    found = [tally.evidence(torch.tensor(mean)) for tally in (still, *movers)]
+    return SceneEvidence(found[0], found[1:], centres, white)
+
+
+def _compared(scene: GaussianScene, spans: Sequence[Span]) -> Iterator[tuple[DynamicCloud, list[int]]]:
+    """Yield the scene of each span and the planes to compare it at; none where a span is as most others are."""
+    if isinstance(scene, DynamicCloud):
+        yield scene, _planes(spans[0], INSTANTS)
+        return
+    resting = [not (content.cloud or len(content.changed)) for content in scene.spans]
+    for number, span in enumerate(spans):
+        left_out = resting[number] and not (all(resting) and number == len(spans) // 2)
+        yield scene.part(number), [] if left_out else _planes(span, SPAN_INSTANTS)
+
+
+def _planes(span: Span, count: int) -> list[int]:
+    """Return so many planes, evenly within a span; fewer where it has fewer."""
+    count = min(count, len(span))
+    return [span.first + (2 * i + 1) * len(span) // (2 * count) for i in range(count)]
+
+
+def _compare(tally: _Tally, now: Instantaneous, views: Views, plane: int, white: float) -> None:
+    """Add to the sums what the views show at a plane."""
+
+    def compared(view: tuple[Camera, CompositeSource]) -> Tensor:
+        camera, source = view
+        covered = torch.from_numpy(_covered(source))
+        target = torch.from_numpy(source.at(plane))
+
+        def maps(seen: Rendering) -> Tensor:
+            return torch.stack([covered, covered * ((seen.intensity - target) / white).square()])
+
+        return attribute(now, camera, maps)[1]
+
+    for view, sums in enumerate(shared_out(compared, views.values())):
+        tally.pixels[:, view] += sums[:, 0]
+        tally.squares += sums[:, 1]
+
+
+def _covered(source: CompositeSource) -> np.ndarray:
+    """Return 1 where a view's camera has seen a pixel whole, else 0, [H, W]."""
+    way = source.straightening
+    return np.ones(source.moving.shape, np.float32) if way is None else way.covered.astype(np.float32)
