@@ -22,11 +22,11 @@ def expected_square(charges: Sequence[Tensor], signs: Sequence[int]) -> Tensor:
     It is exact: floor(phase + charge) is floor(charge), and one more where the phase is above 1 - the fraction f. Two
     such events both happen in the smaller of both fractions. Continuous, with a gradient almost everywhere.
     """
-    whole = sum(sign * charge.floor() for sign, charge in zip(signs, charges, strict=True))
-    parts = [charge - charge.floor() for charge in charges]
-    signed = list(zip(signs, parts, strict=True))
-    first = sum(sign * f for sign, f in signed)
-    second = sum(a * b * torch.minimum(f, g) for a, f in signed for b, g in signed)
+    floors = [charge.floor() for charge in charges]
+    whole = torch.stack([sign * floor for sign, floor in zip(signs, floors, strict=True)]).sum(dim=0)
+    parts = [(sign, charge - floor) for sign, charge, floor in zip(signs, charges, floors, strict=True)]
+    first = torch.stack([sign * f for sign, f in parts]).sum(dim=0)
+    second = torch.stack([a * b * torch.minimum(f, g) for a, f in parts for b, g in parts]).sum(dim=0)
     return whole**2 + 2 * whole * first + second
 
 

@@ -14,9 +14,9 @@ from rigs.camera import Camera
 MOST_PX = 400_000  # pixels of a picture that is looked at in passing
 
 
-def of_moderate_size(camera: Camera, most_px: int = MOST_PX) -> Camera:
-    """Return the camera, halved until it has `most_px` pixels or fewer."""
-    while camera.width * camera.height > most_px:
+def of_moderate_size(camera: Camera, most_px: int | None = None) -> Camera:
+    """Return the camera, halved until it has `most_px` pixels or fewer; by default MOST_PX."""
+    while camera.width * camera.height > (most_px or MOST_PX):
         camera = camera.halved()
     return camera
 

@@ -34,7 +34,7 @@ GaussianScene = DynamicCloud | SpannedScene
 
 
 class Evidence(NamedTuple):
-    """What is known of N Gaussians.
+    """The knowledge of N Gaussians.
 
     `misfit` [N]: the mean square of render minus target in their pixels, of the square of white. `seen` [N, V], bool:
     the views that see them.
@@ -50,7 +50,7 @@ class Evidence(NamedTuple):
 
 @dataclass
 class _Tally:
-    """Sums over pictures: pixels [N, V] that Gaussians fill, and squares [N] of what does not fit there."""
+    """Sums over pictures: pixels [N, V] that Gaussians fill, and squared misfits [N] there."""
 
     pixels: Tensor
     squares: Tensor
@@ -69,7 +69,7 @@ class _Tally:
         return _Tally(self.pixels[first:last], self.squares[first:last])
 
     def evidence(self, mean: Tensor) -> Evidence:
-        """Return what they tell; of what fills few pixels, that is nearly the `mean` misfit."""
+        """Return what they tell; a Gaussian that fills few pixels has nearly the `mean` misfit."""
         misfit = (self.squares + FEW_PX * mean) / (self.pixels.sum(dim=1) + FEW_PX)
         return Evidence(misfit, self.pixels >= SEEN_PX)
 

@@ -43,7 +43,7 @@ class Uncertainty:
     evidence: SceneEvidence
 
     def look(self, camera: Camera, instant_s: float) -> NDArray[np.float32]:
-        """Return the root of the expected square error [H, W] of what `camera` sees, in spikes per tick."""
+        """Return the root of the expected square error [H, W] in the picture of `camera`, in spikes per tick."""
 
         def expected(pinhole: Camera) -> NDArray[np.float32]:
             squares = torch.tensordot(torch.tensor(list(WEIGHTS.values())), self.terms(pinhole, instant_s), 1)
@@ -53,7 +53,7 @@ class Uncertainty:
 
     @torch.no_grad()
     def terms(self, camera: Camera, instant_s: float) -> Tensor:
-        """Return the terms [K, H, W], in the order of WEIGHTS, of what a pinhole sees at an instant."""
+        """Return the terms [K, H, W], in the order of WEIGHTS, in the picture of a pinhole at an instant."""
         number = self.scene.number_at(instant_s) if isinstance(self.scene, SpannedScene) else 0
         part = self.scene.part(number) if isinstance(self.scene, SpannedScene) else self.scene
         now, known = part.at(instant_s), self.evidence.at(number)

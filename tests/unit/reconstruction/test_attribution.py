@@ -1,4 +1,4 @@
-"""What Gaussians have to do with maps over a picture: the kernel against the reference's gradient in float64."""
+"""Sums of Gaussians' weights over maps of a picture: the kernel against the reference's gradient in float64."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""What training views tell of Gaussians, and the errors that are expected from it."""
+"""The evidence of training views, and the errors that are expected from it."""
 
 import math
 from dataclasses import dataclass, replace
