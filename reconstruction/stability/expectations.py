@@ -56,17 +56,18 @@ def _by_intensity(cloud: Instantaneous, maps: Tensor) -> Tensor:
 
 
 def _expected_error(_: str) -> Observation:
-    """Show one Gaussian with misfits from 0 to 1e6: misfit and hole are known in every pixel, and all is finite."""
+    """Show one Gaussian with misfits from 0 to 1e6, whose breadth and angle are known; all is finite."""
     now, error = gaussians_of(1), 0.0
     still = GaussianCloud(now.means, now.quats_wxyz, now.log_scales, now.opacities.logit(), now.intensities)
     cloud = DynamicCloud(still, nothing(), PolynomialMotion.at_rest(torch.zeros(0), 1.0), TimeSpan(0.0, 1.0))
-    alpha = render(now, CAMERA, backend="reference").alpha
+    alpha, breadth = render(now, CAMERA, backend="reference").alpha, 0.1 / float(now.means.norm())
     for misfit in (0.0, 1e-12, 1.0, 1e6):
         known = Evidence(torch.tensor([misfit]), torch.zeros(1, 1, dtype=torch.bool))
-        evidence = SceneEvidence(known, [Evidence(torch.zeros(0), torch.zeros(0, 1, dtype=torch.bool))], now.means, 1.0)
-        told = Uncertainty(cloud, evidence)
+        none = Evidence(torch.zeros(0), torch.zeros(0, 1, dtype=torch.bool))
+        told = Uncertainty(cloud, SceneEvidence(known, [none], now.means, 1.0, 0.5))
         terms = dict(zip(WEIGHTS, told.terms(CAMERA, 0.5), strict=True))
-        error = max(error, apart(terms["misfit"], misfit * alpha), apart(terms["holes"], (1 - alpha).square()))
+        product = misfit * breadth * alpha**3  # the angle to a camera that nobody is, is 1
+        error = max(error, apart(terms["misfit"], product), apart(terms["holes"], 0.5 * (1 - alpha)))
         if not all(bool(torch.isfinite(term).all()) for term in terms.values()):
             error = math.inf
     return Observation(f"off by {error:.0e}", error)

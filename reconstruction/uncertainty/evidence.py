@@ -7,7 +7,7 @@ blended there.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from rigs.clock import RigClock
 INSTANTS, SPAN_INSTANTS = 4, 2  # instants that are compared: of a recording in one piece, and of each span
 FEW_PX = 4.0  # pixels of the mean misfit that a Gaussian's own is mixed with
 SEEN_PX = 1.0  # least pixels that a Gaussian fills in a view that sees it
+HOLES = 0.01  # share of the pixels that are taken for holes in which something of the usual light was missed
 Views = Mapping[str, tuple[Camera, CompositeSource]]
 GaussianScene = DynamicCloud | SpannedScene
 
@@ -74,18 +75,33 @@ class _Tally:
         return Evidence(misfit, self.pixels >= SEEN_PX)
 
 
+@dataclass
+class _Holes:
+    """Sums over pictures: of holes in pixels, and squares of what they show; of pixels, and squares of their light."""
+
+    sums: Tensor = field(default_factory=lambda: torch.zeros(4))
+
+    @property
+    def void(self) -> float:
+        """The mean square of what shows in a hole: as usual light does, unless the views have seen holes."""
+        holes, squares, pixels, light = self.sums.tolist()
+        assumed = HOLES * max(pixels, 1.0)
+        return (squares + assumed * light / max(pixels, 1.0)) / (holes + assumed)
+
+
 @dataclass(frozen=True)
 class SceneEvidence:
     """The evidence of a scene: of its N still Gaussians, and of the movers of each span, or of all in one piece.
 
     `centres` [V, 3]: where the training cameras stand, m in the rig frame. `white`: the intensity that misfits are
-    relative to, spikes per tick.
+    relative to, spikes per tick. `void`: the mean square, over that of white, of what shows where nothing is drawn.
     """
 
     still: Evidence
     movers: Sequence[Evidence]
     centres: Tensor
     white: float
+    void: float
 
     def at(self, number: int) -> Evidence:
         """Return what is known of the Gaussians that are there in a span, the still ones first."""
@@ -94,7 +110,8 @@ class SceneEvidence:
     def state(self) -> dict[str, Any]:
         """Return tensors and numbers, for a file; misfits as their roots, which half precision holds well."""
         packed = [{"misfit": e.misfit.sqrt().half(), "seen": _packed(e.seen)} for e in (self.still, *self.movers)]
-        return {"still": packed[0], "movers": packed[1:], "centres": self.centres, "white": self.white}
+        numbers = {"white": self.white, "void": self.void}
+        return {"still": packed[0], "movers": packed[1:], "centres": self.centres, **numbers}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> SceneEvidence:
@@ -105,7 +122,7 @@ class SceneEvidence:
                 Evidence(kept["misfit"].float().square(), _unpacked(kept["seen"], views))
                 for kept in (state["still"], *state["movers"])
             )
-            return cls(still, movers, state["centres"], float(state["white"]))
+            return cls(still, movers, state["centres"], float(state["white"]), float(state["void"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise BadRunError(
                 "found other evidence than this version stores", do="run the report stage again"
@@ -133,11 +150,11 @@ def gather(
 
     `spans`: those of the recording, or one that is all of it. `white`: spikes per tick, above zero.
     """
-    still, movers = _Tally.of(len(scene.still), len(views)), []
+    still, movers, holes = _Tally.of(len(scene.still), len(views)), [], _Holes()
     for number, (part, planes) in enumerate(_compared(scene, spans)):
         own = _Tally.of(len(part), len(views))
         for plane in planes:
-            _compare(own, part.at(clock.instant_s(plane)), views, plane, white)
+            holes.sums += _compare(own, part.at(clock.instant_s(plane)), views, plane, white)
         still.add(own.cut(0, len(scene.still)))
         movers.append(own.cut(len(scene.still)))
         progress((number + 1) / len(spans), f"evidence of span {number + 1} of {len(spans)}")
@@ -145,7 +162,7 @@ def gather(
     mean = sum(float(tally.squares.sum()) for tally in (still, *movers)) / max(filled, 1.0)
     centres = torch.tensor(np.stack([camera.center for camera, _ in views.values()]), dtype=torch.float32)
     found = [tally.evidence(torch.tensor(mean)) for tally in (still, *movers)]
-    return SceneEvidence(found[0], found[1:], centres, white)
+    return SceneEvidence(found[0], found[1:], centres, white, holes.void)
 
 
 def _compared(scene: GaussianScene, spans: Sequence[Span]) -> Iterator[tuple[DynamicCloud, list[int]]]:
@@ -165,22 +182,27 @@ def _planes(span: Span, count: int) -> list[int]:
     return [span.first + (2 * i + 1) * len(span) // (2 * count) for i in range(count)]
 
 
-def _compare(tally: _Tally, now: Instantaneous, views: Views, plane: int, white: float) -> None:
-    """Add to the sums what the views show at a plane."""
+def _compare(tally: _Tally, now: Instantaneous, views: Views, plane: int, white: float) -> Tensor:
+    """Add to the sums what the views show at a plane; return the sums of `_Holes`."""
 
-    def compared(view: tuple[Camera, CompositeSource]) -> Tensor:
+    def compared(view: tuple[Camera, CompositeSource]) -> tuple[Tensor, Tensor]:
         camera, source = view
-        covered = torch.from_numpy(_covered(source))
-        target = torch.from_numpy(source.at(plane))
+        covered, target = torch.from_numpy(_covered(source)), torch.from_numpy(source.at(plane)) / white
 
         def maps(seen: Rendering) -> Tensor:
-            return torch.stack([covered, covered * ((seen.intensity - target) / white).square()])
+            return torch.stack([covered, covered * (seen.intensity / white - target).square()])
 
-        return attribute(now, camera, maps)[1]
+        seen, sums = attribute(now, camera, maps)
+        ones, squares = maps(seen)
+        hole = 1 - seen.alpha
+        return sums, torch.stack([(hole * ones).sum(), (hole * squares).sum(), ones.sum(), (ones * target**2).sum()])
 
-    for view, sums in enumerate(shared_out(compared, views.values())):
+    holes = torch.zeros(4)
+    for view, (sums, of_holes) in enumerate(shared_out(compared, views.values())):
         tally.pixels[:, view] += sums[:, 0]
         tally.squares += sums[:, 1]
+        holes += of_holes
+    return holes
 
 
 def _covered(source: CompositeSource) -> np.ndarray:

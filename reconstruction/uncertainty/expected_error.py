@@ -23,12 +23,11 @@ from rigs.camera import Camera
 
 # Each term's factor in the square of the error, both relative to white.
 WEIGHTS = {
-    "misfit": 0.07,  # what the Gaussians did not fit in the training views
-    "aside": 17.0,  # the same, times the angle to the nearest camera that saw them, rad
-    "edges": 0.055,  # its root, where the depth jumps: there what is a little off shows
-    "breadth": 0.03,  # the square of the angle that the Gaussians fill, rad: wide ones stand for what nobody saw
-    "holes": 0.11,  # the square of the light that passes through everything
-    "holes aside": 0.27,  # the same light, times that angle
+    "misfit": 1100.0,  # what the Gaussians did not fit, times their breadth and the angle to the nearest who saw them
+    "edges": 0.12,  # the root of what they did not fit, where the depth jumps: there what is a little off shows
+    "aside": 0.08,  # the square of the light, times the square of the angle to the nearest camera that saw it
+    "holes": 0.16,  # what shows in holes, where light passes through everything
+    "holes aside": 0.22,  # holes, times that angle: what is behind them nobody may have seen
 }
 WIDEST_RAD = 1.0  # largest angle that counts, and that to a camera where none has seen a Gaussian
 JUMP = 0.02  # change of the depth from pixel to pixel, relative to it, that is an edge
@@ -58,13 +57,14 @@ class Uncertainty:
         part = self.scene.part(number) if isinstance(self.scene, SpannedScene) else self.scene
         now, known = part.at(instant_s), self.evidence.at(number)
         away = torch.tensor(camera.center, dtype=torch.float32) - now.means
-        breadth = now.log_scales.exp().amax(dim=1) / away.norm(dim=1).clamp_min(TINY)
-        channels = torch.stack([known.misfit, self._aside(now, away, known), breadth.clamp(max=WIDEST_RAD)], dim=1)
+        breadth = (now.log_scales.exp().amax(dim=1) / away.norm(dim=1).clamp_min(TINY)).clamp(max=WIDEST_RAD)
+        own_light = now.intensities[:, 0] / self.evidence.white
+        channels = torch.stack([known.misfit, self._aside(now, away, known), breadth, own_light], dim=1)
         seen = render(now._replace(intensities=channels), camera)
-        misfit, aside, broad = seen.intensity.clamp_min(0).unbind(-1)
-        hole = (1 - seen.alpha).clamp(0, 1)
-        edges = _edges(seen) * misfit.sqrt()
-        return torch.stack([misfit, misfit * aside, edges, broad.square(), hole.square(), hole * aside])
+        misfit, aside, broad, light = seen.intensity.clamp_min(0).unbind(-1)
+        hole, edges = (1 - seen.alpha).clamp(0, 1), _edges(seen) * misfit.sqrt()
+        holes = hole * self.evidence.void
+        return torch.stack([misfit * broad * aside, edges, (aside * light).square(), holes, hole * aside])
 
     def _aside(self, now: Instantaneous, away: Tensor, known: Evidence) -> Tensor:
         """Return the angle [N] at each Gaussian from the viewer, who is `away` [N, 3] m, to the nearest that saw it."""

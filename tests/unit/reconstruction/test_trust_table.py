@@ -28,7 +28,7 @@ def judged(scene_with):
     scene = scene_with("linear", still=200, moving=10)
     centres = torch.tensor(np.stack([c.center for c in scene.rig.cameras if c.id != scene.holdout])).float()
     parts = [Evidence(torch.full((n,), 0.01), torch.ones(n, 2, dtype=torch.bool)) for n in (200, 10)]
-    evidence = SceneEvidence(parts[0], parts[1:], centres, scene.white)
+    evidence = SceneEvidence(parts[0], parts[1:], centres, scene.white, 0.5)
     return replace(scene, uncertainty=Uncertainty(scene.cloud, evidence))
 
 

@@ -12,6 +12,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.evaluation.expectation import block_means, rank_correlation
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.spanned import SpanContent, SpannedScene
+from reconstruction.rendering.render import render
 from reconstruction.run.spans import Span
 from reconstruction.scene_model import TimeSpan
 from reconstruction.uncertainty.evidence import FEW_PX, Evidence, SceneEvidence, gather
@@ -127,7 +128,7 @@ def test_evidence_is_kept_to_a_thousandth(scene_with):
     assert torch.equal(kept.centres, evidence.centres)
 
 
-@pytest.mark.parametrize("lacking", ["still", "movers", "centres", "white"])
+@pytest.mark.parametrize("lacking", ["still", "movers", "centres", "white", "void"])
 def test_other_content_is_refused_in_one_line(scene_with, lacking):
     state = told(scene_with("linear")).evidence.state()
     with pytest.raises(BadRunError, match="run the report stage again"):
@@ -144,34 +145,47 @@ def test_the_expected_error_is_the_root_of_weighted_terms(scene_with):
     assert len(terms) == len(WEIGHTS)
 
 
-def test_the_misfit_of_a_lone_gaussian_is_shown_where_it_is(one_scene):
+def test_the_terms_of_a_lone_gaussian_are_those_of_its_misfit_breadth_and_angle(one_scene):
     uncertainty = told(replace(one_scene, holdout="cam01"), error=0.1)
     camera = one_scene.rig.camera("cam01")
     now = one_scene.cloud.at(0.007)
-    misfit, aside, *_, holes, _ = uncertainty.terms(camera, 0.007)
-    alpha = 1 - holes.sqrt()
-    torch.testing.assert_close(misfit, alpha * (0.1 / one_scene.white) ** 2, rtol=1e-3, atol=1e-6)
+    misfit, _, aside, holes, holes_aside = uncertainty.terms(camera, 0.007)
+    alpha = render(now, camera).alpha
     ways = [c.center - now.means[0].numpy() for c in (camera, *one_scene.rig.cameras)]
     ways = [way / np.linalg.norm(way) for way in ways]
     angle = min(math.acos(ways[0] @ ways[i]) for i in (1, 3))  # cam01 itself is held out
-    peak = int(alpha.argmax())
-    assert float((aside / misfit / alpha).flatten()[peak]) == pytest.approx(angle, rel=1e-3)
+    breadth = 0.06 / float(np.linalg.norm(camera.center - now.means[0].numpy()))
+    square = (0.1 / one_scene.white) ** 2
+    torch.testing.assert_close(misfit, alpha**3 * square * breadth * angle, rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(aside, (alpha**2 * angle).square(), rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(holes, (1 - alpha) * uncertainty.evidence.void, rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(holes_aside, (1 - alpha) * alpha * angle, rtol=1e-3, atol=1e-6)
 
 
-def test_away_from_the_cameras_more_is_expected(scene_with):
-    scene = scene_with("linear", still=200, moving=10)
-    uncertainty, camera = told(scene, error=0.02), scene.rig.camera("cam01")
-    places = [(0.05 + far, -0.02, 0.1) for far in (0.0, 0.4, 0.8, 1.6)]
-    poses = [Transform.looking_at(place, (0, 0, 2.0), (0.2, 1.0, 0)) for place in places]
-    errors = [float(uncertainty.look(replace(camera, cam_from_rig=pose), 0.007).mean()) for pose in poses]
-    assert errors == sorted(errors)
-    assert errors[-1] > 1.2 * errors[0]
+def test_holes_that_the_views_have_seen_are_no_errors(scene_with):
+    scene = scene_with("linear", still=20, moving=0)
+    seen, filled = told(scene, error=0.0).evidence.void, told(scene, error=scene.white).evidence.void
+    assert seen < 0.01
+    assert filled == pytest.approx(1, abs=0.1)
+
+
+def test_away_from_the_cameras_more_is_expected(one_scene):
+    uncertainty, camera = told(replace(one_scene, holdout="cam01"), error=0.05), one_scene.rig.camera("cam01")
+    target, peaks = (0.2, -0.1, 2.2), []
+    for far in (0.0, 0.4, 0.8, 1.6):
+        camera = replace(camera, cam_from_rig=Transform.looking_at((0.35 + far, 0.05, -0.1), target, (0.2, 1.0, 0)))
+        seen = render(one_scene.cloud.at(0.007), camera)
+        peaks.append(float(uncertainty.look(camera, 0.007).flat[int(seen.alpha.argmax())]))
+    assert peaks == sorted(peaks)
+    assert peaks[-1] > 2 * peaks[0]
 
 
 def test_nothing_at_all_is_expected_to_be_a_hole(empty_scene):
     scene = replace(empty_scene, holdout="cam01")
     expected = told(scene, error=0.1).look(scene.rig.camera("cam01"), 0.007)
-    np.testing.assert_allclose(expected, scene.white * math.sqrt(WEIGHTS["holes"]), rtol=1e-5)
+    void = told(scene, error=0.1).evidence.void
+    np.testing.assert_allclose(expected, scene.white * math.sqrt(WEIGHTS["holes"] * void), rtol=1e-5)
+    assert void == pytest.approx((0.1 / scene.white) ** 2, rel=1e-3)
 
 
 @pytest.mark.parametrize("misfit", [0.0, 1e-12, 1.0, 1e6])
@@ -184,7 +198,7 @@ def test_the_expected_error_is_finite_for_extreme_scenes(scene_with, misfit, dep
     still = Evidence(torch.full((count,), misfit), torch.zeros(count, 2, dtype=torch.bool))
     centres = torch.tensor(scene.rig.camera("cam00").center).float().repeat(2, 1)
     centres[1] = scene.cloud.still.means[0]  # a camera within a Gaussian
-    evidence = SceneEvidence(still, [Evidence(torch.full((3,), misfit), none)], centres, scene.white)
+    evidence = SceneEvidence(still, [Evidence(torch.full((3,), misfit), none)], centres, scene.white, 1.0)
     expected = Uncertainty(scene.cloud, evidence).look(scene.rig.camera("cam01"), 0.007)
     assert np.isfinite(expected).all()
     assert (expected >= 0).all()
