@@ -86,11 +86,14 @@ def bench_uncertainty(
         views += [view for view, _ in found]
         tiles += [strip for view, strip in found if (view.about["line"], view.about["along_m"]) in SHOWN]
     known = [view for view in views if view.about["scene"] not in drawn]
-    for view in views:
-        others = [other for other in known if other.about["scene"] != view.about["scene"]]
-        document.rows.append({**view.about, **scored(view, fitted(others))})
+    for scene in dict.fromkeys(view.about["scene"] for view in views):
+        weights = fitted([view for view in known if view.about["scene"] != scene])
+        own = [view for view in views if view.about["scene"] == scene]
+        document.rows += [{**view.about, **scored(view, weights)} for view in own]
     document.summary = _summary(document.rows, drawn) | _named(fitted(known))
-    document.omissions.append("of path-traced scenes the held-out view alone: elsewhere their truth takes long to draw")
+    left_out = "the held-out view alone: elsewhere their truth takes long to draw"
+    any_drawn = any(clip.scene in drawn for clip, _ in runs)
+    document.omissions.append(f"path-traced scenes: {left_out if any_drawn else 'none was asked for'}")
     write_sheet(sheet, tiles)
     return document
 

@@ -35,6 +35,7 @@ def plot_uncertainty(path: Path, document: dict) -> None:
         middle = [float(np.mean([row["rank"] for row in own if row["along_m"] == place])) for place in places]
         ranks.plot(places, middle, **{**look, "linestyle": "-"})
     log_axes(both, "true error / white", "expected error / white")
+    ranks.set_ylim(0, 1)
     name_axes(ranks, "metres along the line", "rank correlation over blocks, mean of scenes")
     both.legend(fontsize=8, frameon=False)
     write_figure(path, figure, caption(document, rows, "Dotted: twice and half the true error."))

@@ -64,18 +64,16 @@ def _pictures(trained: Trained, uncertainty: Uncertainty | None) -> list[list[di
         instant_s = recording.rig.clock.instant_s(plane)
         view = trained.cloud.look(camera, instant_s)
         near, far = depth_span_m(view.depth)
-        shown = {"render": grey(view.intensity, white), "depth": depth_colours(view.depth, near, far)}
-        if truth:
-            frame = truth.frame(camera.id, plane)
-            shown = {
-                "truth": grey(frame.intensity, white),
-                "render": shown["render"],
-                "error x5": error_colours(view.intensity - frame.intensity, white),
-                f"depth, {near:.2f} to {far:.2f} m": shown["depth"],
-                "true depth": depth_colours(frame.depth, near, far),
-            }
+        frame = truth.frame(camera.id, plane) if truth else None
+        shown = {"truth": grey(frame.intensity, white)} if frame else {}
+        shown["render"] = grey(view.intensity, white)
+        if frame:
+            shown["error x5"] = error_colours(view.intensity - frame.intensity, white)
         if uncertainty:
             shown["expected error x5"] = error_colours(uncertainty.look(camera, instant_s), white)
+        shown[f"depth, {near:.2f} to {far:.2f} m"] = depth_colours(view.depth, near, far)
+        if frame:
+            shown["true depth"] = depth_colours(frame.depth, near, far)
         files = {name: encode_png(pixels) for name, pixels in shown.items()}
         tick = recording.rig.first_tick + plane
         write_durably(run.path / "thumbnails" / f"render_{tick:06d}.png", files["render"])

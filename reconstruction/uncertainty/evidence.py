@@ -77,13 +77,13 @@ class _Tally:
 
 @dataclass
 class _Holes:
-    """Sums over pictures: of holes in pixels, and squares of what they show; of pixels, and squares of their light."""
+    """Sums over pictures: holes in pixels, squares of the light that shows there; pixels, and squares of all light."""
 
     sums: Tensor = field(default_factory=lambda: torch.zeros(4))
 
     @property
     def void(self) -> float:
-        """The mean square of what shows in a hole: as usual light does, unless the views have seen holes."""
+        """The mean square of the light that shows in a hole: that of all light, unless the views have seen holes."""
         holes, squares, pixels, light = self.sums.tolist()
         assumed = HOLES * max(pixels, 1.0)
         return (squares + assumed * light / max(pixels, 1.0)) / (holes + assumed)
@@ -94,7 +94,7 @@ class SceneEvidence:
     """The evidence of a scene: of its N still Gaussians, and of the movers of each span, or of all in one piece.
 
     `centres` [V, 3]: where the training cameras stand, m in the rig frame. `white`: the intensity that misfits are
-    relative to, spikes per tick. `void`: the mean square, over that of white, of what shows where nothing is drawn.
+    relative to, spikes per tick. `void`: the mean square, over that of white, of the light where nothing is drawn.
     """
 
     still: Evidence

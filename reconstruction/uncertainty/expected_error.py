@@ -23,11 +23,11 @@ from rigs.camera import Camera
 
 # Each term's factor in the square of the error, both relative to white.
 WEIGHTS = {
-    "misfit": 1100.0,  # what the Gaussians did not fit, times their breadth and the angle to the nearest who saw them
-    "edges": 0.12,  # the root of what they did not fit, where the depth jumps: there what is a little off shows
-    "aside": 0.08,  # the square of the light, times the square of the angle to the nearest camera that saw it
-    "holes": 0.16,  # what shows in holes, where light passes through everything
-    "holes aside": 0.22,  # holes, times that angle: what is behind them nobody may have seen
+    "misfit": 1200.0,  # misfit of the Gaussians, times their breadth and the angle to the nearest who saw them
+    "edges": 0.14,  # the root of their misfit where the depth jumps: there little shifts show
+    "aside": 0.033,  # the square of the light, times the square of the angle to the nearest camera that saw it
+    "holes": 0.13,  # what shows in holes, where light passes through everything
+    "holes aside": 0.2,  # holes, times that angle: what is behind them nobody may have seen
 }
 WIDEST_RAD = 1.0  # largest angle that counts, and that to a camera where none has seen a Gaussian
 JUMP = 0.02  # change of the depth from pixel to pixel, relative to it, that is an edge

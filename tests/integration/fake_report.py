@@ -10,7 +10,7 @@ from reconstruction.report.table import score_table
 from reconstruction.run.decisions import Decision
 
 SCORES = {"psnr_db": 32.5, "ssim": 0.95, "abs_rel": 0.012, "delta_1_25": 0.99}
-PICTURES = ("truth", "render", "difference x5", "depth, 1.02 to 3.40 m", "true depth")
+PICTURES = ("truth", "render", "error x5", "expected error x5", "depth, 1.02 to 3.40 m", "true depth")
 
 
 def report_page() -> str:

@@ -25,6 +25,7 @@ from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import held_out_used, write_tables
 from reconstruction.bench.score_run import METRICS
 from reconstruction.bench.speed_page import write_page as write_speed_page
+from reconstruction.bench.uncertainty_page import write_page as write_uncertainty_page
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training.curve import plot_curves
 
@@ -99,6 +100,8 @@ def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
             write_tables(folder / "paper.md", document, PROTOCOL)
         elif name == "long":
             write_long_page(folder / "long.md", document)
+        elif name == "uncertainty":
+            write_uncertainty_page(folder / "uncertainty.md", document)
         elif name in ("speed", "large"):
             write_speed_page(folder / f"{name}.md", document)
         else:

@@ -15,6 +15,7 @@ COMMANDS = {
     "faults": "make faults",
     "gpu": "make gpu",
     "service_load": "make load",
+    "sharing": "make sharing",
     "stability": "spike4dgs stability --full",
 }
 ABOUT = {
@@ -55,6 +56,9 @@ ABOUT = {
     "one core.",
     "service_load": "200 clients of one request a second each for a minute, 1,000 jobs queued, clients, service and a "
     "busy stage on the same two cores.",
+    "sharing": "More workers on a long recording, over the seconds of one. `worked`: 4,000 planes of `carried_boxes`, "
+    "2,000 steps for each span, by workers that have one core each. `played`: the tasks of 20,000 planes sleep for as "
+    "long as they took in `bench long`; queue, workers and database are real, all on two cores.",
     "stability": "`rows` is the number of backends, methods or models that a case ran on.",
     "training": "Budgets are wall seconds to the last checkpoint, images and points included, in a process that has "
     "loaded its libraries; true poses. `model.*` and `supervision.*` change one choice on the development scene.",

@@ -23,6 +23,7 @@ from maintenance.waiting import wait_for
 
 from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_json
+from acquisition.revision import code_revision
 from rigs.errors import Spike4dgsError
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
@@ -30,6 +31,7 @@ from server.schemas.job_types import ReconstructRequest
 
 REAL = (sys.executable, "-P", "-m", "server.cli")
 RIG, HOLDOUT, LIMIT_S = "lab3x3", "cam11", 7200.0
+UP_S = 1200.0  # in which all workers have come up; 32 of them take minutes on two cores
 STAGES = ("plan", "poses", "images", "points", "report")  # beside the training
 
 
@@ -73,7 +75,7 @@ def _timed(
                 cores = sorted(os.sched_getaffinity(0))
                 os.sched_setaffinity(deployment.processes[name].pid, {cores[number % len(cores)]})
         with ServiceClient.at(deployment.address) as client:
-            wait_for(lambda: _are_up(client, workers), limit_s=300)
+            wait_for(lambda: _are_up(client, workers), limit_s=UP_S)
             capture = client.start_capture(RIG, CaptureRequest(ticks=ticks)).id
             wait_for(lambda: client.capture(capture).status == "done", limit_s=LIMIT_S)
             began = time.monotonic()
@@ -98,9 +100,14 @@ def _are_up(client: ServiceClient, workers: int) -> bool:
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Return what each number of workers takes of the seconds of one."""
     single = {row["part"]: row["seconds"] for row in rows if row["workers"] == 1}
-    return {
-        f"{row['part']}.{row['workers']}": row["seconds"] / single[row["part"]] for row in rows if row["workers"] > 1
-    }
+    several = [row for row in rows if row["workers"] > 1 and row["part"] in single]
+    return {f"{row['part']}.{row['workers']}": row["seconds"] / single[row["part"]] for row in several}
+
+
+def _rows_of(out: Path) -> list[dict[str, Any]]:
+    """Return the rows that an interrupted measurement of this revision has left; none otherwise."""
+    found = json.loads(out.read_text()) if out.exists() else {}
+    return found["rows"] if found.get("revision") == code_revision() else []
 
 
 @click.command()
@@ -110,20 +117,19 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 @click.option("--steps", default=2000, show_default=True, help="Of their training.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True)
 def main(measured: Path, many: tuple[int, ...], planes: int, steps: int, out: Path) -> None:
-    """Measure all of it in turn, half an hour, and write the document OUT after each measurement."""
+    """Measure all of it in turn, half an hour, and write OUT after each measurement; what is in OUT is not repeated."""
     clip, tasks = tasks_of(json.loads(measured.read_text()))
-    document = BenchDocument("sharing")
+    document = BenchDocument("sharing", _rows_of(out))
     document.omissions.append(f"the tasks of {clip} sleep; its workers share one machine")
-    todo = [lambda at, n=n: worked(at, n, planes, steps) for n in (1, 2)]
-    todo += [lambda at, n=n: played(at, tasks, n) for n in (1, *many)]
-    for measure in todo:
+    todo = [("worked", n, lambda at, n=n: worked(at, n, planes, steps)) for n in (1, 2)]
+    todo += [("played", n, lambda at, n=n: played(at, tasks, n)) for n in (1, *many)]
+    for part, workers, measure in todo:
+        if any((row["part"], row["workers"]) == (part, workers) for row in document.rows):
+            continue
         with tempfile.TemporaryDirectory(prefix="spike4dgs-sharing-") as folder:
             document.rows.append(measure(Path(folder)))
         click.echo(json.dumps(document.rows[-1]))
-        if all(
-            any(row["workers"] == 1 and row["part"] == own["part"] for row in document.rows) for own in document.rows
-        ):
-            document.summary = summarise(document.rows)
+        document.summary = summarise(document.rows)
         write_json(out, document.to_json())
     for name, value in document.summary.items():
         click.echo(f"{name:12} {value:.3f}")

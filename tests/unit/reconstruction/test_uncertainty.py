@@ -1,7 +1,9 @@
 """The evidence of training views, and the errors that are expected from it."""
 
+import json
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from reconstruction.uncertainty.expected_error import WEIGHTS, WIDEST_RAD, Uncer
 from rigs.clock import RigClock
 from rigs.transform import Transform
 
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 CLOCK = RigClock(20000.0, 40)
 SPAN = Span(0, 200)
 
@@ -248,3 +251,10 @@ def test_the_fit_finds_the_weights_that_errors_were_drawn_with(weights):
     scale = 10.0 ** -np.arange(3)
     np.testing.assert_allclose(found * scale, np.array(weights) * scale, atol=0.1 * max(np.array(weights) * scale))
     assert scored(views[0], found)["ratio"] == pytest.approx(1, abs=0.1)
+
+
+def test_the_weights_are_those_of_the_committed_bench():
+    summary = json.loads((BENCHMARKS / "uncertainty.json").read_text())["summary"]
+    assert {f"weight.{name}": value for name, value in WEIGHTS.items()} == pytest.approx(
+        {name: value for name, value in summary.items() if name.startswith("weight.")}
+    )
