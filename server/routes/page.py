@@ -26,9 +26,9 @@ _FILES = {  # address: (file, content security policy)
     "/large.css": ("large.css", _PLAIN),
     "/page.js": ("page.js", _PLAIN),
 }
-_VIEWER_SCRIPTS = "viewer scene spans motion splats picture view cameras compare controls sharing vendor/spark"
 _OPERATOR_FILES = sorted(path.name for path in (_FOLDER / "operator").glob("*.js"))
-_VIEWER_FILES = ["viewer.css", *(f"{name}.js" for name in _VIEWER_SCRIPTS.split())]
+_VIEWER_SCRIPTS = sorted(path.name for path in (_FOLDER / "viewer").glob("*.js") if path.name != "bundle.js")
+_VIEWER_FILES = ["viewer.css", *_VIEWER_SCRIPTS, "vendor/spark.js"]  # without what the renderer is bundled from
 
 
 def _served(file: str, policy: str) -> Callable[[], FileResponse]:
