@@ -48,7 +48,7 @@ def orbit_cameras(
 def trusted_share(uncertainty: Uncertainty, rig: Rig, centre: Camera) -> float:
     """Return the widest of SHARES on whose ellipse the expected error stays within TRUSTED times that at its centre."""
     at_s, small = uncertainty.scene.clip.middle_s, of_moderate_size(centre, SMALL_PX)
-    distance_m = orbit_distance_m(uncertainty.scene, small, at_s)
+    distance_m = _middle_m(*depth_span_m(uncertainty.scene.look(small, at_s).depth))
     most = TRUSTED * float(uncertainty.look(small, at_s).mean())
     for share in SHARES[:-1]:
         cameras = orbit_cameras(rig, small, distance_m, PROBES, share)
@@ -57,10 +57,9 @@ def trusted_share(uncertainty: Uncertainty, rig: Rig, centre: Camera) -> float:
     return SHARES[-1]
 
 
-def orbit_distance_m(scene: SceneModel, centre: Camera, instant_s: float) -> float:
-    """Return how far ahead of `centre` its ellipse looks, m: the middle of the depths, in inverse metres."""
-    near, far = depth_span_m(scene.look(centre, instant_s).depth)
-    return 2 / (1 / near + 1 / far)
+def _middle_m(near_m: float, far_m: float) -> float:
+    """Return the middle of two depths in inverse metres, m: how far ahead of its centre an ellipse looks."""
+    return 2 / (1 / near_m + 1 / far_m)
 
 
 def write_orbit(
@@ -81,7 +80,7 @@ def write_orbit(
     """
     clip, centre = clip or cloud.clip, of_moderate_size(centre)
     near, far = depth_span_m(cloud.look(centre, clip.middle_s).depth)
-    distance_m = orbit_distance_m(cloud, centre, clip.middle_s)
+    distance_m = _middle_m(near, far)
 
     def picture(frame: tuple[int, Camera]) -> Pixels:
         view = cloud.look(frame[1], clip.instant_s(frame[0] / max(1, frames - 1)))

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
@@ -24,7 +25,9 @@ from reconstruction.report.display import grey
 from reconstruction.run.configuration import STAGES, ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
+from rigs.exchange.nerfstudio import Frame, dump_frames
 from rigs.toml import catalog_rig
+from server.cli.reconstruct import render_command
 
 pytestmark = pytest.mark.slow
 CONFIG = ReconstructionConfig(holdout="cam11", steps=60, budget_s=None, seed=1, gaussians=3000)
@@ -52,12 +55,28 @@ def test_it_beats_the_nearest_view_and_writes_every_artefact(run):
     assert metrics["psnr_db"] > metrics["nearest_view.psnr_db"] + 3
     assert metrics["abs_rel"] < 0.15
     written = ("run.json", "error_vs_time.json", "error_vs_time.png", "report.html", "orbit.mp4", "checkpoint.pt")
-    for name in (*written, "viewer.json", "viewer.bin"):
+    for name in (*written, "viewer.json", "viewer.bin", "evidence.pt"):
         assert (run.path / name).stat().st_size > 0
     document = json.loads((run.path / "run.json").read_text())
     assert document["status"] == "finished"
     assert set(document["seconds"]) == set(STAGES)
     assert document["plan"]["model"] in ("bases", "linear")
+
+
+def test_render_writes_the_error_to_expect_beside_each_picture(run, tmp_path):
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["expected_error.ratio"] > 0
+    assert -1 <= metrics["expected_error.rank"] <= 1
+    frame = Frame(Recording.open(run.recording).rig.camera("cam11"), 0.003)
+    (tmp_path / "t.json").write_text(dump_frames([frame], ["a.png"]))
+    words = [run.path, "--cameras", tmp_path / "t.json", "--out", tmp_path / "out"]
+    done = CliRunner().invoke(render_command, list(map(str, words)))
+    assert done.exit_code == 0, done.output
+    light, expected = (np.load(tmp_path / "out" / f"{name}000000.npy") for name in ("", "sd_"))
+    assert expected.shape == light.shape
+    assert expected.dtype == np.float32
+    assert np.isfinite(expected).all()
+    assert (expected > 0).mean() > 0.9
 
 
 def test_the_curve_rises_with_time(run):

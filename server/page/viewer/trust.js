@@ -14,7 +14,7 @@ export function expectedError({ places, of_white: shares }, { x, y, z }) {
 }
 
 /** Return the words for it, such as "error about 2% of white"; none where the run tells nothing. */
-export function inWords(table, centre) {
+export function errorInWords(table, centre) {
   if (!table) return '';
   const percent = 100 * expectedError(table, centre);
   return `error about ${percent < 9.95 ? percent.toFixed(1) : Math.round(percent)}% of white`;

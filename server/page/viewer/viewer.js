@@ -82,7 +82,7 @@ class Player {
     this.clock = new Clock(scene.manifest.clip_s, PASS_S * spans, () => this.seek());
     this.moved = true;
     this.depths = scene.manifest.depth_m;
-    this.trust = (centre) => parts.inWords(scene.manifest.expected_error, centre);
+    this.trust = (centre) => parts.errorInWords(scene.manifest.expected_error, centre);
     this.due = false;
     this.frames = 0;
     new ResizeObserver(() => { this.size = this.picture.resize(); this.request(); }).observe(byId('stage'));

@@ -26,6 +26,7 @@ from reconstruction.training.draws import Draws
 from reconstruction.training.exposure import FROM, Exposure
 from reconstruction.training.image_term import ImageTerm, ImageVariationTerm
 from reconstruction.training.spike_term import SpikeTerm
+from reconstruction.training.spike_variation_term import SpikeVariationTerm
 from reconstruction.training.trainer import Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -96,6 +97,27 @@ def test_the_moving_truth_explains_its_spikes_better_than_one_that_stands(norm):
             draws = Draws(1, 0)
             losses[name] = float(torch.stack([term(model, view, draws) for _ in range(12)]).mean())
     assert losses["true"] < 0.8 * losses["wrong"]
+
+
+@pytest.mark.parametrize(("planes", "stride"), [(16, 16), (8, 12), (16, 8), (1, 1)])
+def test_the_moving_truth_changes_as_its_spikes_do(planes, stride):
+    truth, wrong = cloud(0.8), cloud(0.0)
+    view, whole = seen(truth), SpikeSampling(size_px=(WIDTH, HEIGHT))
+    term = SpikeVariationTerm(ImageTerm(CLOCK, 0.6), whole, windows=5, planes=planes, stride=stride)
+    with torch.no_grad():
+        losses = [
+            float(torch.stack([term(model, view, draws) for _ in range(24)]).mean())
+            for model, draws in ((truth, Draws(1, 0)), (wrong, Draws(1, 0)))
+        ]
+    assert losses[0] < losses[1]
+
+
+@pytest.mark.parametrize("planes", [1, 2, 3, 7])
+def test_a_short_clip_has_shorter_windows_or_is_compared_as_an_image(planes):
+    truth, view = cloud(0.4), seen(cloud(0.4))
+    view = replace(view, source=view.source.part(0, planes))
+    loss = SpikeVariationTerm(ImageTerm(CLOCK, 0.6))(truth, view, Draws(1, 0))
+    assert np.isfinite(float(loss.detach()))
 
 
 def test_the_integral_over_a_window_is_that_of_many_instants():

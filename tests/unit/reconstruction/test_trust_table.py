@@ -15,9 +15,9 @@ from reconstruction.uncertainty.expected_error import Uncertainty
 from server import page
 
 TELL = """
-import { expectedError, inWords } from './trust.mjs';
+import { expectedError, errorInWords } from './trust.mjs';
 const { table, centres } = JSON.parse(process.argv[1]);
-const told = (at) => [expectedError(table, at), inWords(table, at), inWords(undefined, at)];
+const told = (at) => [expectedError(table, at), errorInWords(table, at), errorInWords(undefined, at)];
 console.log(JSON.stringify(centres.map(told)));
 """
 
