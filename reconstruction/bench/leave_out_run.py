@@ -109,6 +109,7 @@ def _trained(job: Job, channels: int) -> dict:
     assert job.steps is not None
     shares = [step / job.steps for step in range(job.steps)]
     _, row = _clocked(lambda: [trainer.step(share) for share in shares])
+    trainer.settle()
     for part in (cloud.still, cloud.moving):
         part.intensities = part.intensities.detach()[:, :1]
     return row | {"steps": trainer.steps} | _scores(run, cloud)

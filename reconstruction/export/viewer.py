@@ -14,7 +14,7 @@ span. The other arrays are those of M movers as above, over a clip of their own,
 of the span.
 But rigid ones are `bodies`, K with P `knots` each: `knot_quats` [K, P, 4] and `knot_centers` [K, P, 3], between which
 `gaussians.rigid` says how they move. A mover whose number in `bodies` [M] uint32 is below K has its `means` and
-`quats_wxyz` in the frame of that body; any other is a polynomial.
+`quats_wxyz` in the frame of that body, and its `velocities` beside it, in the rig's; any other is a polynomial.
 
 Where the run has evidence, `expected_error` has `places` [P, 3] in m, and `of_white` [P]: the root mean square that the
 error is expected to have from there, over white.

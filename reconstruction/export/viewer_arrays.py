@@ -52,9 +52,8 @@ def _polynomial(cloud: DynamicCloud, motion: PolynomialMotion) -> Arrays:
 
 
 def _riding(cloud: DynamicCloud, motion: RigidMotion) -> Arrays:
-    riders, free = len(motion.bodies), len(motion.velocities)
-    bodies = torch.cat([motion.bodies, torch.full((free,), len(motion.knot_quats))])
-    velocities = torch.cat([torch.zeros(riders, 3), motion.velocities])
+    bodies = torch.cat([motion.bodies, torch.full((len(motion.velocities),), len(motion.knot_quats))])
+    velocities = torch.cat([motion.drifts, motion.velocities])
     own = {"velocities": floats(velocities), "bodies": bodies.numpy()}
     knots = {"knot_quats": floats(motion.knot_quats), "knot_centers": floats(motion.knot_centers)}
     return _windowed(cloud.moving, own, motion.instants, motion.log_durations) | knots

@@ -1,16 +1,17 @@
 """Gaussians that ride on a few rigid bodies, so that every plane of the clip teaches the whole of a mover.
 
-Letters: K bodies, P knots, A attached of M Gaussians; the other M - A are free and move in straight lines. Knots are
-even over the clip, 0 to 1. Between them a body's centre and its quaternion follow Catmull-Rom's cubic, which passes
-through the knots with a continuous velocity; the quaternion is then made unit. Outside the clip a body stays where it
-is at the clip's end. Knots must be so dense that a body turns by less than a quarter from one to the next. Attached
-Gaussians are stored in their body's frame. Source: Wang et al., "Shape of motion", 2024 (SE(3) bases that Gaussians
-share); here each Gaussian follows a single one.
+Letters: K bodies, P knots, A attached of M Gaussians; the other M - A are free and move in straight lines. An attached
+one may drift beside its body, straight too, where the body bends or is none. Knots are even over the clip, 0 to 1.
+Between them a body's centre and its quaternion follow Catmull-Rom's cubic, which passes through the knots with a
+continuous velocity; the quaternion is then made unit. Outside the clip a body stays where it is at the clip's end.
+Knots must be so dense that a body turns by less than a quarter from one to the next. Attached Gaussians are stored in
+their body's frame. Source: Wang et al., "Shape of motion", 2024 (SE(3) bases that Gaussians share); here each Gaussian
+follows a single one.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
@@ -35,6 +36,7 @@ class RigidMotion(MotionModel):
         "knot_quats": Rate(5e-4),
         "knot_centers": Rate(1e-4, "scene"),
         "velocities": Rate(3e-3, "scene"),
+        "drifts": Rate(1e-3, "scene"),
         **WINDOW_RATES,
     }
     bodies: Tensor  # [A] int64, 0 to K - 1
@@ -43,6 +45,11 @@ class RigidMotion(MotionModel):
     velocities: Tensor  # [M - A, 3] m per clip, of the free ones
     instants: Tensor  # [M] clips
     log_durations: Tensor  # [M] log clips
+    drifts: Tensor = field(default_factory=lambda: torch.zeros(0, 3))  # [A, 3] m per clip, of the attached ones
+
+    def __post_init__(self) -> None:
+        if not len(self.drifts):
+            self.drifts = self.velocities.new_zeros(len(self.bodies), 3)
 
     def poses(self, u: float) -> tuple[Tensor, Tensor]:
         """Return unit quaternions [K, 4] and centres [K, 3] in m of all bodies at u."""
@@ -51,11 +58,11 @@ class RigidMotion(MotionModel):
         return unit(quats), torch.einsum("p,kpi->ki", weights, self.knot_centers)
 
     def at(self, moving: GaussianCloud, u: float) -> Instantaneous:
-        """Return the attached Gaussians as their bodies carry and turn them, and the free ones along their lines."""
+        """Return the attached Gaussians where bodies and drifts take them, and the free ones along their lines."""
         riders = len(self.bodies)
         places, quats = carried(moving.means[:riders], moving.quats_wxyz[:riders], self.bodies, *self.poses(u))
         starts = torch.cat([places, moving.means[riders:]])
-        velocities = torch.cat([torch.zeros_like(places), self.velocities])
+        velocities = torch.cat([self.drifts, self.velocities])
         course = Course(starts, moving.opacity_logits, self.instants, self.log_durations, (velocities,))
         means, opacities = evaluated(course, u)
         quats = torch.cat([quats, moving.quats_wxyz[riders:]])

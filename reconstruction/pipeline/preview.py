@@ -32,11 +32,11 @@ class Preview:
         self.began = clock()
         self.due, self.spent_s = self.began, 0.0
 
-    def keep(self, model: SceneModel, steps: int) -> None:
-        """Draw what `model` shows after so many steps, where a picture is due."""
+    def keep(self, model: Callable[[], SceneModel], steps: int) -> None:
+        """Draw what the model that `model` makes shows after so many steps, where a picture is due."""
         now = self.clock()
         if now >= self.due and self.spent_s <= FREE_S + SHARE * (now - self.began):
-            self.draw(model, steps)
+            self.draw(model(), steps)
 
     def draw(self, model: SceneModel, steps: int) -> None:
         """Draw what `model` shows after so many steps."""

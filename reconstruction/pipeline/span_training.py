@@ -60,6 +60,7 @@ def learn_still(run: RunFolder, recording: Recording, done: Done, on_step: OnSte
     settings = replace(settings_of(run, method, views), times=False, image_planes=1, ends_early=False)
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
+    trainer.settle()
     return GaussianCloud(**{name: tensor.detach() for name, tensor in vars(cloud.still).items()})
 
 
@@ -93,6 +94,7 @@ def learn_span(
     settings = replace(settings_of(run, METHODS[run.plan.model], views), ends_early=False)
     trainer = Trainer(cloud, views, settings, RigClock(clock.tick_rate_hz), run.config.seed + number)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
+    trainer.settle()
     cloud.clip = TimeSpan.of_planes(clock, grown.first, grown.last)
     return SpanContent.of(own, changed, cloud)
 

@@ -75,7 +75,7 @@ def train_stage(
     def on_step(done: float, loss: float) -> None:
         watch.look(done, saver.checkpoint)
         saver.keep(done)
-        preview.keep(trainer.cloud, trainer.steps)
+        preview.keep(trainer.result, trainer.steps)
         if trainer.steps % 10 == 0 or done >= 1:
             figures = (
                 f"step {trainer.steps}, loss {loss:.4f}{trainer.closeness}, {len(trainer.cloud)} {trainer.cloud.unit}"
@@ -87,7 +87,7 @@ def train_stage(
 
     train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
     saver.checkpoint()
-    preview.draw(trainer.cloud, trainer.steps)
+    preview.draw(trainer.result(), trainer.steps)
     if trainer.ending and budget.done(trainer.steps) < 1:
         run.document.stopped_early = EarlyEnd(trainer.steps, trainer.ending.reason)
         progress(1.0, f"stopped early at step {trainer.steps}: {trainer.ending.reason}")
@@ -165,7 +165,7 @@ class _Saver:
             while self.due and done >= self.due[0]:
                 self.due.pop(0)
             state = {
-                "cloud": self.trainer.cloud.state(),
+                "cloud": self.trainer.result().state(),
                 "seconds": self.budget.elapsed_s(),
                 "steps": self.trainer.steps,
             }
@@ -176,7 +176,7 @@ class _Saver:
     def checkpoint(self) -> None:
         """Write the state that a resumed training continues from."""
         state = {
-            "cloud": self.trainer.cloud.state(),
+            "cloud": self.trainer.result().state(),
             "trainer": self.trainer.state(),
             "watch": self.watch.state,
             "elapsed_s": self.budget.elapsed_s(),

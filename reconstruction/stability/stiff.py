@@ -108,7 +108,8 @@ class StiffScene:
         how = ("reference", torch.float64) if exact else ("native", torch.float32)
         trainer = trainer_of(run, self.recording, *how)
         losses = _stepped(trainer, 0, self.extent.steps, self.extent.steps)
-        cloud = trainer.cloud.to(torch.float32) if isinstance(trainer.cloud, DynamicCloud) else trainer.cloud
+        found = trainer.result()
+        cloud = found.to(torch.float32) if isinstance(found, DynamicCloud) else found
         scored = score_against_truth(cloud, *held_out_with_truth(self.recording, run.plan.views))
         return Trained(losses, scored["psnr_db"])
 

@@ -9,7 +9,7 @@ from reconstruction.scene_model import SceneModel
 from reconstruction.training.adam import BETAS, EPS, Adam
 
 FINAL_LENGTH, FINAL = 0.05, 1 / 3  # share of its first rate that a tensor of lengths, and any other, ends with
-SETTLING = 120  # steps at first rates that the last rate of a long training is worth
+SETTLING = 120  # steps at first rates that the last rate of still Gaussians in a long training is worth
 Optimizer = Adam | torch.optim.Adam
 
 
@@ -34,17 +34,17 @@ def anneal(optimizer: Optimizer, done: float, stage: float, steps: int, canonica
 
     A deformation does not learn before `canonical_until` of the training.
     """
-    whole = final(steps / done) if done > 0 else FINAL
+    still = final(steps / done) if done > 0 else FINAL
     for group in optimizer.param_groups:
         begun = not group["field"] or done >= canonical_until
         share = min(max(stage if group["moves"] else done, 0.0), 1.0)
-        end = whole if stage == done or not group["moves"] else FINAL  # stages of movers are short
+        end = FINAL if group["moves"] else still
         group["lr"] = group["start"] * (FINAL_LENGTH if group["length"] else end) ** share if begun else 0.0
 
 
 def final(steps: float) -> float:
-    """Return the share of its first rate that a tensor ends with in a training of so many steps.
+    """Return the share of its first rate that a tensor of still Gaussians ends with in a training of so many steps.
 
-    What a short training lacks at its end is distance; what a long one has too much of is noise.
+    A short training lacks distance at its end. A long one goes on to fit its few views closer than the scene does.
     """
     return min(FINAL, SETTLING / max(steps, 1.0))

@@ -18,6 +18,7 @@ from reconstruction.methods.definition import Training
 from reconstruction.native import kernels_alone
 from reconstruction.rendering.render import Backend
 from reconstruction.scene_model import SceneModel
+from reconstruction.training.averaging import Averages
 from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.closeness import Closeness
 from reconstruction.training.draws import Draws
@@ -67,7 +68,10 @@ class TrainerSettings:
 
 
 class Trainer:
-    """One optimisation; `state` and `restore` carry it over a kill exactly (same steps, same draws)."""
+    """One optimisation; `state` and `restore` carry it over a kill exactly (same steps, same draws).
+
+    `cloud` is what its steps move; `result` is what it has found.
+    """
 
     def __init__(
         self, cloud: SceneModel, views: Sequence[TrainingView], settings: TrainerSettings, clock: RigClock, seed: int
@@ -76,6 +80,7 @@ class Trainer:
         self.settings = settings
         self.draws = Draws(len(views), seed)
         self.steps = 0
+        self.averages = Averages()
         self.ending = Ending(len(views)) if settings.ends_early else None
         self.closeness = Closeness(settings.white)
         self.exposure = Exposure(settings.image_planes, clock) if settings.training.deblurs else None
@@ -99,7 +104,8 @@ class Trainer:
     def step(self, done: float) -> float:
         """Do one step and return its loss; `done` in [0, 1] is the share of the training before it."""
         way = self.settings.training
-        anneal(self.optimizer, done, self.cloud.advance(done), self.steps, way.canonical_until)
+        stage = self.cloud.advance(done)
+        anneal(self.optimizer, done, stage, self.steps, way.canonical_until)
         if self.exposure:
             self.exposure.look(self.cloud, [view.camera for view in self.views], done)
         if self.lags:
@@ -115,6 +121,7 @@ class Trainer:
             loss = loss + penalty
         loss.backward()
         self.optimizer.step()
+        self.averages.see(self.cloud.tensors(), stage)
         if self.refinement:
             self.refinement.step(done)
         self.steps += 1
@@ -138,12 +145,23 @@ class Trainer:
         """Return the share of the training that is done: `share`, as the budget has it, or more once it ends early."""
         return self.ending.done(share, self.steps) if self.ending else share
 
+    def result(self) -> SceneModel:
+        """Return a model of its own that has the means of the last steps."""
+        found = model_from_state(self.cloud.state())
+        self.averages.put_into(found.tensors())
+        return found
+
+    def settle(self) -> None:
+        """Leave the means of the last steps in `cloud` itself, where no step follows."""
+        self.averages.put_into(self.cloud.tensors())
+
     def state(self) -> dict:
         """Return all that a resumed training needs, as tensors, numbers and strings."""
         return {
             "cloud": self.cloud.state(),
             "optimizer": self.optimizer.state_dict(),
             "draws": self.draws.state(),
+            "averages": self.averages.state(),
             "steps": self.steps,
             "ending": self.ending.state() if self.ending else None,
             "passed_px": self.exposure.passed_px if self.exposure else None,
@@ -159,6 +177,7 @@ class Trainer:
         if "draws" in state:  # not in the checkpoint of an earlier revision
             self.draws.restore(state["draws"])
         self.steps = state["steps"]
+        self.averages = Averages(**state.get("averages", {}))  # not in the checkpoint of an earlier revision either
         if self.ending and state.get("ending"):
             self.ending = Ending(**copy.deepcopy(state["ending"]))
         if self.exposure:
@@ -175,6 +194,7 @@ class Trainer:
         moments, begun = freed_states(self.cloud, old, which), torch.tensor(float(self.steps))
         self.views, self.cloud = self._corrected(views), freed(self.cloud, which)
         self.optimizer = optimizer_of(self.cloud, self.units)
+        self.averages.restart()
         for name, tensor in self.cloud.tensors():
             if tensor.requires_grad:
                 steps = old.get(name, {}).get("step", begun).clone()

@@ -24,6 +24,7 @@ _START_S = 60.0
 _POLL_S = 1.0
 _CONNECTIONS = 20
 _PASSING = ("the database system is", "terminating connection")
+_CROWDED = "too many clients"
 _FULL = ("disk is full", "No space left")
 _LOG = logging.getLogger(__name__)
 
@@ -51,12 +52,7 @@ def prepare_database(settings: ServiceSettings, pause: Callable[[float], object]
                 waits = True
                 continue
             engine.dispose()
-            raise DatabaseError(
-                f"found {reason}",
-                "the service's database",
-                "give another --data or mend SPIKE4DGS_DATABASE",
-                where=settings.database_name,
-            ) from error
+            raise DatabaseError(f"found {reason}", *_mend(reason), where=settings.database_name) from error
 
 
 def _create_tables(settings: ServiceSettings, engine: sa.Engine) -> None:
@@ -70,6 +66,13 @@ def _may_come(error: SQLAlchemyError) -> bool:
     """Return whether nothing answers, or a server that starts or stops; what a server refuses, it refuses again."""
     text = _text(error)
     return is_outage(error) and ("FATAL:" not in text or any(words in text for words in _PASSING))
+
+
+def _mend(reason: str) -> tuple[str, str]:
+    """Return what was expected of the database, and what to do."""
+    if _CROWDED in reason:
+        return "room for 20 connections, and 8 more for each worker", "raise max_connections of PostgreSQL"
+    return "the service's database", "give another --data or mend SPIKE4DGS_DATABASE"
 
 
 def reason_of(error: Exception) -> str:

@@ -15,6 +15,7 @@ from maintenance.ports import free_port
 from server.errors import ServiceError
 
 _START_S = 60.0
+_CROWD = "-c max_connections=400"  # 32 workers
 _PASSWORD = "p@ss/w:rd#%? é"  # which no URL takes as it is
 
 
@@ -45,7 +46,7 @@ class Postgresql:
 
     def start(self) -> None:
         """Start it and wait until it answers; after a kill its old processes may need a moment to go."""
-        options = f"-p {self.port} -c listen_addresses=127.0.0.1 -c unix_socket_directories={self.folder}"
+        options = f"-p {self.port} -c listen_addresses=127.0.0.1 -c unix_socket_directories={self.folder} {_CROWD}"
         deadline = time.monotonic() + _START_S
         while True:
             try:

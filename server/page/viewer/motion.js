@@ -54,7 +54,7 @@ function betweenKeys({ manifest: { moving, keyframes }, arrays }, u, rows) {
   }
 }
 
-/** Each body carries and turns its own; the others go straight on, as a polynomial does. */
+/** Each body carries and turns its own, which may drift beside it; the others go straight on, as a polynomial does. */
 function riding(scene, u, rows) {
   const { manifest: { still, moving, bodies: count }, arrays } = scene;
   polynomial(scene, u, rows);
@@ -64,6 +64,8 @@ function riding(scene, u, rows) {
     const body = arrays.bodies[m];
     if (body >= count) continue;
     place(rows, m * ROW, poses, 7 * body, arrays.means, 3 * (still + m));
+    const s = u - arrays.instants[m];
+    for (let axis = 0; axis < 3; axis++) rows[m * ROW + axis] += arrays.velocities[3 * m + axis] * s;
     setQuat(local, 0, arrays.quats_wxyz, 4 * (still + m));
     turn(rows, m * ROW + 4, poses, 7 * body, local);
   }

@@ -60,7 +60,8 @@ def motion_of(kind: str, moving: GaussianCloud):
         moving.means[:riders] -= torch.tensor([0.0, 0.0, 2.0])
         centers = torch.stack([0.1 * angles, zero, zero + 2], -1)[None]
         bodies = torch.zeros(riders, dtype=torch.int64)
-        return RigidMotion(bodies, quats, centers, 0.3 * draw(count - riders, 3), instants, logs)
+        velocities, drifts = 0.3 * draw(count - riders, 3), 0.1 * draw(riders, 3)
+        return RigidMotion(bodies, quats, centers, velocities, instants, logs, drifts)
     if kind in ("4dgs", "deformation"):
         field = (HexPlaneMotion if kind == "4dgs" else DeformationMotion).around(moving.means, 0.1, generator)
         for name, tensor in field.tensors():

@@ -130,8 +130,7 @@ def test_bodies_carry_their_movers_as_the_scene_does(spanned, tmp_path, u):
         place, turn = (torch.from_numpy(arrays[name][m : m + 1]) for name in ("means", "quats_wxyz"))
         if body < len(turns):
             place, turn = rotated(turns[body : body + 1], place) + centers[body], product(turns[body : body + 1], turn)
-        else:
-            place = place + torch.from_numpy(arrays["velocities"][m] * since[m])
+        place = place + torch.from_numpy(arrays["velocities"][m] * since[m])
         np.testing.assert_allclose(place[0], expected.means[kept[m]], atol=1e-5)
         assert abs(float(turn[0] @ unit(expected.quats_wxyz[kept[m]]).double())) == pytest.approx(1, abs=1e-5)
     opacities = arrays["opacities"] * np.exp(-((since / arrays["durations"]) ** 2) / 2)

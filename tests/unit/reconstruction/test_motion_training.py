@@ -28,6 +28,7 @@ from reconstruction.methods.definition import Training
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import Rate, TimeSpan
 from reconstruction.tensors import write_tensors
+from reconstruction.training.averaging import EVERY
 from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.trainer import LIVING_EVERY, Trainer, TrainerSettings
@@ -111,7 +112,22 @@ def test_a_training_stopped_and_resumed_ends_in_the_same_state(kind, view, tmp_p
     second.restore(load_checkpoint(tmp_path / "state.pt")["trainer"])
     for step in range(5, 8):
         second.step(step / 8)
-    for (name, a), (_, b) in zip(whole.cloud.tensors(), second.cloud.tensors(), strict=True):
+    for one, other in ((whole.cloud, second.cloud), (whole.result(), second.result())):
+        for (name, a), (_, b) in zip(one.tensors(), other.tensors(), strict=True):
+            assert torch.equal(a, b), name
+
+
+def test_what_is_found_is_the_mean_of_the_steps_and_settles_in_the_cloud(view):
+    trainer = trainer_of("linear", view)
+    for step in range(EVERY):
+        trainer.step(step / EVERY)
+    assert torch.equal(trainer.result().still.means, trainer.cloud.still.means)  # one look, at the last step
+    for step in range(300):
+        trainer.step(step / 300)
+    found = trainer.result()
+    assert not torch.equal(found.still.means, trainer.cloud.still.means)
+    trainer.settle()
+    for (name, a), (_, b) in zip(found.tensors(), trainer.cloud.tensors(), strict=True):
         assert torch.equal(a, b), name
 
 

@@ -42,7 +42,7 @@ def drawn(run: RunFolder) -> np.ndarray:
 @pytest.mark.parametrize(("holdout", "shown"), [("cam02", "cam02"), (None, "cam01")])
 def test_it_shows_the_model_as_the_held_out_or_the_middle_camera_would_see_it(scene, tmp_path, holdout, shown):
     run = run_of(tmp_path, holdout)
-    Preview(run, scene.rig, scene.white, Clock()).keep(scene.cloud, 7)
+    Preview(run, scene.rig, scene.white, Clock()).keep(lambda: scene.cloud, 7)
     seen = scene.cloud.look(scene.rig.camera(shown), scene.cloud.clip.middle_s)
     assert np.array_equal(drawn(run), grey(seen.intensity, scene.white))
     assert json.loads((run.path / "preview.json").read_text()) == {"camera": shown, "steps": 7}
@@ -75,7 +75,7 @@ def steps_drawn(scene, path: Path, monkeypatch, drawing_s: float, until_s: float
     view = scene.cloud.look(scene.rig.cameras[0], 0.0)
     monkeypatch.setattr(type(scene.cloud), "look", look)
     while not found or clock.now < found[0] + until_s:
-        one.keep(scene.cloud, 0)
+        one.keep(lambda: scene.cloud, 0)
         clock.now += 0.1
     return [at - found[0] for at in found[1:]]
 

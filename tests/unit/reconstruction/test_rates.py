@@ -39,8 +39,8 @@ def test_lengths_end_at_a_share_of_their_own_however_long_it_takes():
     assert rate(1, 1, 300, length=True) == rate(1, 1, 9000, length=True) == pytest.approx(2 * FINAL_LENGTH)
 
 
-def test_a_stage_of_movers_is_no_whole_training():
-    assert rate(0.9, 1.0, 1080, moves=True) == pytest.approx(2 * FINAL)
+def test_movers_end_at_a_third_of_their_stage_however_long_it_takes():
+    assert rate(0.9, 1.0, 1080, moves=True) == rate(1, 1, 9000, moves=True) == pytest.approx(2 * FINAL)
     assert rate(0.9, 1.0, 1080) == pytest.approx(2 * (SETTLING / 1200) ** 0.9)
 
 

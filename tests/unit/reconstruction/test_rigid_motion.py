@@ -70,6 +70,22 @@ def test_what_rides_on_a_body_keeps_its_shape_and_turns_with_it():
     torch.testing.assert_close(after.means[at], cloud.means[at] @ expected.T + motion.knot_centers[0, -1])
 
 
+def test_a_drift_takes_a_rider_straight_from_where_its_body_has_it():
+    cloud, motion = turning()
+    carried_along = motion.at(cloud, 0.75).means
+    motion.drifts[1] = torch.tensor([0.4, 0.0, -0.8])
+    moved = motion.at(cloud, 0.75).means - carried_along
+    expected = torch.zeros(7, 3, dtype=torch.float64)
+    expected[1] = torch.tensor([0.1, 0.0, -0.2])  # a quarter of the clip after its own instant
+    torch.testing.assert_close(moved, expected)
+
+
+def test_riders_of_an_earlier_revision_do_not_drift():
+    _, motion = turning()
+    stored = {name: tensor for name, tensor in motion.tensors() if name != "drifts"}
+    assert torch.equal(RigidMotion(**stored).drifts, torch.zeros(4, 3, dtype=torch.float64))
+
+
 def test_free_ones_go_straight_whatever_the_bodies_do():
     cloud, motion = turning()
     now = motion.at(cloud, 0.75)
