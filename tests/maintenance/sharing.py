@@ -7,6 +7,7 @@ sleeps for as long as it took there.
 
 from __future__ import annotations
 
+import heapq
 import json
 import os
 import sys
@@ -45,13 +46,22 @@ def tasks_of(long: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
     return whole["clip"], seconds | {"still": still} | {f"{n:06d}": s for n, s in enumerate(moving)}
 
 
+def least_s(tasks: Mapping[str, float], workers: int) -> float:
+    """Return the seconds that workers need who lose none: for tasks that wait for one another, and for the spans."""
+    busy = [0.0] * workers
+    for seconds in sorted((seconds for name, seconds in tasks.items() if name.isdigit()), reverse=True):
+        heapq.heapreplace(busy, busy[0] + seconds)
+    return sum(seconds for name, seconds in tasks.items() if not name.isdigit()) + max(busy)
+
+
 def played(folder: Path, tasks: Mapping[str, float], workers: int) -> dict[str, Any]:
     """Return the row of a schedule: seconds from the order to the end, with tasks that sleep."""
     spans = sum(name.isdigit() for name in tasks)
     words = {"BENCH_SECONDS": json.dumps(tasks)}
     deployment = Deployment(folder / "data", postgresql=workers > 1, dead_s=30.0, stage=STAGE, environment=words)
     found = _timed(deployment, workers, 5, {"seed": spans}, pinned=False)
-    return {"part": "played", "workers": workers, "tasks_s": sum(tasks.values()), "spans": spans, **found}
+    least = {"tasks_s": sum(tasks.values()), "least_s": least_s(tasks, workers), "spans": spans}
+    return {"part": "played", "workers": workers, **least, **found}
 
 
 def worked(folder: Path, workers: int, planes: int, steps: int) -> dict[str, Any]:
@@ -98,10 +108,12 @@ def _are_up(client: ServiceClient, workers: int) -> bool:
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return what each number of workers takes of the seconds of one."""
+    """Return what each number of workers takes of the seconds of one, and the least they can, where it is known."""
     single = {row["part"]: row["seconds"] for row in rows if row["workers"] == 1}
     several = [row for row in rows if row["workers"] > 1 and row["part"] in single]
-    return {f"{row['part']}.{row['workers']}": row["seconds"] / single[row["part"]] for row in several}
+    summary = {f"{row['part']}.{row['workers']}": row["seconds"] / single[row["part"]] for row in several}
+    ideal = [row for row in several if "least_s" in row]
+    return summary | {f"{row['part']}.{row['workers']}.least": row["least_s"] / row["tasks_s"] for row in ideal}
 
 
 def _rows_of(out: Path) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Compares more workers with one: the tasks of a measured recording, and the shares of one worker's time."""
 
 import pytest
-from maintenance.sharing import STAGES, summarise, tasks_of
+from maintenance.sharing import STAGES, least_s, summarise, tasks_of
 
 SECONDS = {f"seconds.{stage}": 2.0 for stage in STAGES}
 LONG = {
@@ -31,3 +31,17 @@ def test_each_number_of_workers_is_compared_with_one_of_its_kind():
         {"part": "played", "workers": 8, "seconds": 120.0},
     ]
     assert summarise(rows) == {"worked.2": pytest.approx(0.55), "played.8": pytest.approx(0.2)}
+
+
+def test_the_least_is_told_where_it_is_known():
+    rows = [
+        {"part": "played", "workers": 1, "seconds": 600.0, "tasks_s": 500.0, "least_s": 500.0},
+        {"part": "played", "workers": 8, "seconds": 120.0, "tasks_s": 500.0, "least_s": 100.0},
+    ]
+    assert summarise(rows)["played.8.least"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(("workers", "least"), [(1, 40.0), (2, 30.0), (3, 28.0), (9, 28.0)])
+def test_no_schedule_is_shorter_than_what_waits_and_the_longest_share_of_the_spans(workers: int, least: float):
+    tasks = {"plan": 10.0, "still": 8.0, "000000": 10.0, "000001": 10.0, "000002": 2.0}
+    assert least_s(tasks, workers) == least
