@@ -41,8 +41,7 @@ class Averages:
         if not self.means:
             self.means = {name: tensor.clone() for name, tensor in learnt.items()}
             return
-        looks = self.steps // EVERY
-        weight = min(1.0, max(1 / looks, EVERY / (SHARE * self.steps)))
+        weight = min(1.0, EVERY / (SHARE * self.steps))
         for name, tensor in learnt.items():
             self.means[name].lerp_(tensor, weight)
 

@@ -204,8 +204,8 @@ def test_what_finalise_makes_of_a_scrambled_crash_verifies(tmp_path, seed):
 
 
 @pytest.mark.slow
-def test_what_finalise_makes_of_a_thousand_scrambled_crashes_verifies(tmp_path):
-    for seed in range(1000):
+def test_what_finalise_makes_of_many_scrambled_crashes_verifies(tmp_path):
+    for seed in range(20, 320):
         (tmp_path / str(seed)).mkdir()
         repair_scrambled(tmp_path / str(seed), seed)
 

@@ -24,7 +24,7 @@ def expected(values: torch.Tensor) -> torch.Tensor:
     looks = values[EVERY - 1 :: EVERY].double()
     mean = looks[0].clone()
     for number, value in enumerate(looks[1:], start=2):
-        weight = min(1.0, max(1 / number, 1 / (SHARE * number)))
+        weight = min(1.0, 1 / (SHARE * number))
         mean = (1 - weight) * mean + weight * value
     return mean
 
