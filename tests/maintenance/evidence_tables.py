@@ -59,7 +59,7 @@ ABOUT = {
     "sharing": "More workers on a long recording, over the seconds of one. `worked`: 4,000 planes of `carried_boxes`, "
     "2,000 steps for each span, by workers that have one core each. `played`: the tasks of 20,000 planes sleep for as "
     "long as they took in `bench long`; queue, workers and database are real, all on two cores; "
-    "`least`: what workers who lose no second would take.",
+    "`least`: what no schedule of these tasks is below.",
     "stability": "`rows` is the number of backends, methods or models that a case ran on.",
     "training": "Budgets are wall seconds to the last checkpoint, images and points included, in a process that has "
     "loaded its libraries; true poses. `model.*` and `supervision.*` change one choice on the development scene.",

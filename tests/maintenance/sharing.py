@@ -7,7 +7,6 @@ sleeps for as long as it took there.
 
 from __future__ import annotations
 
-import heapq
 import json
 import os
 import sys
@@ -47,11 +46,13 @@ def tasks_of(long: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
 
 
 def least_s(tasks: Mapping[str, float], workers: int) -> float:
-    """Return the seconds that workers need who lose none: for tasks that wait for one another, and for the spans."""
-    busy = [0.0] * workers
-    for seconds in sorted((seconds for name, seconds in tasks.items() if name.isdigit()), reverse=True):
-        heapq.heapreplace(busy, busy[0] + seconds)
-    return sum(seconds for name, seconds in tasks.items() if not name.isdigit()) + max(busy)
+    """Return the seconds that no schedule is below: of the tasks that wait for one another, and of the spans.
+
+    Spans take as long as the longest, as their even share, and as two that must share a worker where there are more.
+    """
+    waiting = sum(seconds for name, seconds in tasks.items() if not name.isdigit())
+    spans = sorted((seconds for name, seconds in tasks.items() if name.isdigit()), reverse=True)
+    return waiting + max(sum(spans) / workers, sum(spans[:1]), sum(spans[workers - 1 : workers + 1]))
 
 
 def played(folder: Path, tasks: Mapping[str, float], workers: int) -> dict[str, Any]:

@@ -45,3 +45,7 @@ def test_the_least_is_told_where_it_is_known():
 def test_no_schedule_is_shorter_than_what_waits_and_the_longest_share_of_the_spans(workers: int, least: float):
     tasks = {"plan": 10.0, "still": 8.0, "000000": 10.0, "000001": 10.0, "000002": 2.0}
     assert least_s(tasks, workers) == least
+
+
+def test_a_recording_without_spans_takes_its_other_tasks():
+    assert least_s({"plan": 10.0, "still": 8.0}, 4) == 18.0
