@@ -48,7 +48,7 @@ test-slow: install
 	$(PYTEST) -n 3 -m "slow and not long"
 
 test-long: install
-	$(PY) -m pytest -m long
+	$(PY) -m pytest -o faulthandler_timeout=0 -m long
 
 fuzz: install
 	$(PY) -m pytest --hypothesis-profile fresh -k "fuzz or ten_thousand" -m "not usbvm"

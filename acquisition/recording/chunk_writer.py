@@ -43,6 +43,12 @@ class ChunkWriter:
         self._thread = threading.Thread(target=self._write_chunks, name=f"write {path.stem}", daemon=True)
         self._thread.start()
 
+    def promise(self, end: int, record: dict) -> None:
+        """Note that `record` holds when the file's first `end` bytes are written, which may already be so."""
+        self.journal.promise(end, record)
+        if end <= self.written:  # the thread may have looked just before, and nothing else may come
+            self._ring.wake()
+
     def join(self) -> None:
         """Wait until all that the closed ring holds is written or refused."""
         self._thread.join()
@@ -61,12 +67,15 @@ class ChunkWriter:
     def _write_chunks(self) -> None:
         while (chunk := self._ring.take()) is not None:
             try:
-                self._write(chunk)
+                if chunk.used:
+                    self._write(chunk)
+                self.journal.keep(self.written)
             except OSError as error:
                 self.failure = error
                 self._ring.refuse()
                 return
-            self._ring.give_back(chunk)
+            if chunk.used:
+                self._ring.give_back(chunk)
 
     def _write(self, chunk: Chunk) -> None:
         data = self._ring.data(chunk, ALIGNMENT)
@@ -74,7 +83,6 @@ class ChunkWriter:
             self._reserve(chunk.offset + len(data))
         self.file.write(data, chunk.offset)
         self.written = chunk.offset + chunk.used
-        self.journal.keep(self.written)
 
     def _reserve(self, size: int) -> None:
         """Take all the space a run of known length needs, or more ahead while the disk may be filled."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 
 class Chunk(NamedTuple):
-    """Bytes [offset, offset + used) of the file, at the front of slot `slot`."""
+    """Bytes [offset, offset + used) of the file, at the front of slot `slot`; none of them where the taker is woken."""
 
     slot: int
     offset: int
@@ -85,6 +85,12 @@ class ChunkRing:
         """Take nothing more: the thread that writes calls this when it cannot."""
         with self._changed:
             self._closed = True
+            self._changed.notify_all()
+
+    def wake(self) -> None:
+        """Give the taker an empty chunk, so that it looks up although there is nothing to write."""
+        with self._changed:
+            self._ready.append(Chunk(-1, self.position, 0))
             self._changed.notify_all()
 
     def take(self) -> Chunk | None:

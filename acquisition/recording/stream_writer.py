@@ -74,7 +74,7 @@ class StreamWriter:
         """List planes that were lost; they read as zeros. Never waits."""
         for gap in gaps:
             self._losses.add(gap)
-            self.disk.journal.promise(self.ring.position, {"gap": [gap.first_plane, gap.planes, gap.layer]})
+            self.disk.promise(self.ring.position, {"gap": [gap.first_plane, gap.planes, gap.layer]})
             self.ring.skip(gap.planes * self.layout.plane_bytes)
             self._digests.add_zeros(gap.planes)
 
@@ -129,7 +129,7 @@ class StreamWriter:
 
     def _promise_block(self, number: int, planes: int, digest: str) -> None:
         record = {"block": number, "planes": planes, "xxh3": digest}
-        self.disk.journal.promise(self.planes * self.layout.plane_bytes, record)
+        self.disk.promise(self.planes * self.layout.plane_bytes, record)
 
     def _finish(self, *, stretch: bool) -> None:
         if self._closed:
