@@ -11,9 +11,9 @@ from reconstruction.bench.long import ALONE, BASELINE, FLOORS, SPAN, WHOLE
 from reconstruction.bench.paper.tables import markdown
 
 ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own.
-A baseline has the whole in one piece, and as many seconds; `4dgs` is smaller than published. Every run is a process of
-its own. Seconds are wall seconds from the start of the process to the end of the report; those of a span are of its
-training alone. Bytes are those of the stored scene."""
+A baseline has the whole in one piece, and as many seconds; `4dgs-small` is smaller than published. Every run is a
+process of its own. Seconds are wall seconds from the start of the process to the end of the report; those of a span are
+of its training alone. Bytes are those of the stored scene."""
 RUNS = (
     ("planes", "planes", ",.0f"),
     ("budget_s", "budget / s", ".0f"),

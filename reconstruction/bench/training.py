@@ -20,7 +20,7 @@ from reconstruction.methods.catalogue import OURS
 SHORT, MIDDLE, LONGEST = BUDGETS = (Effort(30.0), Effort(60.0), Effort(120.0))
 TARGETS_DB = (28, 30, 31, 33, 34)
 FLOORS = ("nearest_view", "depth_blend")
-FOUR_DGS = Method("4dgs", {"model": "4dgs", "images": "tfi"})
+FOUR_DGS = Method("4dgs-small", {"model": "4dgs-small", "images": "tfi"})
 ABLATIONS = (
     *(Method(f"model.{model.name}", {"model": model.name}) for model in OURS if model.moves),
     *(Method(f"supervision.{name}", {"supervision": name}) for name in m.SPIKE_LOSSES),

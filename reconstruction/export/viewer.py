@@ -4,8 +4,9 @@ Letters: N Gaussians, the still ones first, then M that move; K keyframes. The a
 another, little-endian float32; `viewer.json` has their places, the cameras, and the kind of motion. A `polynomial` is
 evaluated by the browser: `means` are at each Gaussian's own instant, `opacities` before the gate. Any other model is
 `keyframes`, K even instants over the clip: `means` to `scales` are those of the middle key, `opacities` the largest of
-any key, and neighbouring quaternions lie in one hemisphere, so that they can be interpolated as numbers. Flickering
-light is shown steady. Gaussians that are under 1/255 all the time are left out.
+any key, and neighbouring quaternions lie in one hemisphere, so that they can be interpolated as numbers. `key_scales`
+and `key_intensities` are there where these change. Flickering light is shown steady. Gaussians that are under 1/255 all
+the time are left out.
 
 A scene of spans has version 2. Its `arrays` are those of the still Gaussians alone, at the beginning of `viewer.bin`.
 Each of `spans` has its own bytes, `length` from `offset` on, and says where its arrays begin in them. `changed` [C]
@@ -68,8 +69,8 @@ def viewer_of(scene: Scene) -> tuple[dict, bytes]:
     moving = moving_arrays(cloud)
     count, movers = len(still["means"]), len(moving["means"])
     arrays = {name: np.concatenate([array, moving[name]]) for name, array in still.items()}
-    arrays["intensities"] = arrays["intensities"] / np.float32(scene.white)
     arrays |= {name: array for name, array in moving.items() if name not in still and movers}
+    arrays = _of_white(arrays, scene.white)
     places, data = {}, b""
     for name, array in arrays.items():
         places[name] = _place(array, len(data))
@@ -81,8 +82,7 @@ def viewer_of(scene: Scene) -> tuple[dict, bytes]:
 def _write_spans(path: Path, scene: Scene, cloud: SpannedScene) -> dict:
     """Write the bytes of a scene of spans, one span in memory at a time; return its document."""
     kept = _ever_seen(cloud)
-    still = still_arrays(cloud.still.select(kept))
-    still["intensities"] = still["intensities"] / np.float32(scene.white)
+    still = _of_white(still_arrays(cloud.still.select(kept)), scene.white)
     with made_aside(path) as aside, aside.open("wb") as file:
         places = {
             name: _place(array, start) for (name, array), start in zip(still.items(), _append(file, still), strict=True)
@@ -90,6 +90,11 @@ def _write_spans(path: Path, scene: Scene, cloud: SpannedScene) -> dict:
         spans = [_write_span(file, content, kept, scene.white) for content in cloud.spans]
     counts = _counts(scene, SPANNED_VERSION, len(still["means"]), sum(span["moving"] for span in spans))
     return {**counts, **_surroundings(scene, places), "spans": spans}
+
+
+def _of_white(arrays: Arrays, white: float) -> Arrays:
+    """Return the arrays with light in parts of white, in place of spikes per tick."""
+    return {name: a / np.float32(white) if name.endswith("intensities") else a for name, a in arrays.items()}
 
 
 def _ever_seen(cloud: SpannedScene) -> Tensor:
@@ -106,9 +111,7 @@ def _write_span(file: IO[bytes], content: SpanContent, kept: Tensor, white: floa
     movers = len(moving["means"]) if moving else 0
     arrays = _changed(content, kept)
     changed = len(arrays["changed"]) if arrays else 0
-    arrays |= moving if movers else {}
-    for name in {"intensities", "changed_intensities"} & arrays.keys():
-        arrays[name] = arrays[name] / np.float32(white)
+    arrays = _of_white(arrays | (moving if movers else {}), white)
     offset = file.tell()
     starts = _append(file, arrays)
     clip = content.cloud.clip if content.cloud else content.clip

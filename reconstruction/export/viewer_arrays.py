@@ -87,6 +87,8 @@ def _keyframes(cloud: DynamicCloud) -> Arrays:
     }
     if any(not torch.equal(key.log_scales, middle.log_scales) for key in keys):
         tracks["key_scales"] = np.stack([linear_scales(key.log_scales) for key in keys])
+    if any(not torch.equal(key.intensities, middle.intensities) for key in keys):
+        tracks["key_intensities"] = np.stack([floats(key.intensities[:, 0]) for key in keys])
     chosen = kept.numpy()
     return {name: a[chosen] for name, a in arrays.items()} | {name: a[:, chosen] for name, a in tracks.items()}
 

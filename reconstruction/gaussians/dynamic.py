@@ -14,8 +14,7 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.deformation import DeformationMotion
-from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.hexplane import HexPlaneMotion, SmallHexPlaneMotion
 from reconstruction.gaussians.motion_model import MotionModel
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
@@ -29,7 +28,7 @@ from rigs.camera import Camera
 
 MODELS: dict[str, type[MotionModel]] = {
     m.kind: m
-    for m in (PolynomialMotion, RigidMotion, HexPlaneMotion, SpacetimeMotion, TimestepMotion, DeformationMotion)
+    for m in (PolynomialMotion, RigidMotion, HexPlaneMotion, SmallHexPlaneMotion, SpacetimeMotion, TimestepMotion)
 }
 
 

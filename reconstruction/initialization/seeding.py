@@ -7,10 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from reconstruction.gaussians.canonical import CanonicalMotion
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import MODELS, DynamicCloud
-from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.hexplane import HexPlaneMotion, box_around
 from reconstruction.gaussians.motion_model import MotionModel
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
@@ -70,9 +69,9 @@ def seed_field(seeds: Seeds, kind: str = HexPlaneMotion.kind) -> DynamicCloud:
     if len(seeds.moving) == 0:
         return seed_cloud(replace(seeds, instants=1))
     model, least_m = MODELS[kind], ROOM * float(np.median(seeds.moving.spacing))
-    assert issubclass(model, CanonicalMotion)
-    generator = torch.Generator().manual_seed(seeds.seed)
-    return _cloud(seeds, model.around(_means(seeds.moving), least_m, generator))
+    assert issubclass(model, HexPlaneMotion)
+    generator, brightness = torch.Generator().manual_seed(seeds.seed), float(np.mean(seeds.moving.intensities))
+    return _cloud(seeds, model.over(box_around(_means(seeds.moving), least_m), generator, brightness))
 
 
 def seed_timesteps(seeds: Seeds) -> DynamicCloud:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from reconstruction.initialization.points import Seeds
@@ -24,6 +24,21 @@ class SpikeSampling:
     size_px: tuple[int, int] | None = (160, 128)
 
 
+class RateFactors(NamedTuple):
+    """The factors of the learning rates of still elements, of moving ones, and of their motion."""
+
+    still: float = 1.0
+    moving: float = 1.0
+    motion: float = 1.0
+
+    def times(self, other: RateFactors) -> RateFactors:
+        """Return the factors of both together."""
+        return RateFactors(*(a * b for a, b in zip(self, other, strict=True)))
+
+
+AS_KIND = RateFactors()
+
+
 @dataclass(frozen=True)
 class Training:
     """The way a method is trained.
@@ -31,13 +46,14 @@ class Training:
     `ends_early`: whether a training that no longer gains may end before its budget. `holds_depth`: weight of the loss
     on depths that the points stage confirmed; 0 is none. `deblurs`: whether a render is the mean of several instants
     where movers get far. `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000
-    steps in 4DGS). `spikes`: what a term on spikes looks at.
+    steps in 4DGS). `rates`: the factors of its learning rates. `spikes`: what a term on spikes looks at.
     """
 
     ends_early: bool = True
     holds_depth: float = 0.0
     deblurs: bool = False
     canonical_until: float = 3 / 17
+    rates: RateFactors = AS_KIND
     spikes: SpikeSampling = field(default_factory=SpikeSampling)
 
 

@@ -4,9 +4,9 @@ Source: Zhu et al., "SpikeNeRF: learning neural radiance fields from continuous 
 a radiance field, volume rendering, and a loss on long-term spikes through a neuron whose threshold varies from pixel to
 pixel. Dy-SpikeNeRF is named by the authors of Spike4DGS and described as the static method with the deformation network
 of 4DGS.
-Ours: cells in place of a network (`radiance_fields.radiance_field`); a deformation stored at knots of space and time,
-which is of another form; the neuron in expectation (`training.ray_term`); the points of the sweep to start from; no
-dependence on the viewing direction.
+Ours: cells in place of a network (`radiance_fields.radiance_field`); the deformation network at knots of space, linear
+between them; the neuron in expectation (`training.ray_term`); the points of the sweep to start from; no dependence on
+the viewing direction.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def _start(seeds: Seeds) -> RadianceField:
     from reconstruction.radiance_fields.cells import seed_cells
 
     still, moving = ((points.positions, points.intensities) for points in (seeds.still, seeds.moving))
-    return seed_cells(still, moving, seeds.clip, seeds.cameras)
+    return seed_cells(still, moving, seeds.clip, seeds.cameras, seeds.seed)
 
 
 SPIKENERF = Method("spikenerf", _start, moves=False, supervision="rays", rays=True)

@@ -27,7 +27,6 @@ from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
 from rigs.camera import Camera
 
-CANONICAL = 3  # Gaussians with a time window for one that lives through the clip: as many are seen at once
 LEAST_POINTS = 200  # points of the still scene, where so many were asked for
 MOVING_PLANES = 64  # depth hypotheses for movers, at half resolution
 Mask = NDArray[np.bool_]
@@ -45,7 +44,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     artefacts.write(run, artefacts.STILL, still)
     sources = {view: source for view, (_, source) in artefacts.read_views(run, recording).items()}
     parts = []
-    count = plan.moving_gaussians // (CANONICAL if len(swept) == 1 else INSTANTS)
+    count = plan.moving_gaussians // max(len(swept), 1)
     for i, plane in enumerate(swept):
         parts.append(moving_points(sources, cameras, (plane, recording.rig.clock.instant_s(plane)), count, rng))
         progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")

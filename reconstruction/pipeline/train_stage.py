@@ -139,7 +139,7 @@ def settings_of(run: RunFolder, method: Method, views: Sequence[TrainingView]) -
     white = artefacts.white_of([view.source.background for view in views])
     return TrainerSettings(
         plan.supervision,
-        method.training,
+        replace(method.training, rates=method.training.rates.times(run.config.rates)),
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
         image_planes=plan.window if plan.images == "interpolated" else 1,

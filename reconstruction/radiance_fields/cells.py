@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.radiance_fields.frustum import Frustum
-from reconstruction.radiance_fields.march import KNOT
-from reconstruction.radiance_fields.radiance_field import RadianceField
+from reconstruction.radiance_fields.radiance_field import RadianceField, ShiftField
 from reconstruction.scene_model import TimeSpan
 from rigs.camera import Camera
 
@@ -21,20 +20,19 @@ AROUND = (3, 3, 4)  # reach of cells around a point, in nodes (rows, columns, la
 SOLID = (2, 2, 0)  # reach of opaque cells: one layer, so that no surface starts in front of its points
 LIGHT = ((0, 0, 0), (1, 1, 0), SOLID, AROUND)  # reaches tried in turn for points that give a cell its light
 OPAQUE, CLEAR = 8.0, -4.5  # raw densities that take all, and 0.01 of the light in a layer
-INSTANTS = 9  # knots of time
 
 
-def seed_cells(still: tuple, moving: tuple, clip: TimeSpan, cameras: Sequence[Camera]) -> RadianceField:
+def seed_cells(still: tuple, moving: tuple, clip: TimeSpan, cameras: Sequence[Camera], seed: int = 0) -> RadianceField:
     """Return a field around points, each kind as positions [N, 3] in m and intensities [N] in spikes per tick.
 
-    The moving points are canonical: their places before any deformation is learnt.
+    The moving points are canonical: their places before any deformation is learnt. `seed` is that of the deformation.
     """
     frustum = Frustum.around(np.concatenate([still[0], moving[0]]), cameras)
     parts = [_cells(frustum, *points) for points in (still, moving)]
-    knots = [-(-size // knot) + 1 for size, knot in zip(frustum.shape, KNOT, strict=True)]
-    offsets = torch.zeros(INSTANTS, *knots, 3) if len(parts[1][0]) else torch.zeros(0, 1, 1, 1, 3)
+    box = torch.tensor([[0, 0, 0], frustum.shape], dtype=torch.float32)
+    shifts = ShiftField.over(box, torch.Generator().manual_seed(seed)) if len(parts[1][0]) else None
     densities, intensities = (torch.cat([part[i] for part in parts]) for i in (1, 2))
-    return RadianceField(frustum, parts[0][0], parts[1][0], densities, intensities, offsets, clip)
+    return RadianceField(frustum, parts[0][0], parts[1][0], densities, intensities, shifts, clip)
 
 
 def _cells(frustum: Frustum, positions: np.ndarray, intensities: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:

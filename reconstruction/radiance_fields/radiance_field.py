@@ -2,8 +2,9 @@
 
 Sources: Zhu et al., "SpikeNeRF", CVPR 2024 (a radiance field learnt from spikes); Fridovich-Keil et al., "Plenoxels",
 CVPR 2022 (sparse cells in place of a network); Pumarola et al., "D-NeRF", CVPR 2021 (one canonical space and a
-deformation into it). Ours: the grid (`frustum`), cells only around points of the sweep, still cells beside the deformed
-ones, and a deformation stored at knots of space and time. Letters: N still and M moving cells, T knots of time.
+deformation into it); the deformation is that of 4DGS (`gaussians.hexplane`). Ours: the grid (`frustum`), cells only
+around points of the sweep, still cells beside the deformed ones, and a deformation that is evaluated at knots of space
+and linear between them. Letters: N still and M moving cells, h, w, d knots along y, x and w.
 """
 
 from __future__ import annotations
@@ -18,22 +19,29 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.gaussians.hexplane import FieldShape, HexPlaneMotion
 from reconstruction.radiance_fields.frustum import Frustum
-from reconstruction.radiance_fields.march import BLOCK, STEP, Grid, march
+from reconstruction.radiance_fields.march import BLOCK, KNOT, STEP, Grid, march
 from reconstruction.rendering.bent import seen_through
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 
 REACH = (3, 3, 2)  # blocks around moving cells within which the deformation may lead to them
-SMOOTH = 2e-3  # weight of squared differences between neighbouring knots, in nodes
+
+
+class ShiftField(HexPlaneMotion):
+    """The field of 4DGS with a head for positions alone; its box is in nodes (y, x, w)."""
+
+    kind = "shift"
+    shape = FieldShape(heads=1)
 
 
 @dataclass
 class RadianceField:
     """Cells at the nodes `still` [N] and `moving` [M] int32, flat and sorted; see `scene_model.SceneModel`.
 
-    `densities` [N + M] are raw, as `march` reads them; `intensities` [N + M] are in spikes per tick. `offsets`
-    [T, h, w, d, 3], in nodes, say where moving samples are read; they are [0, 1, 1, 1, 3] where nothing moves.
+    `densities` [N + M] are raw, as `march` reads them; `intensities` [N + M] are in spikes per tick. `shifts` says
+    where moving samples are read; it is None where nothing moves.
     """
 
     frustum: Frustum
@@ -41,7 +49,7 @@ class RadianceField:
     moving: Tensor
     densities: Tensor
     intensities: Tensor
-    offsets: Tensor
+    shifts: ShiftField | None
     clip: TimeSpan
     light: Tensor = field(default_factory=lambda: torch.ones(1))
     unit: ClassVar[str] = "cells"
@@ -53,6 +61,7 @@ class RadianceField:
             parts.append(grid_of(self.moving, len(self.still), self.frustum.shape, REACH))
         self.grids, self.nodes = tuple(parts), torch.cat([self.still, self.moving])
         self.last = parts[0].lookup.numel() - 1
+        self.knots = tuple(-(-size // knot) + 1 for size, knot in zip(self.frustum.shape, KNOT, strict=True))
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
@@ -63,9 +72,11 @@ class RadianceField:
         return True
 
     def tensors(self) -> Iterator[tuple[str, Tensor]]:
-        """Yield every learnt tensor with its name."""
-        for name in ("densities", "intensities", "offsets"):
+        """Yield every tensor with its name."""
+        for name in ("densities", "intensities"):
             yield f"field.{name}", getattr(self, name)
+        for name, tensor in self.shifts.tensors() if self.shifts else ():
+            yield f"shifts.{name}", tensor
 
     def at(self, instant_s: float) -> tuple[Tensor, Tensor, Tensor]:
         """Return densities, intensities and offsets [h, w, d, 3] at an instant, as `march` takes them."""
@@ -73,11 +84,12 @@ class RadianceField:
         intensities = self.intensities
         if len(self.light) > 1:
             intensities = intensities * gain_at(self.light, u)
-        if not len(self.moving):
-            return self.densities, intensities, self.offsets.new_zeros(1, 1, 1, 3)
-        place = min(max(u, 0.0), 1.0) * (len(self.offsets) - 1)
-        low = min(int(place), len(self.offsets) - 2)
-        return self.densities, intensities, torch.lerp(self.offsets[low], self.offsets[low + 1], place - low)
+        if self.shifts is None:
+            return self.densities, intensities, torch.zeros(1, 1, 1, 3)
+        knots = torch.cartesian_prod(*(torch.arange(n) * k for n, k in zip(self.knots, KNOT, strict=True)))
+        low, high = self.shifts.box
+        shift = self.shifts.offsets(self.shifts.places(knots.float()), min(max(u, 0.0), 1.0)).shift
+        return self.densities, intensities, (shift * (high - low) / 2).view(*self.knots, 3)
 
     def positions(self, instant_s: float) -> Tensor:
         """Return the nodes of all cells [N + M, 3] in m in the rig frame, the same at any instant."""
@@ -108,22 +120,16 @@ class RadianceField:
 
     def rates(self) -> Mapping[str, Rate]:
         """Return the learning rate of every tensor that is learnt, by name."""
-        return {
-            "field.densities": Rate(0.3),
-            "field.intensities": Rate(8e-3, "light"),
-            "field.offsets": Rate(0.05, deforms=True),
-        }
+        own = {"field.densities": Rate(0.3), "field.intensities": Rate(8e-3, "light")}
+        return own | {f"shifts.{kind}": rate for kind, rate in ShiftField.rates.items() if self.shifts}
 
     def advance(self, done: float) -> float:
         """Return `done`: a field is trained in one stage."""
         return done
 
     def penalty(self) -> Tensor | None:
-        """Return the weighted squared differences of the deformation's neighbouring knots, None where nothing moves."""
-        if not len(self.moving):
-            return None
-        gaps = [self.offsets.diff(dim=axis).square().mean() for axis in range(4) if self.offsets.shape[axis] > 1]
-        return SMOOTH * torch.stack(gaps).sum()
+        """Return the regulariser of the deformation, None where nothing moves."""
+        return self.shifts.roughness() if self.shifts else None
 
     def variation(self, cells: Tensor) -> Tensor:
         """Return the mean absolute difference of `cells` [K] int64 to their neighbours; raw densities count a tenth."""
@@ -156,9 +162,13 @@ class RadianceField:
     def from_state(cls, state: dict) -> RadianceField:
         """Return the field whose `state` this is; raises ReconstructionError for tensors it does not know."""
         try:
-            learnt = {name.removeprefix("field."): tensor for name, tensor in state["tensors"].items()}
-            kept = {name: state[name] for name in ("light", "still", "moving")}
-            return cls(frustum=Frustum(**state["frustum"]), clip=TimeSpan(*state["clip"]), **learnt, **kept)
+            parts: dict[str, dict[str, Tensor]] = {"field": {}, "shifts": {}}
+            for name, tensor in state["tensors"].items():
+                part, kind = name.split(".")
+                parts[part][kind] = tensor
+            shifts = ShiftField(**parts["shifts"]) if parts["shifts"] else None
+            kept = parts["field"] | {name: state[name] for name in ("light", "still", "moving")}
+            return cls(frustum=Frustum(**state["frustum"]), clip=TimeSpan(*state["clip"]), shifts=shifts, **kept)
         except (KeyError, TypeError, ValueError) as error:
             found = f"found a field with {', '.join(state.get('tensors', {})) or 'no tensors'}"
             raise ReconstructionError(found, "one as this version stores it", "train again") from error

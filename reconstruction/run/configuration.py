@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -11,6 +12,7 @@ from reconstruction.errors import BadRunError
 from reconstruction.images import catalogue as image_catalogue
 from reconstruction.initialization.initialisers import INITIALISERS
 from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.definition import AS_KIND, RateFactors
 from reconstruction.run.spans import LEAST
 from reconstruction.training.term import supervisions
 
@@ -45,8 +47,8 @@ class ReconstructionConfig:
     gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
     `window`: planes of the short images of movers (None: as the plan says). `span`: most planes of a span of a long
     recording (None: as the plan says). `from_tick`, `to_tick`: the ticks [from, to) that are reconstructed (None: from
-    the first, to the last). `device`: where the training is done; all other stages take the processor. Raises
-    BadRunError naming the field.
+    the first, to the last). `device`: where the training is done; all other stages take the processor. `rates`: factors
+    of the method's learning rates, as a search tries them. Raises BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -69,6 +71,7 @@ class ReconstructionConfig:
     from_tick: int | None = None
     to_tick: int | None = None
     device: str = "auto"
+    rates: RateFactors = AS_KIND
 
     def __post_init__(self) -> None:
         for name, names in CHOICES.items():
@@ -85,6 +88,8 @@ class ReconstructionConfig:
             raise BadRunError(f"found {self.steps} steps", "at least 1")
         if self.gaussians is not None and self.gaussians < 1:
             raise BadRunError(f"found a cap of {self.gaussians} Gaussians", "at least 1")
+        if not all(0 < factor < math.inf for factor in self.rates):
+            raise BadRunError(f"found the factors of rates {self.rates}", "positive numbers")
         if self.tick_stride < 1:
             raise BadRunError(f"found a tick stride of {self.tick_stride}", "at least 1")
         if self.window is not None and (self.window < 1 or self.window % 2 == 0):
@@ -104,6 +109,8 @@ class ReconstructionConfig:
         """Return the configuration that `dataclasses.asdict` made plain, also one of an earlier revision."""
         supervision = supervision_of(document, "device")
         values: dict[str, Any] = {**document, "supervision": supervision, "views": tuple(document["views"])}
+        if "rates" in values:
+            values["rates"] = RateFactors(*values["rates"])
         return cls(**values)
 
 

@@ -24,7 +24,7 @@ TIMES_S = (np.arange(INSTANTS) + 0.5) / INSTANTS * CLIP.last_s
 
 def model_names() -> tuple[str, ...]:
     """Return the names of the models whose Gaussians move."""
-    return ("linear", "cubic", "bases", "4dgs", "dy-spikegs", "stg", "d3dgs")
+    return ("linear", "cubic", "bases", "4dgs", "4dgs-small", "stg", "d3dgs")
 
 
 def cloud_of(name: str, scale: float = 1.0, count: int = POINTS) -> DynamicCloud:
@@ -40,7 +40,7 @@ def cloud_of(name: str, scale: float = 1.0, count: int = POINTS) -> DynamicCloud
             tensor[:] = scale
         elif key == "turns":
             tensor[:] = 1
-        elif key in ("heads", "exit"):  # last layers of fields, which start at zero
+        elif key == "heads":  # the last layer of a field, which starts at zero
             tensor[:] = 0.1 * torch.randn(tensor.shape, generator=generator)
     for done in (0.5, 0.8, 1.0) if isinstance(cloud.motion, TimestepMotion) else ():
         cloud.advance(done)

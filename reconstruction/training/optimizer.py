@@ -4,24 +4,29 @@ from collections.abc import Mapping
 
 import torch
 
+from reconstruction.methods.definition import AS_KIND, RateFactors
 from reconstruction.native import fits
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.adam import BETAS, EPS, Adam
 
 FINAL_LENGTH, FINAL = 0.05, 1 / 3  # share of its first rate that a tensor of lengths, and any other, ends with
 SETTLING = 120  # steps at first rates that the last rate of still Gaussians in a long training is worth
+PARTS = {"still": "still", "field": "moving", "moving": "moving", "motion": "motion", "shifts": "motion"}
 Optimizer = Adam | torch.optim.Adam
 
 
-def optimizer_of(model: SceneModel, units: Mapping[str, float]) -> Optimizer:
-    """Return Adam over the tensors that have a rate; `units` says what a rate of each unit is multiplied by."""
+def optimizer_of(model: SceneModel, units: Mapping[str, float], factors: RateFactors = AS_KIND) -> Optimizer:
+    """Return Adam over the tensors that have a rate.
+
+    `units` says what a rate of each unit is multiplied by, `factors` what those of each part are.
+    """
     groups, rates = [], model.rates()
     for name, tensor in model.tensors():
         if tensor.numel() == 0 or name not in rates:
             continue
         tensor.requires_grad_(True)
         rate = rates[name]
-        start = rate.start * units[rate.unit]
+        start = rate.start * units[rate.unit] * getattr(factors, PARTS[name.partition(".")[0]])
         flags = {"field": rate.deforms, "moves": not name.startswith("still"), "length": rate.unit == "scene"}
         groups.append({"params": [tensor], "lr": start, "start": start, **flags})
     if all(fits(tensor) for group in groups for tensor in group["params"]):

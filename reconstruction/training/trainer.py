@@ -87,7 +87,7 @@ class Trainer:
         self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
         self.extent_m = extent_m(self.cloud, [view.camera for view in views])
         self.units = {"none": 1.0, "scene": self.extent_m, "light": dimming(settings.white)}
-        self.optimizer = optimizer_of(self.cloud, self.units)
+        self.optimizer = optimizer_of(self.cloud, self.units, settings.training.rates)
         cameras, tick_s = [view.camera for view in views], 1 / clock.tick_rate_hz
         self.refinement = Refinement(cameras, self.extent_m, tick_s) if settings.refines else None
         self.lags = Lags(len(views), clock, settings.backend) if settings.times and not settings.refines else None
@@ -172,7 +172,7 @@ class Trainer:
     def restore(self, state: dict) -> None:
         """Continue from `state` as if nothing had happened."""
         self.cloud = _on(self.settings.device, model_from_state(state["cloud"]))
-        self.optimizer = optimizer_of(self.cloud, self.units)
+        self.optimizer = optimizer_of(self.cloud, self.units, self.settings.training.rates)
         self.optimizer.load_state_dict(state["optimizer"])
         if "draws" in state:  # not in the checkpoint of an earlier revision
             self.draws.restore(state["draws"])
@@ -193,7 +193,7 @@ class Trainer:
         old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
         moments, begun = freed_states(self.cloud, old, which), torch.tensor(float(self.steps))
         self.views, self.cloud = self._corrected(views), freed(self.cloud, which)
-        self.optimizer = optimizer_of(self.cloud, self.units)
+        self.optimizer = optimizer_of(self.cloud, self.units, self.settings.training.rates)
         self.averages.restart()
         for name, tensor in self.cloud.tensors():
             if tensor.requires_grad:

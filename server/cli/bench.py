@@ -1,6 +1,7 @@
 """`bench`: measurements one can repeat, as one JSON document, a table and a plot."""
 
 import tempfile
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import click
 
 from acquisition.durable import write_json
 from acquisition.scenes.digest import committed_digests, scenes_digest
+from acquisition.scenes.looks import LOOKS, NO_REASON, add_looks, looks_of
 from server.cli.bench_asked import Asked
 from server.cli.bench_runs import BENCHES
 from server.cli.options import PATH, json_option
@@ -37,7 +39,7 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
 @click.option(
     "--limit-s",
     type=click.FloatRange(min=0),
-    help="paper, leave-out, long, speed, large: begin nothing after so many seconds.",
+    help="paper, tuning, leave-out, long, speed, large: begin nothing after so many seconds.",
 )
 @click.option("--keep", is_flag=True, help="paper: keep results of other code revisions; their rows say so.")
 @click.option(
@@ -46,9 +48,10 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     type=click.Path(path_type=Path, exists=True, dir_okay=False, executable=True),
     help="speed, large: the installed spike4dgs of an older revision [default: this revision is measured alone].",
 )
+@click.option("--reason", default=NO_REASON, help="Why evaluation scenes are looked at; looks.jsonl of --out keeps it.")
 @click.option("--out", type=PATH, help="Folder for NAME.json and NAME.png; an interrupted bench resumes there.")
 @json_option
-def bench_command(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
+def bench_command(name: str, out: Path | None, reason: str, as_json: bool, **options: Any) -> None:
     """Run a bench, keep its document and pictures, and print its summary."""
     bench = BENCHES[name]
     # The recorder is measured on the disk of this folder, not on that of the temporary ones.
@@ -60,6 +63,9 @@ def bench_command(name: str, out: Path | None, as_json: bool, **options: Any) ->
         if out:
             out.mkdir(parents=True, exist_ok=True)
             write_json(out / f"{name}.json", found)
+            if not asked.quick:
+                day = datetime.now(UTC).date().isoformat()
+                add_looks(out / LOOKS, looks_of(found, day, reason))
             bench.draw(asked, out, found)
     summary = columns([(key, f"{value:.6g}") for key, value in found["summary"].items()])
     answer(found, "\n".join([summary, *(f"left out: {o}" for o in found["omissions"])]), as_json=as_json)

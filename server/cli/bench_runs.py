@@ -118,6 +118,20 @@ def _training_protocol(asked: Asked) -> Protocol:
     return training_protocol(scenes, quick=asked.quick)
 
 
+def _tuning(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.paper.bench import timer
+    from reconstruction.bench.tuning import SCENES, bench_tuning, tuning_protocol
+
+    protocol, progress = tuning_protocol(asked.named(SCENES), quick=asked.quick), asked.progress_of("tuning")
+    return bench_tuning(protocol, _laboratory(asked, "tuning"), progress, timer(asked.limit_s))
+
+
+def _draw_tuning(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.tuning import write_page
+
+    write_page(out / "tuning.md", found)
+
+
 def _leave_out(asked: Asked) -> BenchDocument:
     from reconstruction.bench.leave_out import bench_leave_out
     from reconstruction.bench.paper.bench import timer
@@ -175,8 +189,8 @@ def _laboratory(asked: Asked, name: str) -> Laboratory:
     from reconstruction.bench.paper.run import Laboratory
 
     def recording_of(scene: str, seed: int) -> Path:
-        if asked.quick and name == "paper":
-            return recording(scene, seed, asked.work / "paper" / "quick", QUICK_TICKS, QUICK_RIG)
+        if asked.quick and name in ("paper", "tuning"):
+            return recording(scene, seed, asked.work / name / "quick", QUICK_TICKS, QUICK_RIG)
         return recording(scene, seed, asked.work)
 
     return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep)
@@ -192,6 +206,7 @@ BENCHES: dict[str, Bench] = {
     "compact": Bench("how small recordings become without loss, and how fast", _compact),
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
+    "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_tuning, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),

@@ -4,7 +4,10 @@ import json
 import re
 
 import pytest
-from maintenance.evidence import BENCHMARKS, FIGURE, ROOT, TEMPLATE, filled, read_documents, write_pages
+from maintenance.evidence import BENCHMARKS, FIGURE, ROOT, TEMPLATE, filled, looks_page, read_documents, write_pages
+
+from acquisition.scenes.looks import LOOKS, looks_of, read_looks
+from reconstruction.bench.paper.protocol import PROTOCOL
 
 DOCUMENTS = read_documents()
 TEXT = (ROOT / "EVIDENCE.md").read_text()
@@ -56,4 +59,15 @@ def test_rows_have_their_true_names():
     assert "spss" not in told
     rows = [line for line in (BENCHMARKS / "paper.md").read_text().splitlines() if line.startswith("| ")]
     ours = [line.split(" | ")[0] for line in rows]
-    assert not [label for label in ours if re.search(r"(?<!small )4DGS(?! \|)", label) and "DUSt3R" not in label]
+    rows = [row for table in PROTOCOL.tables for row in table.rows if row.method]
+    published = {f"| {row.label}" for row in rows if row.method.choices.get("model") == "4dgs"}
+    assert not [label for label in ours if re.search(r"(?<!small )4DGS", label) and label not in published]
+
+
+def test_the_log_of_looks_has_all_that_the_documents_show_and_a_page():
+    looks = read_looks(BENCHMARKS / LOOKS)
+    known = {(look["bench"], look["revision"], look["scene"]) for look in looks}
+    shown = [look for document in DOCUMENTS.values() for look in looks_of(document, "2026-01-01")]
+    assert [look for look in shown if (look["bench"], look["revision"], look["scene"]) not in known] == []
+    assert (BENCHMARKS / "looks.md").read_text() == looks_page(looks), "run `make evidence`"
+    assert "(tests/benchmarks/looks.md)" in TEXT

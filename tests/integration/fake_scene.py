@@ -69,6 +69,7 @@ def keys(rng: np.random.Generator, means: NDArray[np.float64]) -> dict[str, NDAr
         "key_quats": rng.normal(size=(KEYS, MOVING, 4)),
         "key_opacities": rng.uniform(0.2, 1, (KEYS, MOVING)),
         "key_scales": rng.uniform(0.01, 0.03, (KEYS, MOVING, 3)),
+        "key_intensities": rng.uniform(0.1, 0.4, (KEYS, MOVING)),
     }
 
 
@@ -89,7 +90,8 @@ def at(arrays: Arrays, u: float) -> Arrays:
     place = u * (KEYS - 1)
     k = min(int(place), KEYS - 2)
     t = place - k
-    for name, key in (("means", "key_means"), ("opacities", "key_opacities"), ("scales", "key_scales")):
+    for name in ("means", "opacities", "scales", "intensities"):
+        key = f"key_{name}"
         now[name][STILL:] = arrays[key][k].astype(float) * (1 - t) + arrays[key][k + 1].astype(float) * t
     before, after = arrays["key_quats"][k].astype(float), arrays["key_quats"][k + 1].astype(float)
     sign = np.where((before * after).sum(-1, keepdims=True) < 0, -1, 1)

@@ -18,6 +18,7 @@ NAMES = {
         ),
     },
     "rasterizer": {"gaussians", "forward_ms", "backward_ms", "x_reference", "two_thread_speedup", "steps_per_s"},
+    "tuning": {"auto.trials", "tfi+4dgs.best.psnr_db", "dy-spikenerf.first.psnr_db", "tfi+d3dgs.best.motion"},
     "compact": {
         *(f"fan_and_ball.{score}" for score in ("ratio", "write_mb_s", "read_mb_s", "plane_ms")),
         *(f"{way}.ratio" for way in ("planes, zstd 7", "differences, zstd 7", "trains, zstd 7", "trains, zlib 6")),
@@ -25,7 +26,7 @@ NAMES = {
 }
 
 
-LONG = ("pixels", "images")
+LONG = ("pixels", "images", "tuning")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in LONG else ()) for n in NAMES])

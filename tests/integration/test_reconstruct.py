@@ -169,7 +169,7 @@ def test_every_model_trains_from_its_own_points_and_resumes(model, recording, tm
         reconstruct(recording, tmp_path / "run", config, quiet, stage="train", should_stop=lambda: next(calls) == 5)
     run = reconstruct(recording, tmp_path / "run", config, quiet, stage="train")
     cloud = load_cloud(run.checkpoint)
-    assert cloud.motion.kind == {"dy-spikegs": "deformation"}.get(model, model)
+    assert cloud.motion.kind == {"dy-spikegs": "4dgs"}.get(model, model)
     assert len(cloud.moving) > 20
     if model == "bases":
         found = run.document.bodies

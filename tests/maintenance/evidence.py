@@ -10,21 +10,23 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import click
 from maintenance.evidence_tables import page
 
 from acquisition.durable import write_durably
+from acquisition.scenes.looks import LOOKS, read_looks
 from reconstruction.bench.diagrams import PLOTS
 from reconstruction.bench.long_page import write_page as write_long_page
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
-from reconstruction.bench.paper.tables import held_out_used, write_tables
+from reconstruction.bench.paper.tables import held_out_used, markdown, write_tables
 from reconstruction.bench.score_run import METRICS
 from reconstruction.bench.speed_page import write_page as write_speed_page
+from reconstruction.bench.tuning import write_page as write_tuning_page
 from reconstruction.bench.uncertainty_page import write_page as write_uncertainty_page
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training.curve import plot_curves
@@ -93,19 +95,38 @@ def hours(documents: Mapping[str, dict]) -> float:
     return sum(float(row.get("seconds") or 0) for d in documents.values() for row in d["rows"]) / 3600
 
 
+LOOKS_ABOUT = """# Looks at evaluation scenes
+
+Every run on a scene for evaluation or stress that a bench has kept, from [looks.jsonl](looks.jsonl). `spike4dgs bench`
+adds to it. Those before it did are taken from the committed documents, on the day of their commit; runs by hand are not
+in it."""
+OWN_PAGES = {
+    "long": write_long_page,
+    "uncertainty": write_uncertainty_page,
+    "tuning": write_tuning_page,
+    **dict.fromkeys(("speed", "large"), write_speed_page),
+}
+
+
 def write_pages(folder: Path, documents: Mapping[str, dict]) -> None:
     """Write the tables of every document as NAME.md."""
     for name, document in documents.items():
         if name == "paper":
             write_tables(folder / "paper.md", document, PROTOCOL)
-        elif name == "long":
-            write_long_page(folder / "long.md", document)
-        elif name == "uncertainty":
-            write_uncertainty_page(folder / "uncertainty.md", document)
-        elif name in ("speed", "large"):
-            write_speed_page(folder / f"{name}.md", document)
+        elif name in OWN_PAGES:
+            OWN_PAGES[name](folder / f"{name}.md", document)
         else:
             write_durably(folder / f"{name}.md", page(name, document).encode())
+
+
+def looks_page(looks: Iterable[dict]) -> str:
+    """Return the page of all looks at evaluation scenes, those of one day, bench and revision in a line."""
+    lines: dict[tuple[str, ...], list[str]] = {}
+    for look in sorted(looks, key=lambda one: one["day"]):
+        key = look["day"], look["bench"], look["revision"], look["reason"]
+        lines.setdefault(key, []).append(f"{look['scene']} {look['runs']}")
+    rows = [(day, bench, revision, ", ".join(seen), reason) for (day, bench, revision, reason), seen in lines.items()]
+    return f"{LOOKS_ABOUT}\n\n{markdown(('day', 'bench', 'revision', 'runs on', 'reason'), rows)}\n"
 
 
 @click.command()
@@ -120,6 +141,7 @@ def main(folder: Path, text: Path) -> None:
     if "paper" in documents:
         write_diagrams(folder, documents["paper"])
     write_pages(folder, documents)
+    write_durably(folder / "looks.md", looks_page(read_looks(folder / LOOKS)).encode())
     plot_curves([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
     plot_curves([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
     write_durably(text, filled(TEMPLATE.read_text(), documents).encode())

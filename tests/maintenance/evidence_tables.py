@@ -67,7 +67,7 @@ ABOUT = {
     "outwards from a corner camera, towards the scene and away from it. Cameras stand at -0.2, 0 and 0.2 m.",
 }
 NUMBERED = re.compile(r"(?P<row>.+)\.(?P<score>[a-z][a-z_0-9]*)(?P<at>@.+)?")
-SMALL = re.compile(r"(?<![\w-])(spk2imgnet|msdi-image|msdi|4dgs)(?![\w-])")
+SMALL = re.compile(r"(?<![\w-])(spk2imgnet|msdi-image|msdi)(?![\w-])")
 LEAST_ROWS = 3  # rows that must have a score for it to be a column
 MOST_PLACES = 6  # values behind an @ that may stand in the rows' names
 VIEWPOINT_SCORES = (("psnr_db", ".1f"), ("dynamic_psnr_db", ".1f"), ("abs_rel", ".4f"), ("empty", ".3f"))

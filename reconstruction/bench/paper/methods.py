@@ -6,7 +6,7 @@ Networks make an image in half a second, so their rows have targets at every 40t
 
 from reconstruction.bench.conventions import RATE_HZ, VIEWS
 from reconstruction.bench.paper.method import Change, Method
-from reconstruction.bench.paper.published import IMAGE_MODELS, SPIKE_MODELS
+from reconstruction.bench.paper.published import IMAGE_MODELS, QUICK_MODELS, SPIKE_MODELS
 from reconstruction.bench.streams import Slowing
 from reconstruction.run.configuration import SUPERVISIONS
 
@@ -16,18 +16,22 @@ NOMINAL = Change(nominal=True)
 CAPS = (3000, 6000, 12_000, 24_000, 96_000)  # most Gaussians, beside the default
 
 AUTO = Method("auto")
-TFI = {model: Method(f"tfi+{model}", {"model": model, "images": "tfi"}) for model in IMAGE_MODELS.values()}
+_LEARNERS = sorted({*IMAGE_MODELS.values(), *QUICK_MODELS.values()})
+TFI = {model: Method(f"tfi+{model}", {"model": model, "images": "tfi"}) for model in _LEARNERS}
 SPIKES = {model: Method(model, {"model": model}) for model in SPIKE_MODELS.values()}
 SPK2IMGNET = {
     model: Method(f"spk2imgnet+{model}", {"model": model, "images": "spk2imgnet", "tick_stride": 40})
-    for model in IMAGE_MODELS.values()
+    for model in _LEARNERS
 }
 
 FOUND = Method("natural+auto", {"init": "natural"}, NOMINAL)
-TFI_FOUND = {model: method.changed(f"tfi+natural+{model}", NOMINAL, init="natural") for model, method in TFI.items()}
-TFI_COLMAP = TFI["4dgs"].changed("tfi+colmap+4dgs", NOMINAL, init="sfm")
-_MSDI = Method("msdi+4dgs", {"model": "4dgs", "images": "msdi", "init": "msdi", "tick_stride": 40}, NOMINAL)
-_MSDI_COLMAP = _MSDI.changed("msdi-image+colmap+4dgs", init="sfm")
+TFI_FOUND = {
+    model: TFI[model].changed(f"tfi+natural+{model}", NOMINAL, init="natural") for model in QUICK_MODELS.values()
+}
+_SMALL = {"model": "4dgs-small"}
+TFI_COLMAP = TFI["4dgs-small"].changed("tfi+colmap+4dgs-small", NOMINAL, init="sfm")
+_MSDI = Method("msdi+4dgs-small", _SMALL | {"images": "msdi", "init": "msdi", "tick_stride": 40}, NOMINAL)
+_MSDI_COLMAP = _MSDI.changed("msdi-image+colmap+4dgs-small", init="sfm")
 
 
 def with_loss(method: Method, supervision: str) -> Method:
@@ -44,7 +48,7 @@ LOSSES = {name: with_loss(AUTO, name) for name in ("pixels", *SPIKE_LOSSES)}
 CLEAN = Method("clean", {"images": "clean"})
 BLURRED = Method("blurred", {"images": "blurred"})
 GIVEN = {
-    images: Method(f"{images}+natural+4dgs", {"model": "4dgs", "images": images, "init": "natural"}, NOMINAL)
+    images: Method(f"{images}+natural+4dgs-small", _SMALL | {"images": images, "init": "natural"}, NOMINAL)
     for images in ("clean", "blurred")
 }
 
@@ -57,7 +61,7 @@ MODULES = {
     "COLMAP poses": FOUND.changed("colmap+auto", init="sfm"),
     "small MSDI poses, adjusted": FOUND.changed("msdi+auto", init="msdi"),
     "straight paths": FOUND.changed("natural+linear", model="linear"),
-    "small HexPlane field": FOUND.changed("natural+4dgs", model="4dgs"),
+    "small HexPlane field": FOUND.changed("natural+4dgs-small", model="4dgs-small"),
     "image variation loss": with_loss(FOUND, "image-variation"),
 }
 

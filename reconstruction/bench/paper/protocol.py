@@ -8,7 +8,7 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, STRESS
 from reconstruction.bench.conventions import RATE_HZ, SLOWER
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
-from reconstruction.bench.paper.published import IMAGE_MODELS
+from reconstruction.bench.paper.published import QUICK_MODELS
 
 SHORTEST, SHORT, LONG, LONGEST, UNHURRIED = (Effort(seconds) for seconds in (15.0, 30.0, 60.0, 120.0, 180.0))
 NO_DUST3R = "no DUSt3R checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own"
@@ -27,7 +27,7 @@ LOSS_LABELS = {
 
 def _rows(form: str, paper: str, methods: dict[str, Method]) -> tuple[Row, ...]:
     """Return a row for each model that learns from images; {} in the two names stands for its name."""
-    return tuple(Row(form.format(SMALL[n]), methods[model], paper.format(n)) for n, model in IMAGE_MODELS.items())
+    return tuple(Row(form.format(SMALL[n]), methods[model], paper.format(n)) for n, model in QUICK_MODELS.items())
 
 
 TFI_ROWS = _rows("TFI + {}", "TFI + {}", m.TFI)
@@ -38,7 +38,8 @@ NOVEL_VIEW = Table(
     (
         OURS,
         *TFI_ROWS,
-        Row("Dy-SpikeGS, our deformation", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
+        Row("TFI + 4DGS", m.TFI["4dgs"], "TFI + 4DGS"),
+        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
         Row("SpikeGS (static)", m.SPIKES["spikegs"], "SpikeGS"),
         Row("Ours, found poses", m.FOUND, "Spike4DGS"),
         *_rows("TFI + {}, our poses", "TFI + {}", m.TFI_FOUND),
@@ -57,7 +58,7 @@ NOVEL_VIEW = Table(
         Row("MSDI image + DUSt3R + image variation", None, "MSDI image + DUSt3R + SPSS", NO_DUST3R),
         Row("MSDI without pretraining + image variation", None, "MSDI without pretraining + SPSS", NO_PRETRAINING),
         Row("SpikeNeRF (static)", m.SPIKES["spikenerf"], "SpikeNeRF"),
-        Row("Dy-SpikeNeRF, our deformation", m.SPIKES["dy-spikenerf"], "Dy-SpikeNeRF"),
+        Row("Dy-SpikeNeRF", m.SPIKES["dy-spikenerf"], "Dy-SpikeNeRF"),
     ),
 )
 LOSSES = Table(
@@ -104,7 +105,7 @@ STATIC = Table(
     (
         OURS,
         *TFI_ROWS,
-        Row("Dy-SpikeGS, our deformation", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
+        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
         Row("SpikeGS", m.SPIKES["spikegs"], "SpikeGS"),
         Row("SpikeNeRF", m.SPIKES["spikenerf"], "SpikeNeRF"),
     ),
@@ -133,7 +134,7 @@ VIEWS = Table(
         Row(f"{label}, {views} views", m.seeing(method, views), f"{paper}, {views} views")
         for label, paper, method in (
             ("Ours", "Spike4DGS", m.AUTO),
-            *((f"TFI + {SMALL[n]}", f"TFI + {n}", m.TFI[IMAGE_MODELS[n]]) for n in ("4DGS", "STG", "D3DGS")),
+            *((f"TFI + {SMALL[n]}", f"TFI + {n}", m.TFI[QUICK_MODELS[n]]) for n in ("4DGS", "STG", "D3DGS")),
         )
         for views in range(3, 9)
     ),
@@ -144,7 +145,7 @@ GAUSSIANS = Table(
     "The cap; the paper has no such table.",
     (Row("Ours, 48000", m.AUTO), *(Row(f"Ours, {cap}", m.capped(m.AUTO, cap)) for cap in m.CAPS)),
 )
-LEADERS = (*(m.TFI[model].name for model in ("stg", "4dgs", "d3dgs")), m.SPIKES["dy-spikegs"].name)
+LEADERS = (*(m.TFI[model].name for model in ("stg", "4dgs-small", "d3dgs")), m.SPIKES["dy-spikegs"].name)
 SLOW = (  # methods whose networks leave a minute few steps; the first two for comparison
     *(m.FOUND.name, m.TFI_COLMAP.name),
     *(method.name for method in (*m.MSDI_COLMAP.values(), m.MSDI["pixels"], m.MSDI["image-variation"])),
@@ -168,7 +169,7 @@ PROTOCOL = Protocol(
         Batch("outdoors", ("outdoor",), (SHORT,)),
         Batch("stress", STRESS, (SHORT,)),
         Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name,), seeds=(1, 2)),
-        Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs"].name)),
+        Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs-small"].name)),
         Batch("static", ("static",), (LONG,)),
         Batch("novel-view", FIRST, (LONG,)),
         Batch("novel-view", FIRST, (UNHURRIED,), SLOW),
@@ -192,7 +193,7 @@ QUICK = Protocol(
             "A few steps of a small recording: a check of the bench, not a measurement.",
             (
                 Row(OURS.label, m.AUTO.changed("auto", gaussians=3000), OURS.paper),
-                Row("TFI + small 4DGS", m.TFI["4dgs"].changed("tfi+4dgs", gaussians=3000), "TFI + 4DGS"),
+                Row("TFI + small 4DGS", m.TFI["4dgs-small"].changed("tfi+4dgs-small", gaussians=3000), "TFI + 4DGS"),
                 Row("10000 Hz, dropped", m.slower(m.AUTO.changed("auto", gaussians=3000), 2, "drop")),
                 Row("MSDI image + DUSt3R + 4DGS", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
             ),

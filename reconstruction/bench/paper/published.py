@@ -9,6 +9,7 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 # The models of the published tables by their published name, as `--model` has them: learning from images, from spikes.
 IMAGE_MODELS = {"D3DGS": "d3dgs", "STG": "stg", "4DGS": "4dgs"}
+QUICK_MODELS = {**IMAGE_MODELS, "4DGS": "4dgs-small"}  # those that make enough steps in a minute of two cores
 SPIKE_MODELS = {
     "Dy-SpikeGS": "dy-spikegs",
     "SpikeGS": "spikegs",

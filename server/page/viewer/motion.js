@@ -50,6 +50,7 @@ function betweenKeys({ manifest: { moving, keyframes }, arrays }, u, rows) {
     mix(rows, at, arrays.key_means, 3, a, b, t);
     mix(rows, at + 3, arrays.key_opacities, 1, a, b, t);
     if (arrays.key_scales) mix(rows, at + 8, arrays.key_scales, 3, a, b, t);
+    if (arrays.key_intensities) mix(rows, at + 11, arrays.key_intensities, 1, a, b, t);
     mixQuats(rows, at + 4, arrays.key_quats, 4 * a, 4 * b, t);
   }
 }

@@ -3,7 +3,7 @@ import { request } from '../operator/api.js';
 import { artefact } from '../operator/media.js';
 
 const [VERSION, SPANNED_VERSION] = [1, 2];
-const OPTIONAL = ['accelerations', 'jerks', 'key_scales'];
+const OPTIONAL = ['accelerations', 'jerks', 'key_scales', 'key_intensities'];
 const MOTIONS = ['static', 'polynomial', 'keyframes'];
 const [SPANNED_MOTIONS, WHOLE_NUMBERS] = [[...MOTIONS, 'bodies'], ['changed', 'bodies']];
 
@@ -126,7 +126,8 @@ function shapesOf({ count, moving, motion, keyframes, bodies, knots }) {
   const windows = { velocities: vector, instants: [moving], durations: [moving] };
   if (motion === 'polynomial') return { ...stored, ...windows, accelerations: vector, jerks: vector };
   if (motion === 'bodies') return { ...stored, ...windows, bodies: [moving], knot_quats: [bodies, knots, 4], knot_centers: [bodies, knots, 3] };
-  const keys = { key_means: [keyframes, moving, 3], key_quats: [keyframes, moving, 4], key_opacities: [keyframes, moving], key_scales: [keyframes, moving, 3] };
+  const [single, triple] = [[keyframes, moving], [keyframes, moving, 3]];
+  const keys = { key_means: triple, key_quats: [keyframes, moving, 4], key_opacities: single, key_scales: triple, key_intensities: single };
   return { ...stored, ...keys };
 }
 

@@ -8,11 +8,9 @@ import torch
 
 from reconstruction.export.scene import Scene
 from reconstruction.gaussians import hexplane
-from reconstruction.gaussians.canonical import CanonicalMotion
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.deformation import DeformationMotion
 from reconstruction.gaussians.dynamic import DynamicCloud
-from reconstruction.gaussians.hexplane import HexPlaneMotion
+from reconstruction.gaussians.hexplane import FieldShape, HexPlaneMotion, SmallHexPlaneMotion, box_around
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
@@ -62,20 +60,27 @@ def motion_of(kind: str, moving: GaussianCloud):
         bodies = torch.zeros(riders, dtype=torch.int64)
         velocities, drifts = 0.3 * draw(count - riders, 3), 0.1 * draw(riders, 3)
         return RigidMotion(bodies, quats, centers, velocities, instants, logs, drifts)
-    if kind in ("4dgs", "deformation"):
-        field = (HexPlaneMotion if kind == "4dgs" else DeformationMotion).around(moving.means, 0.1, generator)
+    if kind in ("4dgs", "4dgs-small"):
+        model = HexPlaneMotion if kind == "4dgs" else SmallHexPlaneMotion
+        field = model.over(box_around(moving.means, 0.1), generator, 0.1)
         for name, tensor in field.tensors():
-            if name != "box":
+            if name in model.rates:
                 tensor += 0.1 * draw(*tensor.shape)
         return field
     return PolynomialMotion(0.3 * draw(count, 3), torch.zeros(0, 3), torch.zeros(0, 3), instants, logs)
 
 
 @pytest.fixture
-def scene_with(monkeypatch):
+def small_fields(monkeypatch):
+    """Fields of a few cells."""
+    monkeypatch.setattr(hexplane, "FEATURES", 2)
+    for model, heads in ((HexPlaneMotion, 5), (SmallHexPlaneMotion, 3)):
+        monkeypatch.setattr(model, "shape", FieldShape((4, 6), 5, 6, heads))
+
+
+@pytest.fixture
+def scene_with(small_fields):
     """A scene of some still Gaussians and some that move, by the model named."""
-    for name, value in {"SPACE_CELLS": (4, 6), "TIME_CELLS": 5, "FEATURES": 2, "WIDTH": 6}.items():
-        monkeypatch.setattr(hexplane, name, value)
 
     def make(kind: str = "linear", still: int = 40, moving: int = 20) -> Scene:
         movers = needles(moving, 2)
@@ -134,11 +139,11 @@ def cloud_of():
 def field_of():
     """A field over a cloud that deforms nothing yet, or, `trained`, one with numbers everywhere."""
 
-    def make(model: type[CanonicalMotion], cloud: GaussianCloud, *, trained: bool = True) -> CanonicalMotion:
+    def make(model: type[HexPlaneMotion], cloud: GaussianCloud, *, trained: bool = True) -> HexPlaneMotion:
         generator = torch.Generator().manual_seed(7)
-        motion = model.around(cloud.means, 0.1, generator)
+        motion = model.over(box_around(cloud.means, 0.1), generator, 0.3)
         for name, tensor in motion.tensors():
-            if trained and name != "box":
+            if trained and name in model.rates:
                 tensor.copy_(tensor + 0.3 * torch.randn(tensor.shape, generator=generator))
         return motion
 

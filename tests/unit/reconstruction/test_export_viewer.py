@@ -21,8 +21,8 @@ SHAPES = {
     "linear": {"velocities": (3,), "instants": (), "durations": ()},
     "cubic": {"velocities": (3,), "accelerations": (3,), "jerks": (3,), "instants": (), "durations": ()},
     "bases": {"key_means": (3,), "key_quats": (4,), "key_opacities": ()},
-    "4dgs": {"key_means": (3,), "key_quats": (4,), "key_opacities": (), "key_scales": (3,)},
-    "deformation": {"key_means": (3,), "key_quats": (4,), "key_opacities": (), "key_scales": (3,)},
+    "4dgs": {"key_means": (3,), "key_quats": (4,), "key_opacities": (), "key_scales": (3,), "key_intensities": ()},
+    "4dgs-small": {"key_means": (3,), "key_quats": (4,), "key_opacities": (), "key_scales": (3,)},
     "stg": {"key_means": (3,), "key_quats": (4,), "key_opacities": ()},
     "d3dgs": {"key_means": (3,), "key_quats": (4,), "key_opacities": ()},
 }
@@ -56,6 +56,8 @@ def played(document, arrays, u):
         now["opacities"][still:] = arrays["key_opacities"][k]
         if "key_scales" in arrays:
             now["scales"][still:] = arrays["key_scales"][k]
+        if "key_intensities" in arrays:
+            now["intensities"][still:] = arrays["key_intensities"][k]
     return now
 
 
@@ -149,7 +151,7 @@ def test_durations_beyond_what_is_rendered_are_held(scene_with):
     assert arrays_of(*viewer_of(scene))["durations"].tolist() == pytest.approx([1e-3, 1e3])
 
 
-@pytest.mark.parametrize("kind", ["bases", "4dgs", "deformation", "stg", "d3dgs"])
+@pytest.mark.parametrize("kind", ["bases", "4dgs", "4dgs-small", "stg", "d3dgs"])
 def test_movers_that_are_never_seen_leave_a_static_scene(kind, scene_with):
     scene = scene_with(kind)
     scene.cloud.moving.opacity_logits[:] = -20

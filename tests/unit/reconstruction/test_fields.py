@@ -10,10 +10,11 @@ import pytest
 import torch
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.gaussians.hexplane import Offsets
 from reconstruction.radiance_fields.cells import seed_cells
 from reconstruction.radiance_fields.frustum import Frustum
 from reconstruction.radiance_fields.march import march, march_reference
-from reconstruction.radiance_fields.radiance_field import REACH, RadianceField, grid_of
+from reconstruction.radiance_fields.radiance_field import REACH, RadianceField, ShiftField, grid_of
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.checkpoint import model_from_state
 from rigs.camera import Camera
@@ -180,13 +181,26 @@ def test_light_that_flickers_dims_the_picture():
     np.testing.assert_allclose(dim, bright / 2, rtol=1e-5)
 
 
-def test_the_deformation_moves_what_moves():
+def test_the_deformation_moves_what_moves(monkeypatch):
     field = seed_cells(wall(3.0, 0.1), (wall(2.0, 0.5)[0] * [0.1, 0.1, 1], wall(2.0, 0.5)[1]), CLIP, CAMERAS)
-    field.offsets[-1, ..., 1] = -4.0  # read four columns further left: it is seen further right
+    left = torch.tensor([0.0, -4.0 / (field.frustum.shape[1] / 2), 0.0])  # four columns, in halves of the box
+    monkeypatch.setattr(ShiftField, "offsets", lambda self, places, u: Offsets(u * left.expand(len(places), 3)))
     early, late = (field.look(CAMERAS[1], s).intensity for s in (0.0, 0.02))
     columns = np.arange(32)
     places = [float((columns * (v > 0.3)).sum() / (v > 0.3).sum()) for v in (early, late)]
     assert places[1] - places[0] == pytest.approx(4.0, abs=0.5)
+
+
+def test_the_deformation_is_that_of_4dgs_at_every_knot_and_is_learnt():
+    field = seed_cells(wall(3.0, 0.1), wall(2.0, 0.5), CLIP, CAMERAS)
+    field.shifts.heads.normal_(0, 0.05, generator=torch.Generator().manual_seed(1)).requires_grad_()
+    *_, offsets = field.at(0.003)
+    rows, columns, layers = field.frustum.shape
+    place = torch.tensor([[2 * 16 / rows - 1, 2 * 16 / columns - 1, 2 * 8 / layers - 1]]).clamp(-1, 1)
+    expected = field.shifts.offsets(place, 0.15).shift[0] * torch.tensor(field.frustum.shape) / 2
+    torch.testing.assert_close(offsets[1, 1, 1], expected)
+    offsets.sum().backward()
+    assert float(field.shifts.heads.grad.abs().sum()) > 0
 
 
 def test_state_comes_back_whole_and_strange_tensors_are_refused():
@@ -196,6 +210,8 @@ def test_state_comes_back_whole_and_strange_tensors_are_refused():
     assert isinstance(back, RadianceField)
     np.testing.assert_array_equal(back.look(CAMERAS[0], 0.01).intensity, field.look(CAMERAS[0], 0.01).intensity)
     assert len(back) == len(field) == len(field.positions(0.0))
+    still = seed_cells(wall(2.0, 0.3), NOTHING, CLIP, CAMERAS)
+    assert model_from_state(still.state()).shifts is None
     with pytest.raises(ReconstructionError, match="train again"):
         model_from_state(state | {"tensors": {"field.colours": torch.zeros(1)}})
 

@@ -9,4 +9,5 @@ CODE = "import sys; from reconstruction.methods.catalogue import METHODS; print(
 def test_listing_needs_no_torch_and_begins_with_ours():
     listed = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True).stdout.split()
     assert listed[:4] == ["static", "linear", "cubic", "bases"]
-    assert listed[4:] == ["d3dgs", "4dgs", "spikegs", "dy-spikegs", "spikenerf", "dy-spikenerf", "stg", "False"]
+    baselines = ["d3dgs", "4dgs", "4dgs-small", "spikegs", "dy-spikegs", "spikenerf", "dy-spikenerf", "stg"]
+    assert listed[4:] == [*baselines, "False"]

@@ -299,7 +299,7 @@ def test_large_pictures_are_small_at_first(size, doublings):
 
 def test_the_lists_of_choices_are_those_of_the_contract():
     assert set(CHOICES["model"]) == {
-        *("auto", "static", "linear", "cubic", "bases", "4dgs", "stg", "d3dgs"),
+        *("auto", "static", "linear", "cubic", "bases", "4dgs", "4dgs-small", "stg", "d3dgs"),
         *("spikegs", "dy-spikegs", "spikenerf", "dy-spikenerf"),
     }
     assert set(CHOICES["init"]) == {"auto", "sweep", "natural", "sfm", "dust3r", "msdi"}

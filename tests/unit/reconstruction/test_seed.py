@@ -104,7 +104,7 @@ def test_every_model_comes_back_from_its_state(tmp_path):
         seed_cloud(seeds(moving), cubic=True),
         seed_rigid(seeds(moving, bodies=bodies)),
         seed_field(seeds(moving)),
-        seed_field(seeds(moving), "deformation"),
+        seed_field(seeds(moving), "4dgs-small"),
         seed_spacetime(seeds(moving)),
         seed_timesteps(seeds(moving)),
     ):
