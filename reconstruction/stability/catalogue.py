@@ -9,6 +9,7 @@ from pathlib import Path
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress, part
 from reconstruction.stability import (
+    averages,
     cameras,
     dimness,
     expectations,
@@ -29,7 +30,7 @@ from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, sti
 
 _SUBJECTS = (
     *(rendering, motion, losses, expectations, images, recordings),
-    *(cameras, marching, dimness, pixels, lenses, spans),
+    *(cameras, marching, dimness, pixels, lenses, spans, averages),
 )
 _ALL = (case for subject in _SUBJECTS for case in subject.CASES)
 CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))

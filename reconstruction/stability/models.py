@@ -36,7 +36,7 @@ def cloud_of(name: str, scale: float = 1.0, count: int = POINTS) -> DynamicCloud
     assert isinstance(cloud, DynamicCloud)
     generator = torch.Generator().manual_seed(1)
     for key, tensor in cloud.motion.tensors():
-        if key in ("velocities", "accelerations", "jerks"):
+        if key in ("velocities", "accelerations", "jerks", "drifts"):
             tensor[:] = scale
         elif key == "turns":
             tensor[:] = 1

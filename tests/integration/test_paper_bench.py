@@ -19,7 +19,7 @@ def test_the_quick_bench_writes_its_tables_and_finds_them_again(tmp_path):
     assert result.returncode == 0, result.stderr
     document = json.loads(result.stdout)
     assert json.loads((tmp_path / "paper.json").read_text()) == document
-    assert [r["method"] for r in document["rows"]] == ["auto", "tfi+4dgs", "auto.drop10000"]
+    assert [r["method"] for r in document["rows"]] == ["auto", "tfi+4dgs-small", "auto.drop10000"]
     assert all(r["steps"] == 40 and r["seconds"] > 0 and r["psnr_db"] > 15 for r in document["rows"])
     assert document["summary"]["novel-view.auto.psnr_db@40steps"] == pytest.approx(document["rows"][0]["psnr_db"])
     assert any(line.startswith("novel-view, MSDI image + DUSt3R + 4DGS: no DUSt3R") for line in document["omissions"])
