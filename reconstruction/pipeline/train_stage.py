@@ -147,6 +147,7 @@ def settings_of(run: RunFolder, method: Method, views: Sequence[TrainingView]) -
         times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays and plan.images not in GIVEN,
         ends_early=method.training.ends_early and run.config.steps is None,
         doublings=plan.doublings,
+        spike_weight=run.config.spike_weight,
     )
 
 

@@ -47,8 +47,9 @@ class ReconstructionConfig:
     gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
     `window`: planes of the short images of movers (None: as the plan says). `span`: most planes of a span of a long
     recording (None: as the plan says). `from_tick`, `to_tick`: the ticks [from, to) that are reconstructed (None: from
-    the first, to the last). `device`: where the training is done; all other stages take the processor. `rates`: factors
-    of the method's learning rates, as a search tries them. Raises BadRunError naming the field.
+    the first, to the last). `device`: where the training is done; all other stages take the processor. Two are for
+    searches: `rates`, factors of the method's learning rates, and `spike_weight`, the weight of a loss on spikes in
+    steps that compare an image, too (None: such steps have it alone). Raises BadRunError naming the field.
     """
 
     model: str = "auto"
@@ -72,6 +73,7 @@ class ReconstructionConfig:
     to_tick: int | None = None
     device: str = "auto"
     rates: RateFactors = AS_KIND
+    spike_weight: float | None = None
 
     def __post_init__(self) -> None:
         for name, names in CHOICES.items():
@@ -90,6 +92,8 @@ class ReconstructionConfig:
             raise BadRunError(f"found a cap of {self.gaussians} Gaussians", "at least 1")
         if not all(0 < factor < math.inf for factor in self.rates):
             raise BadRunError(f"found the factors of rates {self.rates}", "positive numbers")
+        if self.spike_weight is not None and not 0 <= self.spike_weight < math.inf:
+            raise BadRunError(f"found the weight {self.spike_weight} of a loss on spikes", "a number from 0")
         if self.tick_stride < 1:
             raise BadRunError(f"found a tick stride of {self.tick_stride}", "at least 1")
         if self.window is not None and (self.window < 1 or self.window % 2 == 0):

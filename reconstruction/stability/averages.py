@@ -14,7 +14,7 @@ def _long_mean(_: str) -> Observation:
     draws = torch.randn(STEPS // EVERY, len(SIZES), 8, generator=torch.Generator().manual_seed(0))
     sizes, averages = torch.tensor(SIZES), Averages()
     for step in range(STEPS):
-        looks = 3 + draws[step // EVERY]  # lerp of what is far from nothing
+        looks = 3 + draws[step // EVERY]
         averages.see([(str(i), (size * looks[i]).requires_grad_()) for i, size in enumerate(sizes)], 0.0)
     exact = 3 + draws[0].double()
     for number, draw in enumerate(draws[1:], start=2):

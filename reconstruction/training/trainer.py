@@ -51,7 +51,8 @@ class TrainerSettings:
     lags alone are looked for, where they are not learnt. `ends_early`: whether a training that no longer gains ends
     before its budget. `doublings`: shares of the training at which pictures become twice as wide and high, in order;
     they are whole after the last. `backend`: native for float32; the reference trains in any float type;
-    gsplat on a CUDA `device`, where the model, its optimiser and what it is compared with then lie.
+    gsplat on a CUDA `device`, where the model, its optimiser and what it is compared with then lie. `spike_weight`:
+    weight of the term on spikes in a step that has the one on images, too; None where such a step has it alone.
     """
 
     supervision: str
@@ -65,6 +66,7 @@ class TrainerSettings:
     doublings: tuple[float, ...] = ()
     backend: Backend = "native"
     device: str = "cpu"
+    spike_weight: float | None = None
 
 
 class Trainer:
@@ -115,10 +117,7 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         halvings = 0 if due else sum(done < share for share in self.settings.doublings)
         seen = self.views[view].whole if self.steps % WHOLE_EVERY == 0 else self.views[view]
-        loss = (due or self.image)(self.cloud, _halved(seen, halvings), self.draws)
-        penalty = self.cloud.penalty()
-        if penalty is not None:
-            loss = loss + penalty
+        loss = self._loss(_halved(seen, halvings), due)
         loss.backward()
         self.optimizer.step()
         self.averages.see(self.cloud.tensors(), stage)
@@ -131,6 +130,15 @@ class Trainer:
         if self.ending and due is None and halvings == 0 and done >= way.canonical_until:
             self.ending.see(view, found, self.steps, done)
         return found
+
+    def _loss(self, view: TrainingView, spikes: Term[Any] | None) -> Tensor:
+        """Return the loss of a step on `view`, with a term on spikes where there is one, and the model's penalty."""
+        weight, penalty = self.settings.spike_weight, self.cloud.penalty()
+        if spikes and weight is not None:
+            loss = self.image(self.cloud, view, self.draws) + weight * spikes(self.cloud, view, self.draws)
+        else:
+            loss = (spikes or self.image)(self.cloud, view, self.draws)
+        return loss if penalty is None else loss + penalty
 
     def _refuse_dead(self) -> None:
         """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""

@@ -39,7 +39,7 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
 @click.option(
     "--limit-s",
     type=click.FloatRange(min=0),
-    help="paper, tuning, leave-out, long, speed, large: begin nothing after so many seconds.",
+    help="Benches of many runs: begin nothing after so many seconds.",
 )
 @click.option("--keep", is_flag=True, help="paper: keep results of other code revisions; their rows say so.")
 @click.option(

@@ -132,6 +132,20 @@ def _draw_tuning(asked: Asked, out: Path, found: dict) -> None:
     write_page(out / "tuning.md", found)
 
 
+def _spss(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.paper.bench import timer
+    from reconstruction.bench.spss import SCENES, bench_spss, spss_protocol
+
+    protocol = spss_protocol(asked.named(SCENES), quick=asked.quick)
+    return bench_spss(protocol, _laboratory(asked, "spss"), asked.progress_of("spss"), timer(asked.limit_s))
+
+
+def _draw_spss(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.spss import write_page
+
+    write_page(out / "spss.md", found)
+
+
 def _leave_out(asked: Asked) -> BenchDocument:
     from reconstruction.bench.leave_out import bench_leave_out
     from reconstruction.bench.paper.bench import timer
@@ -189,7 +203,7 @@ def _laboratory(asked: Asked, name: str) -> Laboratory:
     from reconstruction.bench.paper.run import Laboratory
 
     def recording_of(scene: str, seed: int) -> Path:
-        if asked.quick and name in ("paper", "tuning"):
+        if asked.quick and name in ("paper", "tuning", "spss"):
             return recording(scene, seed, asked.work / name / "quick", QUICK_TICKS, QUICK_RIG)
         return recording(scene, seed, asked.work)
 
@@ -207,6 +221,7 @@ BENCHES: dict[str, Bench] = {
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
     "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_tuning, trains=True),
+    "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_spss, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),

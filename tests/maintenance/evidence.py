@@ -26,6 +26,7 @@ from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import held_out_used, markdown, write_tables
 from reconstruction.bench.score_run import METRICS
 from reconstruction.bench.speed_page import write_page as write_speed_page
+from reconstruction.bench.spss import write_page as write_spss_page
 from reconstruction.bench.tuning import write_page as write_tuning_page
 from reconstruction.bench.uncertainty_page import write_page as write_uncertainty_page
 from reconstruction.errors import BadRunError
@@ -103,6 +104,7 @@ in it."""
 OWN_PAGES = {
     "long": write_long_page,
     "uncertainty": write_uncertainty_page,
+    "spss": write_spss_page,
     "tuning": write_tuning_page,
     **dict.fromkeys(("speed", "large"), write_speed_page),
 }

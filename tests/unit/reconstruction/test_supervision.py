@@ -211,3 +211,16 @@ def test_a_view_that_sees_no_mover_is_supervised_anywhere():
     view = TrainingView(CAMERA, replace(view.source, moving=np.zeros((HEIGHT, WIDTH), dtype=bool)))
     part = spike_term.part_with_mover(view, (1000, 1000), np.random.default_rng(0))
     assert (part.top, part.left, part.camera.width, part.camera.height) == (0, 0, WIDTH, HEIGHT)
+
+
+def test_with_a_weight_a_step_has_the_loss_on_images_and_the_weighted_one_on_spikes(monkeypatch):
+    def losses(**settings):
+        trainer = Trainer(cloud(0.0), [seen(cloud(0.0))], TrainerSettings("counts", **settings), CLOCK, seed=0)
+        image, spikes = torch.tensor(2.0, requires_grad=True), torch.tensor(3.0, requires_grad=True)
+        trainer.image = lambda *_: image * 1
+        trainer.spikes = lambda *_: spikes * 1
+        return [trainer.step(0.5) for _ in range(4)]
+
+    assert losses() == [2.0, 3.0, 2.0, 3.0]
+    assert losses(spike_weight=0.5) == [2.0, 3.5, 2.0, 3.5]
+    assert losses(spike_weight=0.0) == [2.0, 2.0, 2.0, 2.0]

@@ -111,6 +111,12 @@ def test_every_part_of_a_radiance_field_has_a_factor():
     assert [group["start"] for group in groups] == [2.0, 3.0]
 
 
+@pytest.mark.parametrize("weight", [-0.1, math.nan, math.inf])
+def test_a_weight_that_is_no_number_from_nought_is_refused(weight):
+    with pytest.raises(BadRunError, match="a number from 0"):
+        ReconstructionConfig(spike_weight=weight)
+
+
 @pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf])
 def test_factors_that_are_no_positive_numbers_are_refused(factor):
     with pytest.raises(BadRunError, match="positive numbers"):

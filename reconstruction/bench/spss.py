@@ -1,0 +1,84 @@
+"""Measures SPSS, the loss of Spike4DGS, on recorded spikes: beside the pixel loss, by weight, at equal steps and time.
+
+In a row with a weight every second step compares an image and, by that weight, how rendered and recorded spikes change.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.bench_document import BenchDocument
+from acquisition.durable import write_durably
+from acquisition.progress import Progress
+from acquisition.scenes.catalog import DEVELOPMENT, REALISTIC
+from reconstruction.bench.conventions import means, named
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.bench import run_protocol
+from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
+from reconstruction.bench.paper.run import Laboratory
+from reconstruction.bench.paper.tables import markdown
+
+WEIGHTS = (0.1, 0.01, 1.0)  # the middle one first
+BASES = (m.AUTO, m.TFI["4dgs-small"])
+SCENES = (*DEVELOPMENT, *REALISTIC[1:])  # with things that move
+EFFORTS, QUICK_EFFORTS = (Effort(steps=1000), Effort(60.0)), (Effort(steps=20),)
+SCORES = ("psnr_db", "dynamic_psnr_db", "abs_rel", "steps_per_s")
+SHOWN = {
+    **{"psnr_db": ".2f", "dynamic_psnr_db": ".2f", "gain.psnr_db": "+.2f", "gain.dynamic_psnr_db": "+.2f"},
+    **{"abs_rel": ".4f", "steps_per_s": ".0f", "scenes": ".0f"},
+}
+COLUMNS = ("row", "at", "PSNR / dB", "movers / dB", "to the same without", "movers", "Abs Rel", "steps / s", "scenes")
+ABOUT = """Development scenes, the first seed of each. With a weight, every second step has the spike loss (SPSS as we
+read it, decision 151) beside the loss on images. Differences are means over the scenes that both rows have."""
+
+
+def spss_protocol(scenes: tuple[str, ...] = SCENES, *, quick: bool = False) -> Protocol:
+    """Return the runs of the bench: each base without the loss, then by weight, at each effort."""
+    weights, efforts = (WEIGHTS[:1], QUICK_EFFORTS) if quick else (WEIGHTS, EFFORTS)
+    methods = [*BASES, *(weighted(base, weight) for weight in weights for base in BASES)]
+    table = Table("spss", "SPSS", "", tuple(Row(method.name, method) for method in methods))
+    names = tuple(method.name for method in methods)
+    return Protocol((table,), tuple(Batch("spss", (scene,), efforts, names) for scene in scenes))
+
+
+def weighted(base: Method, weight: float) -> Method:
+    """Return a method with SPSS beside its loss on images."""
+    return base.changed(f"{base.name}+spss@{weight:g}", supervision="variation", spike_weight=weight)
+
+
+def bench_spss(
+    protocol: Protocol, laboratory: Laboratory, progress: Progress, time_left: Callable[[], bool]
+) -> BenchDocument:
+    """Run the protocol and return its rows; the summary has means, and differences to the base over shared scenes."""
+    document = run_protocol("spss", protocol, laboratory, progress, time_left)
+    for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in document.rows):
+        own = {row["scene"]: row for row in document.rows if (row["method"], row["effort"]) == (name, effort)}
+        found = means(list(own.values()), SCORES) | {"scenes": float(len(own))}
+        base = name.partition("+spss")[0]
+        beside = {row["scene"]: row for row in document.rows if (row["method"], row["effort"]) == (base, effort)}
+        both = own.keys() & beside.keys() if base != name else set()
+        for score in SCORES[:2] if both else ():
+            found[f"gain.{score}"] = float(
+                np.mean([own[scene][score] - beside[scene][score] for scene in sorted(both)])
+            )
+        document.summary |= named(name, found, f"@{effort}")
+    document.omissions.append("one seed a scene; the window's length and stride as in decision 151")
+    return document
+
+
+def write_page(path: Path, document: dict) -> None:
+    """Write the page of a document of this bench."""
+    summary, device = document["summary"], document["device"]
+    head = (
+        f"`spike4dgs bench spss`, revision {document['revision']}, {device['processor']}, {device['threads']} threads; "
+    )
+    lines = []
+    for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in document["rows"]):
+        found = (summary.get(f"{name}.{score}@{effort}") for score in SHOWN)
+        shown = (
+            "" if value is None else format(value, form) for value, form in zip(found, SHOWN.values(), strict=True)
+        )
+        lines.append([name, effort, *shown])
+    parts = ("# SPSS", head + "drawn from [spss.json](spss.json).", ABOUT.replace("\n", " "), markdown(COLUMNS, lines))
+    write_durably(path, "\n\n".join(parts).encode() + b"\n")

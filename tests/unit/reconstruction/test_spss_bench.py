@@ -1,0 +1,52 @@
+"""The bench of SPSS: every base without it and by weight, and gains over the scenes that both have."""
+
+from dataclasses import asdict
+
+import pytest
+
+from reconstruction.bench.paper.method import Effort
+from reconstruction.bench.spss import BASES, EFFORTS, SCENES, WEIGHTS, bench_spss, spss_protocol, weighted, write_page
+
+
+class Told:
+    """A laboratory that knows the results of the runs that `level` has a number for."""
+
+    def __init__(self, level):
+        self.level = level
+
+    def known(self, cell):
+        level = self.level(cell)
+        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
+        row |= {"psnr_db": level, "dynamic_psnr_db": level, "abs_rel": 0.01, "steps_per_s": 20.0}
+        return None if level is None else row | {"budget_s": None, "seconds": 60.0, "revision": "abc"}
+
+
+def found_by(level):
+    return bench_spss(spss_protocol(), Told(level), lambda done, message: None, lambda: False)
+
+
+def test_every_base_has_every_weight_at_equal_steps_and_equal_time():
+    cells = spss_protocol().cells()
+    assert len(cells) == len(SCENES) * len(EFFORTS) * len(BASES) * (1 + len(WEIGHTS))
+    assert {effort.budget_s is None for effort in EFFORTS} == {True, False}
+    config = weighted(BASES[0], 0.1).config(Effort(60.0), 1)
+    assert (config.supervision, config.spike_weight) == ("variation", 0.1)
+    assert BASES[0].config(Effort(60.0), 1).spike_weight is None
+
+
+def test_gains_are_over_the_scenes_that_both_rows_have(tmp_path):
+    missing = (SCENES[-1], "auto+spss@0.1")
+    level = lambda cell: None if (cell.scene, cell.method.name) == missing else _level(cell)  # noqa: E731
+    document = found_by(level)
+    assert document.summary["auto+spss@0.1.gain.psnr_db@60"] == pytest.approx(0.5)
+    assert document.summary["auto+spss@0.1.scenes@60"] == len(SCENES) - 1
+    assert "auto.gain.psnr_db@60" not in document.summary
+    about = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
+    write_page(tmp_path / "spss.md", asdict(document) | about)
+    text = (tmp_path / "spss.md").read_text()
+    assert "| auto+spss@0.1 | 60 | 30.00 | 30.00 | +0.50 | +0.50 | 0.0100 | 20 | 2 |" in text
+    assert "| auto | 1000steps | 30.00 | 30.00 |  |  | 0.0100 | 20 | 3 |" in text
+
+
+def _level(cell):
+    return 29.0 + SCENES.index(cell.scene) + (1 if cell.scene == SCENES[0] else 0) * ("spss" in cell.method.name)
