@@ -1,4 +1,4 @@
-"""Measures how much sooner this revision has what an older one had: both in turns, in one sitting on one machine.
+"""Measures how much sooner this revision has what an older one had: both in turns on one machine.
 
 The older revision is an installed command. A run is a process of its own through the command line, and a point is
 always the end of a run with that budget. Single steps of training are timed by size and threads, and beside a busy

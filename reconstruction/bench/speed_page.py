@@ -24,7 +24,8 @@ from reconstruction.bench.speed_summary import (
 )
 
 ABOUT = (
-    "Both revisions in turns, in one sitting on one machine. A run is a process of its own; a point is the end of a "
+    "Both revisions in turns on one machine, a scene at a time; scenes may be sittings apart. "
+    "A run is a process of its own; a point is the end of a "
     "run with that budget. Seconds are wall seconds from the start of the process to its last checkpoint. Idle threads "
     "sleep, as where the service runs a stage. `stolen`: share of the processors' time that other guests took."
 )
