@@ -35,6 +35,7 @@ export function bar(kind, items, offers) {
   const all = element('input', { type: 'checkbox', id: `choose-all-${kind}` });
   all.onchange = ({ currentTarget: { checked } }) => {
     chosen[kind] = checked ? new Set(shown) : new Set();
+    settle(kind, items); // at once: a click before the next drawing is on what is seen
     redraw();
   };
   const number = chosen[kind].size;
