@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,7 +37,8 @@ class Truth:
 
     `metre` is the length of a metre of the truth in the frame it is compared in, `gain` a light of 1 in units
     of that frame, and `lag_ticks` how much later it is there. `ticks` are those of the planes at hand, None for all:
-    planes are numbered from the first of them on, files by tick.
+    planes are numbered from the first of them on, files by tick. `blur_ticks` are those of a blurred image,
+    `exposure_ticks` those of an ordinary camera's frame, 0 where there is none.
     """
 
     path: Path
@@ -46,13 +48,18 @@ class Truth:
     gain: float = 1.0
     lag_ticks: float = 0.0
     ticks: range | None = None
+    blur_ticks: int = 1
+    exposure_ticks: int = 0
 
     @classmethod
     def open(cls, path: Path) -> Truth:
         """Open a truth folder; raises BadRunError where `path` is none."""
         try:
             scene = json.loads((path / "scene.json").read_text())
-            return cls(path, float(scene["white"]), tuple(int(m["id"]) for m in scene["movers"]))
+            movers = tuple(int(m["id"]) for m in scene["movers"])
+            blur, exposure = scene.get("blur", {}), scene.get("ordinary", {})
+            means = {"blur_ticks": blur.get("window_ticks", 1), "exposure_ticks": exposure.get("exposure_ticks", 0)}
+            return cls(path, float(scene["white"]), movers, **means)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise BadRunError("found no usable scene.json", "a simulated recording's truth", where=path) from error
 
@@ -96,11 +103,32 @@ class Truth:
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
         """Return the mean light [H, W] of the exposure centred on a plane, whose length `scene.json` states."""
-        file = self.path / camera_id / f"blur_{plane + self._first_tick:06d}.npy"
+        return self._image(camera_id, "blur_", plane, "a blurred image at each plane of truth")
+
+    def frame_planes(self, camera_id: str) -> list[int]:
+        """Return the middle planes of an ordinary camera's exposures that lie whole in the planes at hand.
+
+        Raises BadRunError where there are none.
+        """
+        ticks = sorted(int(f.stem.removeprefix("frame_")) for f in (self.path / camera_id).glob("frame_*.npy"))
+        half, at_hand = self.exposure_ticks // 2, self.ticks or range(sys.maxsize)
+        planes = [tick - self._first_tick for tick in ticks if tick - half in at_hand and tick + half in at_hand]
+        if not planes:
+            found = f"found no frame of an ordinary camera beside {camera_id}"
+            do = "simulate it anew, and longer" if self.exposure_ticks else "simulate it anew"
+            raise BadRunError(found, "frame_*.npy of a whole exposure", do, where=self.path)
+        return planes
+
+    def ordinary(self, camera_id: str, plane: int) -> NDArray[np.float32]:
+        """Return what an ordinary camera reads [H, W] of the exposure around a plane, in spikes per tick."""
+        return self._image(camera_id, "frame_", plane, "a frame of an ordinary camera")
+
+    def _image(self, camera_id: str, prefix: str, plane: int, kind: str) -> NDArray[np.float32]:
+        file = self.path / camera_id / f"{prefix}{plane + self._first_tick:06d}.npy"
         try:
             return np.load(file)
         except (OSError, ValueError, EOFError) as error:
-            raise BadRunError("found no readable blurred image", "one at each plane of truth", where=file) from error
+            raise BadRunError("found no readable image", kind, where=file) from error
 
     def seen_by(self, views: Sequence[str]) -> Truth:
         """Return the truth as the cameras `views` have it on average: their geometric mean gain, and their mean lag.

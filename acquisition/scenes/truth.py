@@ -2,19 +2,22 @@
 
 Every k-th plane of each camera has four images [H, W]: `camRC/000120.npy` (float32, the light at (120 + 0.5) / rate),
 `depth_000120.npy` (float32), `id_000120.npy` (int8) and `blur_000120.npy` (float32, the mean light of the exposure that
-`scene.json` states). Viewpoints that no camera of the rig has are `novelN/`, without blur. `cameras.json` is
-nerfstudio's and exact. The light is the paper's clean frame (CI), the blur its blurred frame (BI).
+`scene.json` states, without noise). Viewpoints that no camera of the rig has are `novelN/`, without blur.
+`cameras.json` is nerfstudio's and exact. The light is the paper's clean frame (CI), the blur its blurred frame (BI).
+`frame_000049.npy` (float32) is what an ordinary camera reads of the exposure around its plane; it is no truth.
 """
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.durable import write_array, write_durably, write_json
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
-from acquisition.scenes.view import Scenery
+from acquisition.scenes.ordinary import Exposure, OrdinaryCamera
+from acquisition.scenes.view import Scenery, View
 from acquisition.spikes.sensor import SensorKind
 from rigs.camera import Camera
 from rigs.exchange.nerfstudio import dump_transforms
@@ -22,9 +25,11 @@ from rigs.rig import Rig
 from rigs.transform import Transform
 
 BLUR_PLANES = 32  # exposure of a blurred frame, centred on the instant
-BLUR_STRIDE = 4  # planes between the frames that a blurred frame is the mean of
+BLUR_STRIDE = 4  # planes between the frames that the light of an exposure is the mean of
 BLUR_SAMPLES = 2  # rays a side of a pixel of a blurred frame
+DRAWN_AT_ONCE = 8  # frames of an exposure
 EVERY, MOST_INSTANTS = 20, 200  # planes between true frames, and frames of a camera: 1.6 MB each at 400x250
+ORDINARY = OrdinaryCamera()
 NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # places in half widths of the rig: between the cameras, and beside them
 
 
@@ -52,7 +57,7 @@ def write_truth(
         raise BadRecordingError(f"found {ticks} ticks and truth every {every} planes", "at least 1 of each")
     if folder.exists():
         raise BadRecordingError("exists already", "a new folder", "move it away", where=folder)
-    planes = list(range(0, ticks, every))
+    planes, exposures = list(range(0, ticks, every)), exposures_of(rig.tick_rate_hz, ticks)
     cameras = (*rig.cameras, *novel_cameras(scene, rig))
     for number, camera in enumerate(cameras):
         progress(number / len(cameras), f"truth of {camera.id}")
@@ -60,6 +65,7 @@ def write_truth(
         _write_views(scene, rig, camera, planes, folder, samples)
         if camera.id in rig.ids:
             _write_blur(scene, rig, camera, planes, folder)
+            _write_frames(scene, rig, camera, exposures, folder)
     write_durably(folder / "cameras.json", dump_transforms(cameras))
     write_json(folder / "scene.json", _description(scene, rig, ticks, every) | {"sensor": sensor, "samples": samples})
     progress(1.0, f"truth of {len(cameras)} views, {len(planes)} instants each")
@@ -87,11 +93,40 @@ def _write_views(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], fo
 
 def _write_blur(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], folder: Path) -> None:
     view = scene.view(camera, BLUR_SAMPLES)
-    offsets = np.arange(-BLUR_PLANES / 2 + BLUR_STRIDE / 2, BLUR_PLANES / 2, BLUR_STRIDE)
     for plane in planes:
-        light = view.light(np.array([rig.clock.instant_s(plane + offset) for offset in offsets]))
-        blur = light.mean(axis=0, dtype=np.float64).astype(np.float32)
-        write_array(folder / camera.id / f"blur_{plane:06d}.npy", blur)
+        light = _mean_light(view, rig, plane, BLUR_PLANES)
+        write_array(folder / camera.id / f"blur_{plane:06d}.npy", light)
+
+
+def _write_frames(scene: Scenery, rig: Rig, camera: Camera, exposures: list[Exposure], folder: Path) -> None:
+    view, index = scene.view(camera, BLUR_SAMPLES), rig.ids.index(camera.id)
+    for exposure in exposures:
+        light = _mean_light(view, rig, exposure.middle, exposure.planes)
+        rng = np.random.default_rng([scene.seed, index, exposure.first])
+        write_array(folder / camera.id / frame_file(exposure.middle), ORDINARY.read(light, scene.white, rng))
+
+
+def frame_file(tick: int) -> str:
+    """Return the name of the file of an ordinary camera's frame around a tick."""
+    return f"frame_{tick:06d}.npy"
+
+
+def exposures_of(tick_rate_hz: float, ticks: int) -> list[Exposure]:
+    """Return the exposures of the ordinary camera that are kept: all, or evenly so many that MOST_INSTANTS are."""
+    every = ORDINARY.exposures(tick_rate_hz, ticks)
+    return every[:: max(1, -(-len(every) // MOST_INSTANTS))]
+
+
+def _mean_light(view: View, rig: Rig, middle: int, count: int) -> NDArray[np.float32]:
+    """Return the mean light [H, W] of `count` planes around one, of which every few are drawn."""
+    stride = min(BLUR_STRIDE, count)
+    offsets = np.arange(-count / 2 + stride / 2, count / 2, stride)
+    offsets -= offsets.mean()
+    total = np.zeros((), np.float64)
+    for part in np.array_split(offsets, -(-len(offsets) // DRAWN_AT_ONCE)):
+        instants_s = np.array([rig.clock.instant_s(middle + offset) for offset in part])
+        total = total + view.light(instants_s).sum(axis=0, dtype=np.float64)
+    return (total / len(offsets)).astype(np.float32)
 
 
 def _description(scene: Scenery, rig: Rig, ticks: int, every: int) -> dict[str, object]:
@@ -103,5 +138,6 @@ def _description(scene: Scenery, rig: Rig, ticks: int, every: int) -> dict[str, 
         "tick_rate_hz": rig.tick_rate_hz,
         "every": every,
         "blur": {"window_ticks": BLUR_PLANES, "stride_ticks": BLUR_STRIDE, "samples": BLUR_SAMPLES},
+        "ordinary": ORDINARY.description(rig.tick_rate_hz) | {"stride_ticks": BLUR_STRIDE, "samples": BLUR_SAMPLES},
         **scene.description(),
     }

@@ -12,13 +12,13 @@ from acquisition.recording.manifest import TRUTH_FOLDER, Manifest, note_bytes
 from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter, disk_errors
 from acquisition.scenes.glass import PERFECT, write_glass
 from acquisition.scenes.own import write_own
-from acquisition.scenes.truth import stride_of, write_truth
+from acquisition.scenes.truth import exposures_of, stride_of, write_truth
 from acquisition.session.rig_lock import rig_lock
 from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
 from rigs.rig import Rig
 
-_TRUTH_BYTES_PER_PIXEL = 16  # bytes of light, depth, object and blur
+_TRUTH_BYTES, _FRAME_BYTES = 16, 4  # a pixel: light, depth, object and blur; an ordinary camera's frame
 _RECORDING_SHARE, _WRITTEN = 0.8, 0.99  # shares of the work: after the planes where truth follows, before the name
 _RING_S, _MIN_RING_BYTES = 0.5, 4 << 20  # the pause of a disk, in seconds, that a ring bridges, and its least size
 _ENDLESS = 1 << 62
@@ -121,8 +121,11 @@ def _check_memory(rig: Rig, pre_planes: int) -> None:
 def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:
     plane_bytes = [PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras]
     planes = take.planes or 0
-    instants = -(-planes // (devices.truth_every or stride_of(planes))) if isinstance(devices, Simulation) else 0
-    truth = instants * _TRUTH_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in rig.cameras)
+    truth = 0
+    if isinstance(devices, Simulation):
+        instants = -(-planes // (devices.truth_every or stride_of(planes)))
+        a_pixel = instants * _TRUTH_BYTES + len(exposures_of(rig.tick_rate_hz, planes)) * _FRAME_BYTES
+        truth = a_pixel * sum(camera.width * camera.height for camera in rig.cameras)
     ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
     notes = sum(note_bytes(planes, PlaneLayout(camera.width, camera.height)) for camera in rig.cameras)
     return DiskUse(planes * sum(plane_bytes) + notes + truth, take.keep_free_bytes, ring, devices is not None)

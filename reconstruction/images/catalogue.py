@@ -18,7 +18,8 @@ from acquisition.spikes.packing import Bytes, pack
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 
-GIVEN = ("clean", "blurred")  # the true light of an instant, and its mean over the exposure of an ordinary camera
+# The true light of an instant, its mean over a window, and what an ordinary camera reads of a longer exposure.
+GIVEN = ("clean", "blurred", "ordinary")
 
 
 @dataclass(frozen=True, eq=False)

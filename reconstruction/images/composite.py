@@ -127,9 +127,13 @@ class CompositeSource:
 
 @dataclass(frozen=True, eq=False)
 class GivenSource(CompositeSource):
-    """One camera's given images by plane, in spikes per tick; masks and counts are still those of its spikes."""
+    """One camera's given images by plane, in spikes per tick; masks and counts are still those of its spikes.
+
+    Each image is the mean light of `planes` planes around its own.
+    """
 
     frames: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
+    planes: int = 1
 
     def at(self, plane: int) -> NDArray[np.float32]:
         """Return the given image [H, W] at `plane`; KeyError where there is none."""

@@ -1,16 +1,15 @@
 """Trains: budget, checkpoints, snapshots, and a clean stop on request."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
-from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import GIVEN
-from reconstruction.images.composite import CompositeSource, GivenSource
+from reconstruction.images.composite import GivenSource
 from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.losses.picture import inverse_depth
@@ -18,6 +17,7 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.budget import Budget, StoppedError
+from reconstruction.pipeline.given import given_source
 from reconstruction.pipeline.preview import Preview
 from reconstruction.pipeline.watch import Watch
 from reconstruction.rendering import gsplat_backend
@@ -34,7 +34,6 @@ from reconstruction.training.exposure import FROM
 from reconstruction.training.lags import Lags
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
 from reconstruction.training.view import TrainingView
-from reconstruction.truth import Truth
 
 CHECKPOINT_EVERY_S = 5.0  # seconds between checkpoints
 SNAPSHOT_AT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # shares of the training, for the curve
@@ -45,7 +44,7 @@ def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView]
     views = []
     for view, (camera, source) in artefacts.read_views(run, recording).items():
         known = inverse_depth(np.where(source.moving, np.nan, run.read_array(artefacts.DEPTH.format(view=view))))
-        shown = _given(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
+        shown = given_source(view, source, recording, run.plan.images) if run.plan.images in GIVEN else source
         void = artefacts.read_empty(run, view)
         empty = None if void is None else torch.from_numpy(void)
         views.append(TrainingView(camera, shown, inverse_depth=known, empty=empty))
@@ -142,13 +141,19 @@ def settings_of(run: RunFolder, method: Method, views: Sequence[TrainingView]) -
         replace(method.training, rates=method.training.rates.times(run.config.rates)),
         white=max(white, 1e-6),
         tick_stride=run.config.tick_stride,
-        image_planes=plan.window if plan.images == "interpolated" else 1,
+        image_planes=_image_planes(plan, views),
         refines=plan.refine,
         times=run.config.gains != "off" and plan.moving_gaussians > 0 and not method.rays and plan.images not in GIVEN,
         ends_early=method.training.ends_early and run.config.steps is None,
         doublings=plan.doublings,
         spike_weight=run.config.spike_weight,
     )
+
+
+def _image_planes(plan: Plan, views: Sequence[TrainingView]) -> int:
+    """Return the planes whose mean light an image is."""
+    given = [view.source.planes for view in views if isinstance(view.source, GivenSource)]
+    return given[0] if given else plan.window if plan.images == "interpolated" else 1
 
 
 class _Saver:
@@ -192,7 +197,7 @@ def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
     if trainer.exposure and trainer.exposure.passed_px is not None and len(cloud.moving):
         passed_px, planes = trainer.exposure.passed_px, trainer.exposure.planes
         reason = f"fast movers get {passed_px:.1f} px far in the {planes} planes of an image"
-        choice, saves_s = f"two instants an image from {FROM:.0%} on", None
+        choice, saves_s = f"{trainer.exposure.nodes} instants an image from {FROM:.0%} on", None
         if trainer.exposure.nodes == 1:
             camera = trainer.views[0].camera
             size = (camera.width * camera.height, planes, len(trainer.views), len(cloud))
@@ -217,15 +222,3 @@ def _lags(lags: Lags, plan: Plan) -> Decision:
     choice = f"each camera's own, {lags.ticks.min():+.2f} to {lags.ticks.max():+.2f} ticks"
     facts = {"sd": sd, **dict(zip(plan.views, lags.ticks.tolist(), strict=True))}
     return Decision("lags", choice, reason, "--gains", facts=facts)
-
-
-def _given(view: str, source: CompositeSource, recording: Recording, images: str) -> GivenSource:
-    """Return the same source with the clean or blurred truth of a simulated recording as its images."""
-    if recording.truth is None:
-        raise BadRunError("found no truth", f"a simulated recording for the images `{images}`", where=recording.path)
-    truth = Truth.open(recording.truth).within(recording.ticks)
-    frames = {
-        plane: source.carried(truth.blurred(view, plane) if images == "blurred" else truth.frame(view, plane).intensity)
-        for plane in truth.planes(view)
-    }
-    return GivenSource(*(getattr(source, f.name) for f in fields(CompositeSource)), frames=frames)

@@ -2,8 +2,10 @@
 
 A short image (`images.interpolated`) is the mean of several planes. A render of its middle instant learns that blur as
 a texture; the mean of two renders, at the Gauss-Legendre instants, is blurred alike and the texture behind it sharp.
+A long exposure, as an ordinary camera has, takes more of them.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +18,8 @@ from rigs.camera import Camera
 from rigs.clock import RigClock
 
 FROM = 0.5  # share of the training from which blur matters: before it, other errors are larger
-FAR_PX = 1.5  # pixels that a fast mover gets far in an image before two instants are rendered
+FAR_PX = 1.5  # pixels that a fast mover gets far in an image before several instants are rendered
+PX_A_NODE, MOST_NODES = 4.0, 8  # pixels of motion that an instant stands for, and most instants of an image
 FASTEST = 0.9  # share of the moving Gaussians that are slower than a fast mover
 LEAST_OPACITY = 0.1  # opacity of a Gaussian that counts
 LOOKS = 16  # instants of the clip at which speeds are measured
@@ -35,7 +38,9 @@ class Exposure:
     @property
     def nodes(self) -> int:
         """The number of instants that are rendered for an image."""
-        return 1 if self.passed_px is None or self.passed_px < FAR_PX else 2
+        if self.passed_px is None or self.passed_px < FAR_PX:
+            return 1
+        return max(2, math.ceil(min(self.passed_px / PX_A_NODE, MOST_NODES)))
 
     def look(self, cloud: SceneModel, cameras: Sequence[Camera], done: float) -> None:
         """Measure once, as soon as `done` of the training reaches FROM."""

@@ -25,7 +25,7 @@ def said(run):
 def test_fast_movers_are_rendered_as_blurred_as_their_images(small_recording, tmp_path, monkeypatch):
     monkeypatch.setattr("reconstruction.training.exposure.FAR_PX", 0.01)
     whole = reconstruct(small_recording, tmp_path / "whole", CONFIG, quiet)
-    assert said(whole).choice == "two instants an image from 50% on"
+    assert said(whole).choice == "2 instants an image from 50% on"
     assert load_checkpoint(whole.checkpoint)["trainer"]["passed_px"] > 0.01
     stops = iter([False] * (3 * STEPS // 4) + [True] * STEPS)
     with pytest.raises(StoppedError):

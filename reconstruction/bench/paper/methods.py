@@ -8,6 +8,7 @@ from reconstruction.bench.conventions import RATE_HZ, VIEWS
 from reconstruction.bench.paper.method import Change, Method
 from reconstruction.bench.paper.published import IMAGE_MODELS, QUICK_MODELS, SPIKE_MODELS
 from reconstruction.bench.streams import Slowing
+from reconstruction.images.catalogue import GIVEN as IMAGES_GIVEN
 from reconstruction.run.configuration import SUPERVISIONS
 
 UNMEASURED = ("variation",)  # searched on two scenes on top of ours alone, so no table has it
@@ -47,9 +48,10 @@ LOSSES = {name: with_loss(AUTO, name) for name in ("pixels", *SPIKE_LOSSES)}
 
 CLEAN = Method("clean", {"images": "clean"})
 BLURRED = Method("blurred", {"images": "blurred"})
+ORDINARY = Method("ordinary", {"images": "ordinary"})
 GIVEN = {
     images: Method(f"{images}+natural+4dgs-small", _SMALL | {"images": images, "init": "natural"}, NOMINAL)
-    for images in ("clean", "blurred")
+    for images in IMAGES_GIVEN
 }
 
 MODULES = {

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -69,12 +71,23 @@ def test_one_instant_stands_for_an_image_until_fast_movers_are_seen_late_enough(
     exposure.look(fast, [CAMERA], FROM - 0.01)
     assert (exposure.passed_px, exposure.nodes) == (None, 1)
     exposure.look(fast, [CAMERA], FROM)
-    assert exposure.nodes == 2
+    found = exposure.nodes
+    assert found > 1
     exposure.look(blobs([0.0]), [CAMERA], 0.9)  # looked at once
-    assert exposure.nodes == 2
+    assert exposure.nodes == found
     slow = Exposure(9, CLOCK)
     slow.look(blobs([0.1]), [CAMERA], FROM)
     assert slow.nodes == 1
+
+
+@pytest.mark.parametrize(
+    ("passed_px", "nodes"),
+    [(0.0, 1), (1.49, 1), (1.5, 2), (8.0, 2), (8.01, 3), (31.9, 8), (33.0, 8), (1e300, 8), (math.inf, 8)],
+)
+def test_longer_ways_take_more_instants_up_to_a_limit(passed_px, nodes):
+    exposure = Exposure(99, CLOCK)
+    exposure.passed_px = passed_px
+    assert exposure.nodes == nodes
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from reconstruction.images.catalogue import GIVEN, method, method_for, methods, 
 def test_every_file_of_the_package_is_a_method_of_that_name():
     files = {path.stem for path in Path(reconstruction.images.methods.__file__).parent.glob("*.py")} - {"__init__"}
     assert set(names()) == files
-    assert sources() == (*names(), "clean", "blurred")
+    assert sources() == (*names(), "clean", "blurred", "ordinary")
     assert all(price_s(name) > 0 for name in names())
     assert {price_s(name) for name in GIVEN} == {0.0}
 

@@ -15,7 +15,7 @@ from reconstruction.bench.paper.changed import changed
 from reconstruction.bench.paper.method import Change
 from reconstruction.errors import BadRunError
 from reconstruction.images.composite import CompositeSource
-from reconstruction.pipeline.train_stage import _given
+from reconstruction.pipeline.given import given_source
 from reconstruction.truth import Truth
 from rigs.toml import catalog_rig
 
@@ -89,7 +89,7 @@ class Still(CompositeSource):
 
 def test_clean_and_blurred_images_are_the_truths_own(recording):
     truth = Truth.open(recording.truth)
-    found = {kind: _given("cam11", Still(), recording, kind) for kind in ("clean", "blurred")}
+    found = {kind: given_source("cam11", Still(), recording, kind) for kind in ("clean", "blurred")}
     planes = truth.planes("cam11")
     for kind, prefix in (("clean", ""), ("blurred", "blur_")):
         assert found[kind].instants(4).tolist() == planes
@@ -101,7 +101,25 @@ def test_clean_and_blurred_images_are_the_truths_own(recording):
 
 def test_a_truth_without_blurred_images_says_so(recording, tmp_path):
     (tmp_path / "scene.json").write_text(json.dumps({"white": 1.0, "movers": []}))
-    with pytest.raises(BadRunError, match="found no readable blurred image, expected one at each plane of truth"):
+    with pytest.raises(BadRunError, match="found no readable image, expected a blurred image at each plane of truth"):
         Truth.open(tmp_path).blurred("cam11", 0)
     with pytest.raises(BadRunError, match="found no truth, expected a simulated recording for the images `blurred`"):
-        _given("cam11", Still(), replace(recording, path=tmp_path / "elsewhere"), "blurred")
+        given_source("cam11", Still(), replace(recording, path=tmp_path / "elsewhere"), "blurred")
+
+
+def test_an_ordinary_cameras_frames_are_means_of_their_exposure_and_noisy(tmp_path):
+    camera_id, rig = "cam00", catalog_rig("lab3x3").only(["cam00"]).scaled(40, 25)
+    simulate(Simulation("fan_and_ball", seed=1), rig, 210, tmp_path / "long")
+    recording = Recording.open(tmp_path / "long")
+    found = given_source(camera_id, Still(), recording, "ordinary")
+    assert (found.instants(4).tolist(), found.planes) == ([49, 149], 99)
+    part = given_source(camera_id, Still(), recording.part(10, 205), "ordinary")
+    assert part.instants(4).tolist() == [139]
+    np.testing.assert_array_equal(part.at(139), found.at(149))
+    light = Truth.open(recording.truth).blurred(camera_id, 140)
+    assert 0 < np.abs(found.at(149) - light).mean() < 0.2 * light.mean()
+
+
+def test_a_recording_shorter_than_an_exposure_has_no_frames(recording):
+    with pytest.raises(BadRunError, match="found no frame of an ordinary camera beside cam11"):
+        given_source("cam11", Still(), recording, "ordinary")

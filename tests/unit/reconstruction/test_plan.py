@@ -305,7 +305,7 @@ def test_the_lists_of_choices_are_those_of_the_contract():
     assert set(CHOICES["init"]) == {"auto", "sweep", "natural", "sfm", "dust3r", "msdi"}
     assert set(CHOICES["images"]) == {
         *("auto", "tfi", "tfp", "tfstp", "tvs", "slope", "adaptive", "interpolated"),
-        *("spk2imgnet", "blindspot", "msdi", "clean", "blurred"),
+        *("spk2imgnet", "blindspot", "msdi", "clean", "blurred", "ordinary"),
     }
     assert set(CHOICES["supervision"]) == {
         *("auto", "pixels", "l1", "l2", "image-variation", "variation", "counts", "cumulative", "both")

@@ -164,7 +164,7 @@ def test_localhost_is_an_address() -> None:
 
 def test_a_job_may_choose_all_that_a_reconstruction_knows_but_what_needs_files_of_the_user() -> None:
     asked = ReconstructRequest.model_json_schema()["properties"]
-    refused = {"init": {"dust3r"}, "images": {"interpolated", "clean", "blurred"}}
+    refused = {"init": {"dust3r"}, "images": {"interpolated", "clean", "blurred", "ordinary"}}
     for name, names in CHOICES.items():
         assert set(asked[name]["enum"]) == set(names) - refused.get(name, set())
     served = ExportRequest.model_json_schema()["properties"]["format"]["enum"]
