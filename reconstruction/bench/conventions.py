@@ -76,6 +76,13 @@ class KnownRecording:
         return {c: long_image(self.recording.stream(c)) for c in self.recording.camera_ids}
 
 
+def made_by(document: dict, against: str = "") -> str:
+    """Return the line of a page that says which command, revision and machine made its document."""
+    name, device = document["bench"], document["device"]
+    made = f"`spike4dgs bench {name}`, revision {document['revision']}{against}"
+    return f"{made}, {device['processor']}, {device['threads']} threads; drawn from [{name}.json]({name}.json)."
+
+
 def truth_of(recording: Recording) -> Truth:
     """Open the truth of a recording; raises BadRunError where it has none."""
     if recording.truth is None:

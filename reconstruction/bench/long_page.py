@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from acquisition.durable import write_durably
+from reconstruction.bench.conventions import made_by
 from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure, write_figure
 from reconstruction.bench.long import ALONE, BASELINE, FLOORS, SPAN, WHOLE
 from reconstruction.bench.paper.tables import markdown
@@ -61,11 +62,7 @@ def write_page(path: Path, document: dict) -> None:
 
 def page(document: dict) -> str:
     """Return the page of a document of the bench of long recordings."""
-    device = document["device"]
-    head = (
-        f"`spike4dgs bench long`, revision {document['revision']}, {device['processor']}, {device['threads']} threads; "
-    )
-    parts = ["# Long recordings", head + "drawn from [long.json](long.json).", ABOUT.replace("\n", " ")]
+    parts = ["# Long recordings", made_by(document), ABOUT.replace("\n", " ")]
     for clip in dict.fromkeys(row["clip"] for row in document["rows"]):
         own = [row for row in document["rows"] if row["clip"] == clip]
         runs = [row for row in own if row["part"] != SPAN]

@@ -6,6 +6,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from acquisition.durable import write_durably
+from reconstruction.bench.conventions import made_by
 from reconstruction.bench.paper.tables import markdown
 from reconstruction.bench.speed_run import NEW, OLD
 from reconstruction.bench.speed_summary import (
@@ -49,13 +50,10 @@ def write_page(path: Path, document: dict) -> None:
 
 def page(document: dict) -> str:
     """Return the page of a document of the speed bench."""
-    device, rows = document["device"], document["rows"]
+    rows = document["rows"]
     old = sorted({row["revision"] for row in rows if row["which"] == OLD})
     against = f" against {', '.join(old)}" if old else ""
-    name = document["bench"]
-    head = f"`spike4dgs bench {name}`, revision {document['revision']}{against}, {device['processor']}, "
-    head += f"{device['threads']} threads; drawn from [{name}.json]({name}.json)."
-    parts = [f"# {name.capitalize()}", head, ABOUT]
+    parts = [f"# {document['bench'].capitalize()}", made_by(document, against), ABOUT]
     for title, table in TABLES.items():
         found = table(document)
         parts += [f"## {title}", found] if found else []

@@ -12,7 +12,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from acquisition.scenes.catalog import DEVELOPMENT, REALISTIC
-from reconstruction.bench.conventions import means, named
+from reconstruction.bench.conventions import made_by, means, named
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.bench import run_protocol
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
@@ -69,16 +69,12 @@ def bench_spss(
 
 def write_page(path: Path, document: dict) -> None:
     """Write the page of a document of this bench."""
-    summary, device = document["summary"], document["device"]
-    head = (
-        f"`spike4dgs bench spss`, revision {document['revision']}, {device['processor']}, {device['threads']} threads; "
-    )
-    lines = []
+    summary, lines = document["summary"], []
     for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in document["rows"]):
         found = (summary.get(f"{name}.{score}@{effort}") for score in SHOWN)
         shown = (
             "" if value is None else format(value, form) for value, form in zip(found, SHOWN.values(), strict=True)
         )
         lines.append([name, effort, *shown])
-    parts = ("# SPSS", head + "drawn from [spss.json](spss.json).", ABOUT.replace("\n", " "), markdown(COLUMNS, lines))
+    parts = ("# SPSS", made_by(document), ABOUT.replace("\n", " "), markdown(COLUMNS, lines))
     write_durably(path, "\n\n".join(parts).encode() + b"\n")

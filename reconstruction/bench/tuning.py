@@ -14,7 +14,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from acquisition.scenes.catalog import DEVELOPMENT, REALISTIC
-from reconstruction.bench.conventions import named
+from reconstruction.bench.conventions import made_by, named
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.bench import run_protocol
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
@@ -75,9 +75,8 @@ def write_page(path: Path, document: dict) -> None:
         rates = (f"{own[f'best.{part}']:.2f}" for part in RateFactors._fields)
         lines.append([name, f"{own['first.psnr_db']:.2f}", f"{own['best.psnr_db']:.2f}", *rates])
     about = ABOUT.format(reach=REACH, scenes=scenes, trials=int(max(counts.values())))
-    head = f"`spike4dgs bench tuning`, revision {document['revision']}; drawn from [tuning.json](tuning.json)."
     columns = ("method", "first / dB", "best / dB", "still", "moving", "motion")
-    write_durably(path, f"# Learning rates\n\n{head}\n\n{about}\n\n{markdown(columns, lines)}\n".encode())
+    write_durably(path, f"# Learning rates\n\n{made_by(document)}\n\n{about}\n\n{markdown(columns, lines)}\n".encode())
 
 
 def _tried(method: Method, number: int, factors: RateFactors) -> Method:

@@ -24,7 +24,8 @@ class Geometry:
     """Cameras in the rig frame, and points in it with their confidence.
 
     `rig` has every camera that was given, aligned by similarity to the rig that was given. `points` [N, 3] in m with
-    `confidence` [N] > 0 (larger is better) are empty where the method has none. `report` holds plain values for
+    `confidence` [N] > 0 (larger is better) are empty where the method has none. `plane` is that of an instant at which
+    all of them, movers too, were seen; None for points of still things. `report` holds plain values for
     `run.json`: what was found or refused, and why.
     """
 
@@ -32,6 +33,7 @@ class Geometry:
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     confidence: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
     report: Mapping[str, object] = field(default_factory=dict)
+    plane: int | None = None
 
 
 def usable_views(rig: Rig, images: Images) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ What does the work is imported when it is called: some need torch, some pycolmap
 
 import datetime
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -77,7 +77,7 @@ def _msdi(recording: Recording, views: Sequence[str], options: InitOptions, prog
     rest = part(progress, MSDI_SHARE, 1)
     movers = movers_of(recording, views)
     fine = calibrate_natural(found.rig, images, today, rest, gate=AFTER_MSDI, seed=options.seed, movers=movers)
-    return Geometry(fine.rig, found.points, found.confidence, {**fine.report, "msdi": found.report})
+    return replace(found, rig=fine.rig, report={**fine.report, "msdi": found.report})
 
 
 def _long_images(recording: Recording, views: Sequence[str], options: InitOptions) -> Images:
@@ -89,3 +89,4 @@ def _long_images(recording: Recording, views: Sequence[str], options: InitOption
 INITIALISERS: Mapping[str, Initialiser] = MappingProxyType(
     {"sweep": _sweep, "natural": _natural, "sfm": _sfm, "dust3r": _dust3r, "msdi": _msdi}
 )
+FINDING_POINTS = ("sfm", "dust3r", "msdi")  # those that find points beside cameras

@@ -66,7 +66,7 @@ def initialise(
     moved = similarity.carry_rig(found)
     _refuse_unsure(matches, fits, moved, nominal)
     points, confidence = _points(inferred, moved, similarity.scale)
-    return Geometry(_completed(rig, moved), points, confidence, report)
+    return Geometry(_completed(rig, moved), points, confidence, report, plane)
 
 
 def _check(streams: Mapping[str, SpikeStream], rig: Rig) -> None:

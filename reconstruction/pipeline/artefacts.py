@@ -1,9 +1,9 @@
 """The artefacts that several stages read, each by the one file name it has in a run folder.
 
-The plan stage writes LIGHT and MOVING; poses FOUND_RIG; images BACKGROUND, UNEVEN, and RESPONSE for the views that are;
-points STILL, MOVERS, DEPTH, GAINS, EMPTY for the views that are, and BODIES for the model `bases`; train checkpoint.pt,
-snapshots/, preview.* and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*, report.html, orbit.mp4,
-thumbnails/, viewer.json, viewer.bin.
+The plan stage writes LIGHT and MOVING; poses FOUND_RIG and FOUND_POINTS; images BACKGROUND, UNEVEN, and RESPONSE for
+the views that are; points STILL, MOVERS, DEPTH, GAINS, EMPTY for the views that are, and BODIES for the model `bases`;
+train checkpoint.pt, snapshots/, preview.* and REFINED_RIG; report HELD_OUT_RIG, metrics.json, error_vs_time.*,
+report.html, orbit.mp4, thumbnails/, viewer.json, viewer.bin.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from rigs.toml import dump_rig, load_rig
 
 LIGHT = "plan/light"  # gain [T] of each plane
 MOVING = "plan/moving_{view}"  # pixels [H, W] of a view that ever see a mover
+FOUND_POINTS = "poses/points_{field}"  # the points of the initialiser, where the plan starts from them
 DEPTH = "points/depth_{view}"  # confirmed depth [H, W] of a view in m, NaN where none is
 EMPTY = "points/empty_{view}"  # pixels [H, W] in which nothing is, and nothing ever moves
 BACKGROUND = "images/{field}_{view}"  # a `Background`

@@ -22,6 +22,7 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.parallel import each
 from reconstruction.pipeline import artefacts
 from reconstruction.pipeline.gains import even_cameras
+from reconstruction.pipeline.other_points import Views, leave_unswept, other_points
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.prices import INSTANTS
@@ -33,20 +34,30 @@ Mask = NDArray[np.bool_]
 
 
 def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> None:
-    """Sweep the still scene once and the movers at several instants; raises StereoError when too little agrees."""
+    """Sweep the still scene once and the movers at several instants; raises StereoError when too little agrees.
+
+    Points that the plan wants from elsewhere take their place.
+    """
     plan, views = run.plan, artefacts.read_views(run, recording, gained=False)
-    sources, cameras = {view: source for view, (_, source) in views.items()}, [camera for camera, _ in views.values()]
     rng = np.random.default_rng(run.config.seed)
+    others = other_points(run, rng)
     planes = moving_planes(recording.planes, plan.model)
     swept = planes if plan.moving_gaussians and not plan.spans else []
     rounds = 1 + len(swept)
-    still = _still_points(run, sources, cameras, rng, lambda message: progress(1 / rounds, message))
+    if others:
+        leave_unswept(run, views)
+        still = others.still(views, plan.still_gaussians)
+        progress(1 / rounds, f"still scene: {len(still)} points {plan.points}")
+    else:
+        still = _still_points(run, views, rng, lambda message: progress(1 / rounds, message))
     artefacts.write(run, artefacts.STILL, still)
-    sources = {view: source for view, (_, source) in artefacts.read_views(run, recording).items()}
+    views = artefacts.read_views(run, recording)
     parts = []
     count = plan.moving_gaussians // max(len(swept), 1)
     for i, plane in enumerate(swept):
-        parts.append(moving_points(sources, cameras, (plane, recording.rig.clock.instant_s(plane)), count, rng))
+        at = plane, recording.rig.clock.instant_s(plane)
+        own = others.movers(views, at, count) if others else None
+        parts.append(moving_points(*parted(views), at, count, rng) if own is None else own)
         progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
     moving = Points.joined(parts)
     artefacts.write(run, artefacts.MOVERS, moving)
@@ -65,14 +76,14 @@ def moving_planes(planes: int, model: str) -> list[int]:
     return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
 
 
-def _still_points(
-    run: RunFolder,
-    sources: Mapping[str, CompositeSource],
-    cameras: Sequence[Camera],
-    rng: np.random.Generator,
-    report: Callable[[str], None],
-) -> Points:
+def parted(views: Views) -> tuple[dict[str, CompositeSource], list[Camera]]:
+    """Return the sources by the id of the camera, and the cameras."""
+    return {view: source for view, (_, source) in views.items()}, [camera for camera, _ in views.values()]
+
+
+def _still_points(run: RunFolder, views: Views, rng: np.random.Generator, report: Callable[[str], None]) -> Points:
     """Sweep the backgrounds, and keep each view's depth where two others confirm it and nothing ever moves."""
+    sources, cameras = parted(views)
     whites = [source.white for source in sources.values()]
     maps, stills, sure = _still_maps(run, sources, cameras, rng, report)
     voids = [empty(image, mask, float(np.mean(whites))) for image, mask in zip(stills, sure, strict=True)]

@@ -10,7 +10,9 @@ from acquisition.recording.reader import Recording
 from reconstruction.calibration.projection import bends_of
 from reconstruction.errors import GeometryError
 from reconstruction.initialization.initialisers import INITIALISERS, InitOptions
-from reconstruction.pipeline.artefacts import FOUND_RIG, write_rig
+from reconstruction.pipeline import artefacts
+from reconstruction.pipeline.other_points import Found
+from reconstruction.run.configuration import FOUND
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
 from rigs.lens import shortened
@@ -37,9 +39,11 @@ def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> Non
         _refine(run, "they are nominal")
         progress(1.0, f"nominal poses kept: {error}")
         return
+    if run.plan.points == FOUND:
+        artefacts.write(run, artefacts.FOUND_POINTS, Found.of(found))
     if found.rig is recording.rig:
         return
-    write_rig(run.path / FOUND_RIG, _with_shared_lens(found.rig, recording.rig, run.plan.views))
+    artefacts.write_rig(run.path / artefacts.FOUND_RIG, _with_shared_lens(found.rig, recording.rig, run.plan.views))
     run.document.poses = {"init": init, "held_out_used": False, **found.report}
     reason = str(found.report.get("summary", "the rig's poses are nominal"))
     run.amend("poses", Decision("poses", f"found by {init}", reason, "--init"))

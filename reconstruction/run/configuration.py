@@ -22,11 +22,14 @@ FOLLOW = "follow"  # before the first stage, where the recording is still writte
 SUPERVISIONS = supervisions()
 MAPS, EVEN = "maps", "even"  # what is taken of single pixels: what a calibration found, or that all are alike
 PIXELS = (MAPS, EVEN)
+SWEPT, FOUND, RANDOM = "swept", "found", "random"  # points: of our plane sweep, of the initialiser, at random depths
+POINTS = (SWEPT, FOUND, RANDOM)
 CUDA = "cuda"  # the device on which gsplat renders; nothing ever ran on one, so that auto is the processor
 CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "model": ("auto", *METHODS),
         "init": ("auto", *INITIALISERS),
+        "points": ("auto", *POINTS),
         "images": ("auto", *image_catalogue.sources()),
         "supervision": ("auto", *SUPERVISIONS),
         "refine": ("auto", "on", "off"),
@@ -44,16 +47,18 @@ class ReconstructionConfig:
     `views`: training cameras by id (empty: all but the held-out one). `tick_stride`: planes between the instants whose
     images are targets. `gaussians`: the most there may be (None: as the plan says). `refine`: whether poses, gains and
     lags are learnt beside the Gaussians. `pixels`: what is taken of single pixels. `gains`: whether each camera has a
-    gain and a lag of its own. `dust3r_checkpoint`: the file with the user's weights, for the initialiser of that name.
-    `window`: planes of the short images of movers (None: as the plan says). `span`: most planes of a span of a long
-    recording (None: as the plan says). `from_tick`, `to_tick`: the ticks [from, to) that are reconstructed (None: from
-    the first, to the last). `device`: where the training is done; all other stages take the processor. Two are for
-    searches: `rates`, factors of the method's learning rates, and `spike_weight`, the weight of a loss on spikes in
-    steps that compare an image, too (None: such steps have it alone). Raises BadRunError naming the field.
+    gain and a lag of its own. `points`: those that training starts from. `dust3r_checkpoint`: the file with the user's
+    weights, for the initialiser of that name. `window`: planes of the short images of movers (None: as the plan says).
+    `span`: most planes of a span of a long recording (None: as the plan says). `from_tick`, `to_tick`: the ticks [from,
+    to) that are reconstructed (None: from the first, to the last). `device`: where the training is done; all other
+    stages take the processor. Two are for searches: `rates`, factors of the method's learning rates, and
+    `spike_weight`, the weight of a loss on spikes in steps that compare an image, too (None: such steps have it alone).
+    Raises BadRunError naming the field.
     """
 
     model: str = "auto"
     init: str = "auto"
+    points: str = "auto"
     images: str = "auto"
     supervision: str = "auto"
     holdout: str | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from reconstruction.images.methods.interpolated import PLANES
-from reconstruction.run.configuration import EVEN, supervision_of
+from reconstruction.run.configuration import EVEN, SWEPT, supervision_of
 from reconstruction.run.spans import Span
 
 
@@ -41,11 +41,12 @@ class Decision:
 class Plan:
     """A plan in numbers and names: what the stages of a run will do.
 
-    `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`: names, none of them `auto`.
-    `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels. The most
-    Gaussians there may be are split into `still_gaussians` and `moving_gaussians`. `window`: planes of a short image,
-    an odd number. `doublings`: shares of the training at which pictures double in width and height, in order. `spans`:
-    the planes [first, last) of each span of a recording that is reconstructed in spans; empty for one in a piece.
+    `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`, `points`: names, none of them
+    `auto`. `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels.
+    The most Gaussians there may be are split into `still_gaussians` and `moving_gaussians`. `window`: planes of a short
+    image, an odd number. `doublings`: shares of the training at which pictures double in width and height, in order.
+    `spans`: the planes [first, last) of each span of a recording that is reconstructed in spans; empty for one in a
+    piece.
     """
 
     views: tuple[str, ...]
@@ -56,6 +57,7 @@ class Plan:
     still_gaussians: int
     decisions: tuple[Decision, ...]
     init: str = "sweep"
+    points: str = SWEPT
     refine: bool = False
     pixels: str = EVEN
     window: int = PLANES

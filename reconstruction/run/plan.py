@@ -19,6 +19,7 @@ from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
 from reconstruction.run.span_plan import UNADJUSTED, choose_spans, find_spans, say_spans, shares_of
 from reconstruction.run.spans import STILL_SHARE
+from reconstruction.run.start_plan import choose_init, choose_points, init_of
 from rigs.rig import Rig
 
 DARK_RATE = 1e-4  # spikes per pixel and tick below which a view carries no picture
@@ -66,13 +67,14 @@ def make_plan(
     colour = "one grey channel, no view dependence", grey, "none"
     decisions.append(Decision("colour", *colour, saves_bytes=work.colour_bytes()))
     pixels = _choose_pixels(config, rig, views, decisions)
-    init = _choose_init(config, rig, work, decisions)
+    init = choose_init(config, rig, work, decisions)
+    points = choose_points(config, init, len(spans), decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
     ever = {view: np.logical_or.reduce(mask) for view, mask in masks.items()}
     window = _choose_window(config, images, rig, streams, ever, decisions)
     doublings = _choose_sizes(work, method, decisions)
     chosen = tuple(decisions)
-    own = {"init": init, "refine": refine, "pixels": pixels, "window": window, "doublings": doublings}
+    own = {"init": init, "points": points, "refine": refine, "pixels": pixels, "window": window, "doublings": doublings}
     own |= {"spans": spans if len(spans) > 1 and method.moves else ()}
     return Plan(views, model, images, supervision, moving, still, chosen, **own), masks, light
 
@@ -201,21 +203,6 @@ def _choose_pixels(config: ReconstructionConfig, rig: Rig, views: Sequence[str],
         reason = f"maps of {calibrated} views are there, and were not asked for"
     decisions.append(Decision("pixels", choice, reason, "--pixels"))
     return pixels
-
-
-def init_of(config: ReconstructionConfig, rig: Rig) -> str:
-    """Return the name of the initialiser."""
-    return config.init if config.init != "auto" else "natural" if rig.poses == "nominal" else "sweep"
-
-
-def _choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
-    init = init_of(config, rig)
-    if config.init != "auto":
-        return init
-    choice = "found by natural" if init == "natural" else "not estimated"
-    spared_s = None if init == "natural" else work.poses_s()
-    decisions.append(Decision("poses", choice, f"the rig's poses are {rig.poses}", "--init", spared_s))
-    return init
 
 
 def _training_views(

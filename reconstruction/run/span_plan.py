@@ -17,7 +17,7 @@ from reconstruction.images.standing import unlike_share
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.ours import BASES
 from reconstruction.parallel import each
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.configuration import SWEPT, ReconstructionConfig
 from reconstruction.run.decisions import Decision
 from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import PLANES, STILL_SHARE, Span, cut
@@ -49,7 +49,7 @@ def _spanned(config: ReconstructionConfig, init: str) -> bool:
     model = METHODS[BASES.name if config.model == "auto" else config.model]
     refines = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED)
     from_images = config.images not in GIVEN and config.supervision in FROM_IMAGES
-    return model.ours and model.moves and not refines and from_images
+    return model.ours and model.moves and not refines and from_images and config.points in ("auto", SWEPT)
 
 
 def find_spans(

@@ -22,6 +22,7 @@ from server.cli.progress import progress_of, warn
 
 _MORE = {  # of the help of a choice
     "init": "; auto is natural for a nominal rig",
+    "points": "; found are those of the initialiser, random ones only show what points are worth",
     "supervision": "; both compares images and counts",
     "pixels": "; maps are those of calibrate --pixels",
     "gains": "; a gain and a lag of each camera, where the recording tells them",

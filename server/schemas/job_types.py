@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from reconstruction.export.catalogue import FORMATS
 from reconstruction.images.catalogue import GIVEN
-from reconstruction.run.configuration import CHOICES, STAGES
+from reconstruction.run.configuration import CHOICES, RANDOM, STAGES
 from reconstruction.run.spans import LEAST
 from server.schemas.captures import Name
 from server.schemas.progress import Request, example
@@ -36,7 +36,7 @@ BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5
 
 
 # These read files of the user or are for benchmarks alone.
-_COMMAND_LINE_ONLY = (*GIVEN, "interpolated", "dust3r")
+_COMMAND_LINE_ONLY = (*GIVEN, "interpolated", "dust3r", RANDOM)
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,7 @@ class ReconstructRequest(OfCapture):
     model: Annotated[str, _choice("model")] = "auto"
     images: Annotated[str, _choice("images")] = "auto"
     init: Annotated[str, _choice("init")] = "auto"
+    points: Annotated[str, _choice("points")] = "auto"
     supervision: Annotated[str, _choice("supervision")] = "auto"
     refine: Annotated[str, _choice("refine")] = "auto"
     pixels: Annotated[str, _choice("pixels")] = "auto"

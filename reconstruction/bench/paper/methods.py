@@ -1,6 +1,7 @@
 """Builds the methods of the paper's tables, named as it names them: images, poses, model, spike loss.
 
-In every one the still pixels are our long mean and the points our plane sweep; the image source is that of the movers.
+In every one the still pixels are our long mean; the image source is that of the movers. The points are our plane
+sweep's, but where a name has others.
 Networks make an image in half a second, so their rows have targets at every 40th plane only.
 """
 
@@ -9,7 +10,8 @@ from reconstruction.bench.paper.method import Change, Method
 from reconstruction.bench.paper.published import IMAGE_MODELS, QUICK_MODELS, SPIKE_MODELS
 from reconstruction.bench.streams import Slowing
 from reconstruction.images.catalogue import GIVEN as IMAGES_GIVEN
-from reconstruction.run.configuration import SUPERVISIONS
+from reconstruction.run.configuration import FOUND as EXCHANGED
+from reconstruction.run.configuration import RANDOM, SUPERVISIONS, SWEPT
 
 UNMEASURED = ("variation",)  # searched on two scenes on top of ours alone, so no table has it
 SPIKE_LOSSES = tuple(name for name in SUPERVISIONS if name not in ("pixels", *UNMEASURED))
@@ -31,7 +33,8 @@ TFI_FOUND = {
 }
 _SMALL = {"model": "4dgs-small"}
 TFI_COLMAP = TFI["4dgs-small"].changed("tfi+colmap+4dgs-small", NOMINAL, init="sfm")
-_MSDI = Method("msdi+4dgs-small", _SMALL | {"images": "msdi", "init": "msdi", "tick_stride": 40}, NOMINAL)
+_MSDI_ALL = Method("msdi-points+4dgs-small", _SMALL | {"images": "msdi", "init": "msdi", "tick_stride": 40}, NOMINAL)
+_MSDI = _MSDI_ALL.changed("msdi+4dgs-small", points=SWEPT)
 _MSDI_COLMAP = _MSDI.changed("msdi-image+colmap+4dgs-small", init="sfm")
 
 
@@ -42,6 +45,7 @@ def with_loss(method: Method, supervision: str) -> Method:
     return method.changed(f"{method.name}+{supervision}", supervision=supervision)
 
 
+MSDI_ALL = {name: with_loss(_MSDI_ALL, name) for name in ("pixels", "image-variation")}
 MSDI = {name: with_loss(_MSDI, name) for name in ("pixels", "l1", "l2", "image-variation")}
 MSDI_COLMAP = {name: with_loss(_MSDI_COLMAP, name) for name in ("pixels", "image-variation")}
 LOSSES = {name: with_loss(AUTO, name) for name in ("pixels", *SPIKE_LOSSES)}
@@ -61,7 +65,10 @@ MODULES = {
     "nominal poses": FOUND.changed("nominal+auto", init="sweep", refine="off"),
     "nominal poses, refined in training": FOUND.changed("refined+auto", init="sweep", refine="on"),
     "COLMAP poses": FOUND.changed("colmap+auto", init="sfm"),
-    "small MSDI poses, adjusted": FOUND.changed("msdi+auto", init="msdi"),
+    "small MSDI poses, adjusted": FOUND.changed("msdi+auto", init="msdi", points=SWEPT),
+    "small MSDI poses, adjusted, and still points": FOUND.changed("msdi-points+auto", init="msdi", points=EXCHANGED),
+    "COLMAP poses and still points": FOUND.changed("colmap-points+auto", init="sfm", points=EXCHANGED),
+    "random points": FOUND.changed("random-points+auto", points=RANDOM),
     "straight paths": FOUND.changed("natural+linear", model="linear"),
     "small HexPlane field": FOUND.changed("natural+4dgs-small", model="4dgs-small"),
     "image variation loss": with_loss(FOUND, "image-variation"),

@@ -1,6 +1,6 @@
 // The words of the page: one for each option, type of job and status, wherever it is shown.
 export const OPTIONS = {
-  model: 'Motion model', images: 'Images', init: 'Poses and points', supervision: 'Spike loss', refine: 'Refine poses', pixels: 'Pixels', gains: 'Gains and lags',
+  model: 'Motion model', images: 'Images', init: 'Poses', points: 'Points', supervision: 'Spike loss', refine: 'Refine poses', pixels: 'Pixels', gains: 'Gains and lags',
   device: 'Device to train on',
   holdout: 'Camera to score on', views: 'Cameras to train on', tick_stride: 'Planes between instants', span: 'Most planes of a span',
   follow: 'Begin while it is recorded', from_tick: 'First tick of a part', to_tick: 'Tick after a part',

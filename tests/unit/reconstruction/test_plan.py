@@ -328,3 +328,37 @@ def test_listing_the_choices_loads_no_torch():
     listing = "import sys; from reconstruction.run.configuration import CHOICES; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", listing], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    ("choices", "points", "said"),
+    [
+        ({}, "swept", None),
+        ({"init": "natural"}, "swept", None),
+        ({"init": "msdi"}, "found", "msdi finds points of its own"),
+        ({"init": "sfm"}, "swept", "sfm finds points of its own"),
+        ({"init": "sfm", "points": "found"}, "found", None),
+        ({"init": "msdi", "points": "swept"}, "swept", None),
+        ({"points": "random"}, "random", None),
+    ],
+)
+def test_points_are_swept_but_for_msdi_and_where_others_are_asked_for(choices, points, said):
+    plan, *_ = make_plan(ReconstructionConfig(**choices), RIG, streams())
+    assert plan.points == points
+    assert [d.reason for d in plan.decisions if d.about == "points"] == ([said] if said else [])
+
+
+@pytest.mark.parametrize("init", ["auto", "sweep", "natural"])
+def test_points_of_an_initialiser_that_finds_none_are_refused(init):
+    with pytest.raises(BadRunError, match=r"found --points found with the poses of .*, expected one that finds points"):
+        make_plan(ReconstructionConfig(init=init, points="found"), RIG, streams())
+
+
+@pytest.mark.parametrize("points", ["found", "random"])
+def test_a_long_recording_is_in_one_piece_where_its_points_are_not_swept(points):
+    long = {"span": 64, "init": "msdi"}
+    assert make_plan(ReconstructionConfig(points=points, **long), RIG, streams(moving=True))[0].spans == ()
+    plan, *_ = make_plan(ReconstructionConfig(**long), RIG, streams(moving=True))
+    assert len(plan.spans) > 1
+    assert plan.points == "swept"
+    assert about(plan, "points").reason == "those of an initialiser are not of spans"

@@ -16,6 +16,7 @@ from reconstruction.scene_model import Rate
 from reconstruction.training.optimizer import optimizer_of
 
 ALL_ONE = Rate(1.0)
+ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
 UNITS = {"none": 1.0, "scene": 2.0, "light": 1.0}
 
 
@@ -65,7 +66,7 @@ def test_the_best_is_the_one_of_the_highest_mean_over_scenes(tmp_path):
         assert (own["trials"], own["first.psnr_db"], own["best.psnr_db"]) == (TRIALS, 30, 32)
         assert [own[f"best.{part}"] for part in factors._fields] == list(factors)
     assert document.rows[-1]["rates"] == list(trials()[-1])
-    tuning.write_page(tmp_path / "tuning.md", {"revision": "abc", **asdict(document)})
+    tuning.write_page(tmp_path / "tuning.md", asdict(document) | ABOUT)
     text = (tmp_path / "tuning.md").read_text()
     assert "| tfi+stg | 30.00 | 32.00 |" in text
     assert "`fan_and_ball` and `robot_arm`" in text
@@ -83,7 +84,7 @@ def test_a_method_that_lacks_trials_is_not_shown_and_a_trial_that_lacks_a_scene_
     document = bench_tuning(tuning_protocol(scenes), Some(None), lambda done, message: None, lambda: False)
     assert document.summary["tfi+stg.trials"] == TRIALS - 1
     assert document.summary["tfi+stg.best.psnr_db"] == 30 + TRIALS - 2
-    tuning.write_page(tmp_path / "tuning.md", {"revision": "abc", **asdict(document)})
+    tuning.write_page(tmp_path / "tuning.md", asdict(document) | ABOUT)
     assert "| tfi+stg |" not in (tmp_path / "tuning.md").read_text()
 
 

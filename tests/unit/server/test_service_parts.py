@@ -36,7 +36,8 @@ def test_arguments_of_a_reconstruction() -> None:
     found = reconstruct_arguments(request, "train", Path("rec"), Path("run"), restart)
     assert found == [
         *("reconstruct", "rec", "--out", "run", "--stage", "train", "--again", "2"),
-        *("--model", "linear", "--images", "auto", "--init", "auto", "--supervision", "auto", "--refine", "auto"),
+        *("--model", "linear", "--images", "auto", "--init", "auto", "--points", "auto"),
+        *("--supervision", "auto", "--refine", "auto"),
         *("--pixels", "auto", "--gains", "auto", "--device", "auto"),
         *("--holdout", "cam11", "--span", "64", "--from-tick", "-3", "--to-tick", "800", "--steps", "7"),
         *("--seed", "0", "--views", "cam00,cam02"),
@@ -164,7 +165,11 @@ def test_localhost_is_an_address() -> None:
 
 def test_a_job_may_choose_all_that_a_reconstruction_knows_but_what_needs_files_of_the_user() -> None:
     asked = ReconstructRequest.model_json_schema()["properties"]
-    refused = {"init": {"dust3r"}, "images": {"interpolated", "clean", "blurred", "ordinary"}}
+    refused = {
+        "init": {"dust3r"},
+        "points": {"random"},
+        "images": {"interpolated", "clean", "blurred", "ordinary"},
+    }
     for name, names in CHOICES.items():
         assert set(asked[name]["enum"]) == set(names) - refused.get(name, set())
     served = ExportRequest.model_json_schema()["properties"]["format"]["enum"]
