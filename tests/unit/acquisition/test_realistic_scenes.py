@@ -26,6 +26,7 @@ from acquisition.scenes.realistic.cache import LightCache, cache_folder, camera_
 from acquisition.scenes.realistic.meshes import ball, box, capsule, drum, read_obj, sheet
 from acquisition.scenes.realistic.scene import DrawnScene
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, LASTS_S, Finish, Setting, Thing
+from acquisition.scenes.realistic.settled import noise_of, sums_around
 from acquisition.scenes.realistic.studio import CHUNK, REACH_PX, _grown, chunks_of
 from reconstruction.bench.conventions import seed_of
 from rigs.toml import catalog_rig
@@ -244,3 +245,31 @@ def test_what_movers_change_grows_to_all_sides():
     grown = _grown(mask)
     assert grown[10 - REACH_PX : 11 + REACH_PX, 15 - REACH_PX : 16 + REACH_PX].all()
     assert grown.sum() == (2 * REACH_PX + 1) ** 2 + (REACH_PX + 1) ** 2
+
+
+def test_the_noise_of_a_mean_is_told_by_its_halves():
+    rng, shape = np.random.default_rng(4), (60, 80)
+    light = np.linspace(0, 1, 80) * np.ones(shape)
+    sd = np.where(np.arange(80) < 40, 0.01, 0.1)
+    half, other = (light + rng.normal(scale=sd, size=shape) for _ in range(2))
+    noise = noise_of(half, other, np.ones(shape, bool))
+    for columns, expected in ((slice(0, 36), 0.01), (slice(44, 80), 0.1)):
+        assert np.sqrt(np.mean(noise[:, columns] ** 2)) == pytest.approx(expected / 2**0.5, rel=0.05)
+    assert (noise_of(light, light, np.ones(shape, bool)) == 0).all()
+    alone = np.zeros(shape, bool)
+    alone[20, 20] = True
+    told = noise_of(half * alone, other * alone, alone)
+    assert told[20, 20] == pytest.approx(abs(half[20, 20] - other[20, 20]) / 2)
+    assert told[10, 10] == 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (30, 41)])
+@pytest.mark.parametrize("side", [1, 5, 9])
+def test_sums_around_end_at_the_border(shape, side):
+    image = np.random.default_rng(5).normal(size=shape)
+    reach = side // 2
+    expected = [
+        [image[max(0, r - reach) : r + reach + 1, max(0, c - reach) : c + reach + 1].sum() for c in range(shape[1])]
+        for r in range(shape[0])
+    ]
+    np.testing.assert_allclose(sums_around(image, side), expected, atol=1e-12)
