@@ -68,7 +68,7 @@ def make_plan(
     decisions.append(Decision("colour", *colour, saves_bytes=work.colour_bytes()))
     pixels = _choose_pixels(config, rig, views, decisions)
     init = choose_init(config, rig, work, decisions)
-    points = choose_points(config, init, len(spans), decisions)
+    points = choose_points(config, init, method, decisions)
     refine = config.refine == "on" or (config.refine == "auto" and init in UNADJUSTED and not method.rays)
     ever = {view: np.logical_or.reduce(mask) for view, mask in masks.items()}
     window = _choose_window(config, images, rig, streams, ever, decisions)

@@ -2,6 +2,7 @@
 
 from reconstruction.errors import BadRunError
 from reconstruction.initialization.initialisers import FINDING_POINTS
+from reconstruction.methods.definition import Method
 from reconstruction.run.configuration import FOUND, SWEPT, ReconstructionConfig
 from reconstruction.run.decisions import Decision
 from reconstruction.run.prices import Work
@@ -26,14 +27,14 @@ def choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: l
     return init
 
 
-def choose_points(config: ReconstructionConfig, init: str, spans: int, decisions: list[Decision]) -> str:
-    """Return where points come from: MSDI's with MSDI, as it is published, else our sweep's."""
+def choose_points(config: ReconstructionConfig, init: str, method: Method, decisions: list[Decision]) -> str:
+    """Return where points come from: MSDI's where a baseline has MSDI, as it is published, else our sweep's."""
     points = config.points
     if points == FOUND and init not in FINDING_POINTS:
         expected, do = f"one that finds points: {', '.join(FINDING_POINTS)}", f"leave out --points {FOUND}"
         raise BadRunError(f"found --points {FOUND} with the poses of {init}", expected, do)
     if points == "auto" and init in FINDING_POINTS:
-        points = FOUND if init == PUBLISHED_POINTS and spans == 1 else SWEPT
-        reason = f"{init} finds points of its own" if spans == 1 else "those of an initialiser are not of spans"
+        points = FOUND if init == PUBLISHED_POINTS and not method.ours else SWEPT
+        reason = "they are part of the published method" if points == FOUND else f"those of {init} are worse or fewer"
         decisions.append(Decision("points", points, reason, "--points"))
     return SWEPT if points == "auto" else points

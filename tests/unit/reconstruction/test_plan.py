@@ -335,14 +335,15 @@ def test_listing_the_choices_loads_no_torch():
     [
         ({}, "swept", None),
         ({"init": "natural"}, "swept", None),
-        ({"init": "msdi"}, "found", "msdi finds points of its own"),
-        ({"init": "sfm"}, "swept", "sfm finds points of its own"),
+        ({"init": "msdi"}, "swept", "those of msdi are worse or fewer"),
+        ({"init": "msdi", "model": "4dgs"}, "found", "they are part of the published method"),
+        ({"init": "sfm", "model": "4dgs"}, "swept", "those of sfm are worse or fewer"),
         ({"init": "sfm", "points": "found"}, "found", None),
         ({"init": "msdi", "points": "swept"}, "swept", None),
         ({"points": "random"}, "random", None),
     ],
 )
-def test_points_are_swept_but_for_msdi_and_where_others_are_asked_for(choices, points, said):
+def test_points_are_swept_but_for_baselines_with_msdi_and_where_others_are_asked_for(choices, points, said):
     plan, *_ = make_plan(ReconstructionConfig(**choices), RIG, streams())
     assert plan.points == points
     assert [d.reason for d in plan.decisions if d.about == "points"] == ([said] if said else [])
@@ -361,4 +362,3 @@ def test_a_long_recording_is_in_one_piece_where_its_points_are_not_swept(points)
     plan, *_ = make_plan(ReconstructionConfig(**long), RIG, streams(moving=True))
     assert len(plan.spans) > 1
     assert plan.points == "swept"
-    assert about(plan, "points").reason == "those of an initialiser are not of spans"
