@@ -30,17 +30,16 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Points of an initialiser: positions [N, 3] in m, confidence [N], and the plane they were seen at [1], or [0]."""
+    """Points of an initialiser: positions [N, 3] in m, and the plane they were seen at [1]; [0] without one."""
 
     positions: NDArray[np.float64]
-    confidence: NDArray[np.float32]
     planes: NDArray[np.int64]
 
     @classmethod
     def of(cls, geometry: Geometry) -> Found:
         """Return the points of a geometry."""
         planes = [] if geometry.plane is None else [geometry.plane]
-        return cls(geometry.points, geometry.confidence, np.array(planes, np.int64))
+        return cls(geometry.points, np.array(planes, np.int64))
 
 
 class OtherPoints(Protocol):

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from acquisition.scenes.realistic.painter import COARSE_RAYS, Painter, paint
 from acquisition.scenes.realistic.setting import Setting
+from acquisition.scenes.realistic.studio import LEAST_CHANGE, REACH_PX
 from rigs.camera import Camera
 
 SIDE = 4  # rays a side of a pixel in each round
 MOST_ROUNDS = 16  # an even number
 NOISE = 0.0012  # standard deviation that is left, in spikes per tick: 54 dB below the white of these scenes
 AROUND_PX = 5  # a side of the square whose pixels tell the noise of its middle
-REACH_PX = 4  # about what coarse rays found a mover or its shadow to reach, that is drawn, too
-LEAST_CHANGE = 1e-6  # of light, in spikes per tick
 _ROUNDS, _COARSE = 1000, (2000, 2001)  # numbers of random places of rays; a studio's are small
 Image = NDArray[np.float32]
 
