@@ -17,6 +17,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import PLANES, Bytes, Planes, plane_arguments, without_trailing
 
 FARTHEST = 32766  # planes of reach whose intervals still fit in 16 bits
+NEAR = (0, 1, 2, 4, 8, 16, 32, 64, 128)  # planes from an end at which `outermost` looks
 _spike_intervals = Kernel(
     "acquisition",
     "spike_intervals",
@@ -67,6 +68,20 @@ def intervals(
     _spike_intervals(*plane_arguments(packed, layout), wanted, *work, *stored)
     ticks, since, sides = (without_trailing(out, layout) for out in stored)
     return Intervals(ticks, since, (sides & 1).view(bool), (sides >> 1).view(bool))
+
+
+def outermost(packed: Planes, layout: PlaneLayout) -> NDArray[np.uint16]:
+    """Return a whole interval near the first plane and one near the last, of every pixel [2, H, W], in ticks.
+
+    Each is the nearest of those that a few planes at and near that end lie in; 0 where there is none.
+    """
+    lengths = np.zeros((2, layout.height, layout.width), np.uint16)
+    away = [distance for distance in NEAR if distance < len(packed)]
+    for length, planes in zip(lengths, (away, [len(packed) - 1 - distance for distance in away]), strict=True):
+        found = intervals(packed, layout, planes, NEAR[-1])
+        for ticks, whole in zip(found.ticks, found.before & found.after, strict=True):
+            np.copyto(length, ticks, where=whole & (length == 0))
+    return lengths
 
 
 def _intervals_by_block(

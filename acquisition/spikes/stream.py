@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import cast
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from acquisition.errors import BadRecordingError
 from acquisition.spikes import packing
 from acquisition.spikes.compact import SUFFIX, CompactPlanes
+from acquisition.spikes.intervals import outermost
 from acquisition.spikes.layout import PlaneLayout
 
 
@@ -50,6 +52,11 @@ class SpikeStream:
 
     def __len__(self) -> int:
         return len(self.packed)
+
+    @cached_property
+    def outermost(self) -> NDArray[np.uint16]:
+        """The whole intervals [2, H, W] near the first and the last plane, in ticks, by `intervals.outermost`."""
+        return outermost(self.packed, self.layout)
 
     def window(self, first: int, last: int) -> NDArray[np.uint8]:
         """Return packed planes [last - first, B]; raises BadRecordingError outside the stream."""

@@ -20,6 +20,9 @@ But rigid ones are `bodies`, K with P `knots` each: `knot_quats` [K, P, 4] and `
 Where the run has evidence, `expected_error` has `places` [P, 3] in m, and `of_white` [P]: the root mean square that the
 error is expected to have from there, over white.
 
+`dilation_px2` is what a renderer adds to the covariance of a splat, px^2, while its energy stays. A document without it
+means 0.3.
+
 A part of a scene has version 2 too: the spans that it touches, cut to it, or one where there are none.
 """
 
@@ -158,13 +161,14 @@ def _place(array: NDArray[Any], offset: int) -> dict:
 
 
 def _counts(scene: Scene, version: int, still: int, moving: int) -> dict:
-    clip = scene.clip
+    clip, cloud = scene.clip, scene.gaussians_at(scene.clip.middle_s)
     return {
         "version": version,
         "count": still + moving,
         "still": still,
         "moving": moving,
         "clip_s": [clip.first_s, clip.last_s],
+        "dilation_px2": cloud.dilation_px2,
         "white": scene.white,
         "model": scene.model,
     }

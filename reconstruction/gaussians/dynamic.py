@@ -22,7 +22,7 @@ from reconstruction.gaussians.spacetime import SpacetimeMotion
 from reconstruction.gaussians.timesteps import TimestepMotion
 from reconstruction.rendering.bent import seen_through
 from reconstruction.rendering.render import render
-from reconstruction.rendering.result import Instantaneous
+from reconstruction.rendering.result import GUARDS, Instantaneous
 from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 
@@ -30,17 +30,22 @@ MODELS: dict[str, type[MotionModel]] = {
     m.kind: m
     for m in (PolynomialMotion, RigidMotion, HexPlaneMotion, SmallHexPlaneMotion, SpacetimeMotion, TimestepMotion)
 }
+UNSAID_PX2 = 0.3  # the dilation of a stored scene that says none, as earlier revisions had it
 
 
 @dataclass
 class DynamicCloud:
-    """N still Gaussians and M moving ones with their motion; see `scene_model.SceneModel`."""
+    """N still Gaussians and M moving ones with their motion; see `scene_model.SceneModel`.
+
+    `dilation_px2`: that of the renders they were learnt by, and so of those that show them.
+    """
 
     still: GaussianCloud
     moving: GaussianCloud
     motion: MotionModel
     clip: TimeSpan
     light: Tensor = field(default_factory=lambda: torch.ones(1))
+    dilation_px2: float = GUARDS.dilation_px2
     unit: ClassVar[str] = "Gaussians"
 
     def __len__(self) -> int:
@@ -78,7 +83,7 @@ class DynamicCloud:
 
     def _looked(self, camera: Camera, instant_s: float) -> View:
         with torch.no_grad():
-            rendering = render(self.at(instant_s), camera, median=True)
+            rendering = render(self.at(instant_s), camera, dilation_px2=self.dilation_px2, median=True)
         assert rendering.median is not None
         return View(rendering.intensity[..., 0].numpy(), rendering.median.numpy())
 
@@ -128,6 +133,7 @@ class DynamicCloud:
         return {
             "clip": [self.clip.first_s, self.clip.last_s],
             "light": self.light.clone(),
+            "dilation_px2": self.dilation_px2,
             "model": self.motion.kind,
             "tensors": {k: v.detach().clone() for k, v in self.tensors()},
         }
@@ -144,7 +150,8 @@ class DynamicCloud:
             motion = MODELS[kind](**parts["motion"])
             first_s, last_s = state["clip"]
             still, moving = (GaussianCloud(**parts[name]) for name in ("still", "moving"))
-            return cls(still, moving, motion, TimeSpan(first_s, last_s), state.get("light", torch.ones(1)))
+            light, dilation_px2 = state.get("light", torch.ones(1)), state.get("dilation_px2", UNSAID_PX2)
+            return cls(still, moving, motion, TimeSpan(first_s, last_s), light, dilation_px2)
         except (KeyError, TypeError, ValueError) as error:
             found = f"the model {kind!r} with {', '.join(parts['motion']) or 'no tensors'}"
             raise ReconstructionError(

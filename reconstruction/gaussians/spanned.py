@@ -15,10 +15,10 @@ from torch import Tensor
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.dynamic import UNSAID_PX2, DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.stored import restored, stored
-from reconstruction.rendering.result import Instantaneous
+from reconstruction.rendering.result import GUARDS, Instantaneous
 from reconstruction.scene_model import Rate, TimeSpan, View
 from rigs.camera import Camera
 
@@ -147,6 +147,7 @@ class SpannedScene:
     spans: Sequence[SpanContent]
     clip: TimeSpan
     light: Tensor = field(default_factory=lambda: torch.ones(1))
+    dilation_px2: float = GUARDS.dilation_px2
     unit: ClassVar[str] = "Gaussians"
     kind: ClassVar[str] = "spans"
 
@@ -160,13 +161,13 @@ class SpannedScene:
         whole = scene if isinstance(scene, SpannedScene) else cls._of_one(scene)
         clips = [span.clip for span in whole.spans]
         touched = [n for n, own in enumerate(clips) if own.first_s < clip.last_s and clip.first_s < own.last_s]
-        return cls(whole.still, _Cut(whole.spans, touched, clip), clip)
+        return cls(whole.still, _Cut(whole.spans, touched, clip), clip, dilation_px2=whole.dilation_px2)
 
     @classmethod
     def _of_one(cls, scene: DynamicCloud) -> SpannedScene:
         """Return a scene without spans as one that has one."""
         span = replace(SpanContent.as_usual(scene.clip), cloud=scene if len(scene.moving) else None)
-        return cls(scene.still, [span], scene.clip)
+        return cls(scene.still, [span], scene.clip, dilation_px2=scene.dilation_px2)
 
     def __len__(self) -> int:
         return len(self.still) + len(self.moving)
@@ -194,9 +195,9 @@ class SpannedScene:
             changed = {kind: getattr(still, kind).index_copy(0, span.changed, getattr(span, kind)) for kind in OWN}
             still = GaussianCloud(**{**vars(still), **changed})
         if span.cloud:
-            return DynamicCloud(still, span.cloud.moving, span.cloud.motion, span.cloud.clip, span.cloud.light)
+            return replace(span.cloud, still=still, dilation_px2=self.dilation_px2)
         motion = PolynomialMotion.at_rest(torch.zeros(0), 1.0)
-        return DynamicCloud(still, nothing(), motion, span.clip, self._light_over(span.clip))
+        return DynamicCloud(still, nothing(), motion, span.clip, self._light_over(span.clip), self.dilation_px2)
 
     def _light_over(self, clip: TimeSpan) -> Tensor:
         planes = len(self.light)
@@ -261,6 +262,7 @@ class SpannedScene:
             "model": self.kind,
             "clip": [self.clip.first_s, self.clip.last_s],
             "light": self.light.clone(),
+            "dilation_px2": self.dilation_px2,
             "still": {name: stored(name, tensor.detach().clone()) for name, tensor in vars(self.still).items()},
             "spans": [span.state() for span in self.spans],
         }
@@ -271,7 +273,8 @@ class SpannedScene:
         try:
             spans = [SpanContent.from_state(span) for span in state["spans"]]
             still = GaussianCloud(**{name: restored(kept) for name, kept in state["still"].items()})
-            return cls(still, spans, TimeSpan(*state["clip"]), state["light"])
+            dilation_px2 = state.get("dilation_px2", UNSAID_PX2)
+            return cls(still, spans, TimeSpan(*state["clip"]), state["light"], dilation_px2)
         except (KeyError, TypeError, ValueError) as error:
             found, expected = "found a scene of spans that lacks something", "it as this version stores it"
             raise ReconstructionError(found, expected, "train again") from error

@@ -104,7 +104,7 @@ def work_of(gaussians: Instantaneous, camera: Camera, guards: Guards = GUARDS) -
 
 
 def attribute(
-    gaussians: Instantaneous, camera: Camera, maps_of: Callable[[Rendering], Tensor]
+    gaussians: Instantaneous, camera: Camera, maps_of: Callable[[Rendering], Tensor], guards: Guards = GUARDS
 ) -> tuple[Rendering, Tensor]:
     """Return the rendering of the first channel, and what each Gaussian has to do with maps over it [N, K].
 
@@ -112,7 +112,7 @@ def attribute(
     the Gaussian has in one times the map's value there: of a map of ones, they are the pixels that it fills.
     """
     cloud = (*gaussians[:4], gaussians.intensities[:, 0])
-    frame, seen = _rendered(_Seeing(camera), tuple(t.detach().contiguous() for t in cloud))
+    frame, seen = _rendered(_Seeing(camera, guards), tuple(t.detach().contiguous() for t in cloud))
     maps = maps_of(seen).contiguous()
     if maps.dtype != torch.float32 or maps.shape[1:] != (camera.height, camera.width) or len(maps) > MOST_MAPS:
         found, size = f"maps {tuple(maps.shape)} of {maps.dtype}", f"{camera.height}, {camera.width}"

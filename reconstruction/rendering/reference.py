@@ -2,7 +2,7 @@
 
 Letters: N Gaussians, M splats that are seen, H rows, W columns, C channels, P pixels of a block of rows.
 EWA splatting (Zwicker et al., "EWA volume splatting", 2001; Kerbl et al., "3D Gaussian splatting", 2023) with gsplat's
-guards: a near plane, a clamped Jacobian, a dilation (0.3 px^2) added to the covariance and the opacity scaled by
+guards: a near plane, a clamped Jacobian, a dilation (0.17 px^2) added to the covariance and the opacity scaled by
 sqrt(det / det_blurred) (gsplat's "antialiased"), alpha at most 0.99 and at least 1/255, and an end where the
 transmittance is below 1e-4.
 """

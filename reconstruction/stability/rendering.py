@@ -5,7 +5,7 @@ import math
 
 import torch
 
-from reconstruction.rendering.result import Instantaneous
+from reconstruction.rendering.result import GUARDS, Instantaneous
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import Apart, against_reference, apart, gaussians_of, probe, renderers, worst
 
@@ -135,7 +135,7 @@ def _equal_depths(renderer: str) -> Observation:
     cloud = gaussians_of(3, intensities=torch.tensor([[1.0], [2.0], [3.0]]))
     found, again = (probe(cloud, renderer).rendering.intensity for _ in range(2))
     _, (_, slope) = against_reference(cloud, renderer)
-    a = 0.7 * 9 / 9.3  # opacity after a dilation of 9 px^2 by 0.3 px^2
+    a = 0.7 * 9 / (9 + GUARDS.dilation_px2)  # opacity after a dilation of 9 px^2
     expected = a * 1 + (1 - a) * a * 2 + (1 - a) ** 2 * a * 3
     error = max(abs(float(found[14, 20, 0]) - expected), apart(found, again))
     return Observation(f"in the order given, twice the same, to {error:.1e}", error, slope)

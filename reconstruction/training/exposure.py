@@ -18,7 +18,7 @@ from rigs.camera import Camera
 from rigs.clock import RigClock
 
 FROM = 0.5  # share of the training from which blur matters: before it, other errors are larger
-FAR_PX = 1.5  # pixels that a fast mover gets far in an image before several instants are rendered
+FAR_PX = 0.8  # pixels that a fast mover gets far in an image before several instants are rendered
 PX_A_NODE, MOST_NODES = 4.0, 8  # pixels of motion that an instant stands for, and most instants of an image
 FASTEST = 0.9  # share of the moving Gaussians that are slower than a fast mover
 LEAST_OPACITY = 0.1  # opacity of a Gaussian that counts

@@ -58,7 +58,7 @@ class ImageTerm:
     def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
         """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
         first, length, nodes = span
-        options = {"backend": self.backend, "dilation_px2": view.dilation_px2, "given": cloud.given}
+        options = {"backend": self.backend, "dilation_px2": view.dilation(cloud.dilation_px2), "given": cloud.given}
         options |= {"only": view.compared if camera is view.camera else None}
         renders = []
         for node, weight in zip(*quadrature(nodes if cloud.changes else 1), strict=True):

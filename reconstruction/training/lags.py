@@ -93,8 +93,9 @@ class Lags:
 
     def _light(self, cloud: DynamicCloud, view: TrainingView, plane: float) -> NDArray[np.float32]:
         with torch.no_grad():
-            seen = view.seen(cloud, self.clock.instant_s(plane))
-            return render(seen, view.camera, backend=self.backend).intensity[..., 0].float().cpu().numpy()
+            now = view.seen(cloud, self.clock.instant_s(plane))
+            seen = render(now, view.camera, backend=self.backend, dilation_px2=cloud.dilation_px2)
+            return seen.intensity[..., 0].float().cpu().numpy()
 
     def state(self) -> dict:
         """Return plain numbers, for a checkpoint."""

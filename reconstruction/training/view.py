@@ -11,7 +11,7 @@ from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.images.composite import CompositeSource
-from reconstruction.rendering.result import GUARDS, Instantaneous
+from reconstruction.rendering.result import Instantaneous
 from rigs.camera import Camera
 
 MASKS = ("empty", "known", "focus")  # the masks of a view, float, 1 or 0
@@ -98,14 +98,13 @@ class TrainingView:
         camera, halvings = self.camera.halved(), self.halvings + 1
         return replace(self, camera=camera, inverse_depth=known, halvings=halvings, **flags)
 
-    @property
-    def dilation_px2(self) -> float:
-        """The variance, px^2, that its renders add to splats: as much light is spread as over the source's pixels.
+    def dilation(self, usual_px2: float) -> float:
+        """Return the variance, px^2, that its renders add to splats, which is `usual_px2` at the source's pixels.
 
-        A mean of n x n pixels, of n^2 of which it is one, has the variance (n^2 - 1) / 12 of their squares.
+        As much light is spread as there: a mean of n x n pixels has the variance (n^2 - 1) / 12 of their squares.
         """
         merged = 4**self.halvings
-        return (GUARDS.dilation_px2 + (merged - 1) / 12) / merged
+        return (usual_px2 + (merged - 1) / 12) / merged
 
 
 def halved(image: Tensor) -> Tensor:

@@ -6,8 +6,9 @@ blended there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.images.composite import CompositeSource
 from reconstruction.native import shared_out
 from reconstruction.rendering.native import attribute
-from reconstruction.rendering.result import Instantaneous, Rendering
+from reconstruction.rendering.result import GUARDS, Rendering
 from reconstruction.run.spans import Span
 from rigs.camera import Camera
 from rigs.clock import RigClock
@@ -32,6 +33,7 @@ SEEN_PX = 1.0  # least pixels that a Gaussian fills in a view that sees it
 HOLES = 0.01  # share of the pixels that are taken for holes in which something of the usual light was missed
 Views = Mapping[str, tuple[Camera, CompositeSource]]
 GaussianScene = DynamicCloud | SpannedScene
+Attributed = Callable[[Camera, Callable[[Rendering], Tensor]], tuple[Rendering, Tensor]]  # `attribute` of one cloud
 
 
 class Evidence(NamedTuple):
@@ -154,7 +156,8 @@ def gather(
     for number, (part, planes) in enumerate(_compared(scene, spans)):
         own = _Tally.of(len(part), len(views))
         for plane in planes:
-            holes.sums += _compare(own, part.at(clock.instant_s(plane)), views, plane, white)
+            now, guards = part.at(clock.instant_s(plane)), GUARDS._replace(dilation_px2=part.dilation_px2)
+            holes.sums += _compare(own, partial(attribute, now, guards=guards), views, plane, white)
         still.add(own.cut(0, len(scene.still)))
         movers.append(own.cut(len(scene.still)))
         progress((number + 1) / len(spans), f"evidence of span {number + 1} of {len(spans)}")
@@ -182,8 +185,8 @@ def _planes(span: Span, count: int) -> list[int]:
     return [span.first + (2 * i + 1) * len(span) // (2 * count) for i in range(count)]
 
 
-def _compare(tally: _Tally, now: Instantaneous, views: Views, plane: int, white: float) -> Tensor:
-    """Add to the sums what the views show at a plane; return the sums of `_Holes`."""
+def _compare(tally: _Tally, attributed: Attributed, views: Views, plane: int, white: float) -> Tensor:
+    """Add to the sums what the views show at a plane, `attributed` to Gaussians; return the sums of `_Holes`."""
 
     def compared(view: tuple[Camera, CompositeSource]) -> tuple[Tensor, Tensor]:
         camera, source = view
@@ -192,7 +195,7 @@ def _compare(tally: _Tally, now: Instantaneous, views: Views, plane: int, white:
         def maps(seen: Rendering) -> Tensor:
             return torch.stack([covered, covered * (seen.intensity / white - target).square()])
 
-        seen, sums = attribute(now, camera, maps)
+        seen, sums = attributed(camera, maps)
         ones, squares = maps(seen)
         hole = 1 - seen.alpha
         return sums, torch.stack([(hole * ones).sum(), (hole * squares).sum(), ones.sum(), (ones * target**2).sum()])

@@ -60,7 +60,7 @@ class Uncertainty:
         breadth = (now.log_scales.exp().amax(dim=1) / away.norm(dim=1).clamp_min(TINY)).clamp(max=WIDEST_RAD)
         own_light = now.intensities[:, 0] / self.evidence.white
         channels = torch.stack([known.misfit, self._aside(now, away, known), breadth, own_light], dim=1)
-        seen = render(now._replace(intensities=channels), camera)
+        seen = render(now._replace(intensities=channels), camera, dilation_px2=part.dilation_px2)
         misfit, aside, broad, light = seen.intensity.clamp_min(0).unbind(-1)
         hole, edges = (1 - seen.alpha).clamp(0, 1), _edges(seen) * misfit.sqrt()
         holes = hole * self.evidence.void

@@ -99,15 +99,15 @@ def at(arrays: Arrays, u: float) -> Arrays:
     return now
 
 
-def write_scene(folder: Path, motion: str) -> Arrays:
-    """viewer.json and viewer.bin, as the contract has them."""
+def write_scene(folder: Path, motion: str, **facts: float) -> Arrays:
+    """viewer.json and viewer.bin, as the contract has them; `facts` are what else the document says."""
     arrays, entries, blob = scene_arrays(motion), {}, b""
     for name, array in arrays.items():
         entries[name] = {"offset": len(blob), "shape": list(array.shape), "dtype": "float32"}
         blob += array.tobytes()
     manifest = {"version": 1, "count": STILL + MOVING, "still": STILL, "moving": MOVING, "clip_s": [0.0, 0.02]}
     manifest |= {"white": 0.4, "model": "cubic", "motion": motion, "degree": 3, "keyframes": KEYS, "arrays": entries}
-    manifest |= {"cameras": CAMERAS, "centre": CENTRE, "depth_m": [1.2, 3.5]}
+    manifest |= {"cameras": CAMERAS, "centre": CENTRE, "depth_m": [1.2, 3.5], **facts}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "viewer.json").write_text(json.dumps(manifest))
     (folder / "viewer.bin").write_bytes(blob)

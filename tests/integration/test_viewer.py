@@ -25,20 +25,26 @@ from integration.viewer_page import (
 )
 from numpy.typing import NDArray
 
+from reconstruction.gaussians.dynamic import UNSAID_PX2
 from reconstruction.rendering.render import render
+from reconstruction.rendering.result import GUARDS
 from reconstruction.report.display import grey
 from reconstruction.report.pictures import depth_colours
 from rigs.camera import Camera
 from rigs.transform import Transform
 
 pytestmark = VIEWER
+BROAD_PX2 = 40.0
 
 
 @pytest.fixture(scope="module")
 def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("jobs")
     for motion in ("polynomial", "keyframes"):
-        write_scene(folder / motion, motion)
+        write_scene(folder / motion, motion, dilation_px2=GUARDS.dilation_px2)
+    write_scene(folder / "unsaid", "polynomial")
+    for name, dilation_px2 in (("usual", UNSAID_PX2), ("broad", BROAD_PX2)):
+        write_scene(folder / name, "polynomial", dilation_px2=dilation_px2)
     damaged = folder / "damaged"
     write_scene(damaged, "polynomial")
     (damaged / "viewer.bin").write_bytes((damaged / "viewer.bin").read_bytes()[:-100])
@@ -83,11 +89,11 @@ def through(view: Any, index: int) -> Camera:
     return Camera(entry["id"], width, height, *lens, Transform(pose[:3, :3], pose[:3, 3]))
 
 
-def drawn(arrays: Arrays, u: float, camera: Camera):
+def drawn(arrays: Arrays, u: float, camera: Camera, dilation_px2: float = GUARDS.dilation_px2):
     """Render the scene at u with our own renderer."""
     now = at(arrays, u)
     given = (now["means"], now["quats_wxyz"], np.log(now["scales"]), now["opacities"], now["intensities"][:, None])
-    return render(tuple(torch.tensor(array, dtype=torch.float32) for array in given), camera)
+    return render(tuple(torch.tensor(array, dtype=torch.float32) for array in given), camera, dilation_px2=dilation_px2)
 
 
 @pytest.mark.parametrize("motion", ["polynomial", "keyframes"])
@@ -129,6 +135,19 @@ def test_a_camera_sees_what_the_renderer_draws(open_page, u: float) -> None:
     # Measured: 0.033 and 1 grey level; equal depths may be sorted otherwise.
     assert off.mean() < 0.1
     assert np.percentile(off, 99) <= 2
+
+
+def test_splats_are_as_broad_as_the_document_says(open_page) -> None:
+    shown = {}
+    for job in ("broad", "usual", "unsaid"):
+        view = open_page(f"?job={job}")
+        camera = through(view, 2)
+        seek(view, 0.0)
+        shown[job] = pixels(view)[..., 0].astype(int)
+    expected = grey(drawn(scene_arrays("polynomial"), 0.0, camera, BROAD_PX2).intensity[..., 0].numpy(), 1.0)
+    assert np.abs(shown["broad"] - expected).mean() < 0.1
+    assert np.abs(shown["usual"] - expected).mean() > 1
+    np.testing.assert_array_equal(shown["unsaid"], shown["usual"])
 
 
 def centroid(weights: NDArray) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ export const DEPTH_COLOURS = [
 ];
 const ALPHA_MAX = 0.99;
 const ALPHA_MIN = 1 / 255;
-const DILATION_PX2 = 0.3;
+const DILATION_PX2 = 0.3; // of a scene that says none
 const REACH = Math.sqrt(2 * Math.log(255)); // standard deviations at which an opaque Gaussian has fallen to ALPHA_MIN
 
 // Red sums intensity, green depth along the axis (1 / gl_FragCoord.w), alpha the absorbed light.
@@ -78,7 +78,7 @@ const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) /
 
 /** Draws `mesh` and, over it, the scene `overlay` on the canvas; `request` is called when another frame is due. */
 export class Picture {
-  constructor(canvas, mesh, overlay, { depth_m: depth }, request) {
+  constructor(canvas, mesh, overlay, { depth_m: depth, dilation_px2: dilation = DILATION_PX2 }, request) {
     this.canvas = canvas;
     this.overlay = overlay;
     this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: 'high-performance' });
@@ -88,7 +88,7 @@ export class Picture {
     });
     this.spark = new SparkRenderer({
       renderer: this.renderer, onDirty: request, accumExtSplats: true, sortRadial: false, enableLod: false,
-      maxStdDev: REACH, minAlpha: ALPHA_MIN, blurAmount: DILATION_PX2, maxPixelRadius: 4096, clipXY: 3,
+      maxStdDev: REACH, minAlpha: ALPHA_MIN, blurAmount: dilation, maxPixelRadius: 4096, clipXY: 3,
       fragmentShader: SPLAT, depthTest: false,
     });
     this.scene = new Scene();

@@ -89,13 +89,14 @@ function checkManifest(manifest) {
   if (manifest?.version !== expected) fault(`version ${manifest?.version}`, expected);
   if (manifest.spans) checkSpans(manifest);
   else if (!MOTIONS.includes(manifest.motion)) fault(`motion ${manifest.motion}`, MOTIONS.join(', '));
-  const { count, still, moving, clip_s: clip, cameras, centre, depth_m: depth } = manifest;
+  const { count, still, moving, clip_s: clip, cameras, centre, depth_m: depth, dilation_px2: dilation } = manifest;
   if (![count, still, moving].every((n) => Number.isInteger(n) && n >= 0) || still + moving !== count || count === 0) {
     fault(`${still} still and ${moving} moving Gaussians of ${count}`, 'counts that add up to one or more');
   }
   if (!numbers(clip, 2) || clip[1] < clip[0]) fault(`clip_s ${clip}`, 'its first and last second');
   if (!numbers(depth, 2) || !(depth[0] > 0) || !(depth[1] > depth[0])) fault(`depth_m ${depth}`, 'near and far in m');
   if (!numbers(centre, 3)) fault(`centre ${centre}`, 'three numbers');
+  if (dilation !== undefined && !(numbers([dilation], 1) && dilation > 0)) fault(`dilation_px2 ${dilation}`, 'a number above 0');
   if (!Array.isArray(cameras) || cameras.length === 0 || !cameras.every(isCamera)) {
     fault('cameras that cannot be used', 'size, fx fy cx cy and cam_from_rig of each');
   }

@@ -9,7 +9,7 @@ from references.spikes import counts_reference, intervals_reference, weighted_co
 
 from acquisition import native
 from acquisition.errors import BadRecordingError
-from acquisition.spikes.intervals import FARTHEST, intervals, weighted_counts
+from acquisition.spikes.intervals import FARTHEST, NEAR, intervals, outermost, weighted_counts
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import (
     counts,
@@ -69,6 +69,34 @@ def test_silence_and_saturation(width, height):
     assert not silent.after.any()
     assert (intervals(bright, layout, [10], 128).ticks == 1).all()
     assert not intervals(bright[:1], layout, [0], 128).after.any()
+
+
+@given(cases())
+def test_outermost_intervals_are_the_nearest_to_either_end(case):
+    packed, layout = case
+    spikes, found = unpack(packed, layout), outermost(packed, layout)
+    assert found.shape == (2, layout.height, layout.width)
+    for row, column in np.ndindex(layout.height, layout.width):
+        for side, train in enumerate((spikes[:, row, column], spikes[::-1, row, column])):
+            expected, at = 0, np.flatnonzero(train)
+            for away in (distance for distance in NEAR if distance < len(train)):
+                # A plane with a spike begins an interval in time, so that backwards it ends one.
+                before, after = (at[at <= away], at[at > away]) if side == 0 else (at[at < away], at[at >= away])
+                if len(before) and len(after):
+                    expected = after[0] - before[-1]
+                    break
+            assert found[side, row, column] == expected
+
+
+def test_outermost_intervals_of_silence_and_saturation():
+    layout = PlaneLayout(13, 7)
+    dark, bright = (spikes_of(300, layout, share) for share in (0.0, 1.0))
+    assert (outermost(dark, layout) == 0).all()
+    assert (outermost(bright, layout) == 1).all()
+    assert (outermost(bright[:1], layout) == 0).all()
+    late = bright.copy()
+    late[:150] = 0  # its first spikes are beyond the planes that are looked at
+    assert (outermost(late, layout)[0] == 0).all()
 
 
 @pytest.mark.parametrize("threads", [1, 2])

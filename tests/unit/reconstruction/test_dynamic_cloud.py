@@ -8,6 +8,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.initialization.seeding import LIFE, seed_cloud
+from reconstruction.rendering.result import GUARDS
 from reconstruction.scene_model import TimeSpan
 
 CLIP = TimeSpan(0.0, 0.02)
@@ -70,6 +71,7 @@ def test_state_round_trips():
     cloud = seed_cloud(seeds(points(3), points(5), 4))
     back = DynamicCloud.from_state(cloud.state())
     assert back.clip == cloud.clip
+    assert back.dilation_px2 == cloud.dilation_px2 == GUARDS.dilation_px2
     for (name, a), (other, b) in zip(cloud.tensors(), back.tensors(), strict=True):
         assert name == other
         assert torch.equal(a, b)

@@ -83,7 +83,9 @@ def test_every_motion_model_plays_as_the_run_renders_it(kind, scene_with):
             now["intensities"][:, None],
         )
         with torch.no_grad():
-            shown = [render(tuple(map(torch.from_numpy, tensors)), camera_of(t)).intensity for t in document["cameras"]]
+            options = {"dilation_px2": document["dilation_px2"]}
+            cameras = [camera_of(table) for table in document["cameras"]]
+            shown = [render(tuple(map(torch.from_numpy, tensors)), camera, **options).intensity for camera in cameras]
         for camera, picture in zip(scene.rig.cameras, shown, strict=True):
             own = scene.cloud.look(camera, clip.first_s + u * (clip.last_s - clip.first_s)).intensity / scene.white
             assert own.max() > 0.2

@@ -82,7 +82,7 @@ def test_one_instant_stands_for_an_image_until_fast_movers_are_seen_late_enough(
 
 @pytest.mark.parametrize(
     ("passed_px", "nodes"),
-    [(0.0, 1), (1.49, 1), (1.5, 2), (8.0, 2), (8.01, 3), (31.9, 8), (33.0, 8), (1e300, 8), (math.inf, 8)],
+    [(0.0, 1), (0.79, 1), (0.8, 2), (8.0, 2), (8.01, 3), (31.9, 8), (33.0, 8), (1e300, 8), (math.inf, 8)],
 )
 def test_longer_ways_take_more_instants_up_to_a_limit(passed_px, nodes):
     exposure = Exposure(99, CLOCK)

@@ -65,6 +65,9 @@ def test_depth_is_known_and_space_empty_where_all_four_pixels_say_so():
     assert half.empty.tolist() == [[1.0, 0.0]]
 
 
+USUAL_PX2 = 0.3
+
+
 @pytest.mark.parametrize("halvings", [1, 2])
 def test_a_render_is_the_mean_of_the_whole_views_pixels(halvings):
     generator = torch.Generator().manual_seed(0)
@@ -79,12 +82,12 @@ def test_a_render_is_the_mean_of_the_whole_views_pixels(halvings):
     view, small = view_of(96, 128), view_of(96, 128)
     for _ in range(halvings):
         small = small.halved
-    expected = render(gaussians, view.camera, dilation_px2=view.dilation_px2).intensity[..., 0]
+    expected = render(gaussians, view.camera, dilation_px2=view.dilation(USUAL_PX2)).intensity[..., 0]
     for _ in range(halvings):
         expected = halved(expected)
     errors = [
         (render(gaussians, small.camera, dilation_px2=dilation).intensity[..., 0] - expected).abs().mean()
-        for dilation in (small.dilation_px2, 0.3, 0.02)
+        for dilation in (small.dilation(USUAL_PX2), USUAL_PX2, 0.02)
     ]
     assert errors[0] < 0.01 * expected.mean()
     assert errors[0] < 0.6 * min(errors[1:])

@@ -134,6 +134,25 @@ def test_sigma_is_the_spread_of_the_estimates(name, rate):
     assert spread <= 2 * claimed
 
 
+@pytest.mark.parametrize("rate", [0.04, 0.11, 0.27, 0.6])
+@pytest.mark.parametrize("plane", [0, 1, 6, -7, -1])
+def test_steady_light_is_found_at_either_end_of_a_recording(rate, plane):
+    stream = exposed(np.full((200, 30, 40), rate), seed=3)
+    estimate = method("interpolated")(stream, plane % len(stream))
+    assert estimate.valid.mean() > 0.99
+    off = estimate.intensity[estimate.valid] / rate - 1
+    assert abs(off.mean()) < 0.03
+    assert rate * off.std() <= 2 * float(np.sqrt(np.mean(estimate.sigma**2)))
+
+
+def test_a_clock_far_from_the_ends_does_not_go_by_their_intervals():
+    light = np.full((900, 4, 5), 0.2)
+    light[200:700] = 0
+    estimate = method("interpolated")(exposed(light), 450)
+    assert not estimate.valid.any()
+    assert (estimate.intensity < 0.01).all()
+
+
 def test_many_images_in_one_call_are_those_of_single_calls():
     stream = exposed(np.random.default_rng(0).random((90, 9, 13)))
     planes = [0, 7, 45, 89]

@@ -52,8 +52,8 @@ def test_brightness_falls_off_as_the_projected_covariance_says():
     rendering = render(one((0.5 / 50 * z, 0.5 / 48 * z, z), scale), camera, backend="reference")  # a pixel's centre
     # Next to the axis the slope's share of the Jacobian is 1e-4.
     xx, yy = (50 * scale / z) ** 2, (48 * scale / z) ** 2
-    keeps = math.sqrt(xx * yy / ((xx + 0.3) * (yy + 0.3)))
-    expected = 0.8 * keeps * math.exp(-0.5 * 9 / (xx + 0.3))
+    keeps = math.sqrt(xx * yy / ((xx + 0.17) * (yy + 0.17)))
+    expected = 0.8 * keeps * math.exp(-0.5 * 9 / (xx + 0.17))
     assert float(rendering.alpha[20, 27]) == pytest.approx(expected, rel=1e-3)
     assert float(rendering.intensity[20, 27, 0]) == pytest.approx(2 * expected, rel=1e-3)
     assert float(rendering.depth[20, 27] / rendering.alpha[20, 27]) == pytest.approx(z)

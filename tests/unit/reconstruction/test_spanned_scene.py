@@ -5,10 +5,11 @@ import torch
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.cloud import GaussianCloud
-from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.gaussians.dynamic import UNSAID_PX2, DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.spanned import SpanCloud, SpanContent, SpannedScene, nothing
 from reconstruction.rendering.render import render
+from reconstruction.rendering.result import GUARDS
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.checkpoint import model_from_state
 from reconstruction.training.optimizer import optimizer_of
@@ -107,6 +108,21 @@ def test_a_state_holds_extremes_and_shows_the_same_picture():
     assert all(tensor.isfinite().all() for _, tensor in again.tensors())
     shown, expected = (scene.look(CAMERA, 0.15).intensity for scene in (again, one))
     assert abs(shown - expected).max() < 1e-3
+
+
+def test_a_scene_is_shown_by_the_dilation_that_it_was_learnt_by():
+    one = scene()
+    state = one.state()
+    assert state.pop("dilation_px2") == GUARDS.dilation_px2
+    earlier = model_from_state(state)
+    assert isinstance(earlier, SpannedScene)
+    for number, instant_s in ((0, 0.05), (1, 0.15)):
+        sharp, broad = (shown.part(number).look(CAMERA, instant_s).intensity for shown in (one, earlier))
+        for found, dilation_px2 in ((sharp, GUARDS.dilation_px2), (broad, UNSAID_PX2)):
+            expected = render(one.at(instant_s), CAMERA, dilation_px2=dilation_px2).intensity[..., 0]
+            assert torch.allclose(torch.from_numpy(found), expected, atol=2e-3)
+        assert abs(sharp - broad).max() > 0.02
+    assert SpannedScene.over(earlier, TimeSpan(0.0, 0.15)).dilation_px2 == UNSAID_PX2
 
 
 def test_a_state_that_lacks_something_is_refused():
