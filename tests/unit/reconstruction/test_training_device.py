@@ -17,6 +17,7 @@ from torch.overrides import TorchFunctionMode
 from acquisition.progress import silent
 from reconstruction.errors import BadRunError
 from reconstruction.gaussians import course, riding
+from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.losses import picture
 from reconstruction.methods.definition import SpikeSampling, Training
 from reconstruction.pipeline.stages import reconstruct
@@ -188,22 +189,30 @@ def test_the_stand_in_finds_a_tensor_that_was_left_behind(elsewhere):
         there @ torch.zeros(3, 3)
 
 
+def stretched(kind: str) -> DynamicCloud:
+    """A cloud of no spheres: how one is turned has no gradient but rounding, of which Adam takes the sign."""
+    found = cloud(kind)
+    for part in (found.still, found.moving):
+        part.log_scales += torch.tensor([0.4, 0.0, -0.4])
+    return found
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_torch_trains_as_the_kernels_do(kind, view, monkeypatch):
     """The same steps by torch's twins, with the reference behind gsplat's signature, and by the kernels."""
     training = Training(canonical_until=0.3, holds_depth=0.1)
     settings = TrainerSettings("counts", training, doublings=(0.4,))
-    expected = losses(Trainer(cloud(kind), [view], settings, CLOCK, seed=1))
+    expected = losses(Trainer(stretched(kind), [view], settings, CLOCK, seed=1))
     monkeypatch.setattr(gsplat_backend, "_rasterization", lambda: as_gsplat)
     monkeypatch.setattr(gsplat_backend, "DEVICE", "cpu")
     for module in (course, riding, picture, optimizer):
         monkeypatch.setattr(module, "fits", lambda *tensors: False)
-    other = Trainer(cloud(kind), [view], replace(settings, backend="gsplat"), CLOCK, seed=1)
+    other = Trainer(stretched(kind), [view], replace(settings, backend="gsplat"), CLOCK, seed=1)
     assert not isinstance(other.optimizer, Adam)
     found = losses(other)
     assert found[0] == pytest.approx(expected[0], rel=1e-4)
-    # Adam takes a whole step by the sign of a gradient that is rounding alone; the worst so far was 0.7%.
-    np.testing.assert_allclose(found, expected, rtol=2e-2)
+    # Adam takes a whole step by the sign of a gradient that is rounding alone; the worst so far was 1.7%.
+    np.testing.assert_allclose(found, expected, rtol=4e-2)
 
 
 @pytest.mark.gpu
