@@ -30,14 +30,14 @@ MODELS: dict[str, type[MotionModel]] = {
     m.kind: m
     for m in (PolynomialMotion, RigidMotion, HexPlaneMotion, SmallHexPlaneMotion, SpacetimeMotion, TimestepMotion)
 }
-UNSAID_PX2 = 0.3  # the dilation of a stored scene that says none, as earlier revisions had it
+UNSAID_PX2 = 0.3  # dilation of a stored scene that names none, as those of earlier revisions
 
 
 @dataclass
 class DynamicCloud:
     """N still Gaussians and M moving ones with their motion; see `scene_model.SceneModel`.
 
-    `dilation_px2`: that of the renders they were learnt by, and so of those that show them.
+    `dilation_px2`: what renders add to the covariance of a splat, px^2; the same in training and afterwards.
     """
 
     still: GaussianCloud

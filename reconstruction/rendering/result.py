@@ -19,8 +19,8 @@ class Guards(NamedTuple):
     """The limits that a renderer holds projections to.
 
     `near_m`: the least depth that is seen, m. `dilation_px2`: what is added to a projected covariance, px^2, so that no
-    Gaussian is lost between pixels: twice the variance of a pixel's square, 1/12. With less, what is far smaller than a
-    pixel is brighter at its middle than at its edge. Source: Yu et al., "Mip-Splatting", CVPR 2024, who take 0.1.
+    Gaussian is lost between pixels: twice the variance of a pixel's square, 1/12. With less, a Gaussian much smaller
+    than a pixel is brighter in the middle of one than between two. Source: Yu et al., "Mip-Splatting", CVPR 2024: 0.1.
     """
 
     near_m: float = 0.01

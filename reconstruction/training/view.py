@@ -99,9 +99,9 @@ class TrainingView:
         return replace(self, camera=camera, inverse_depth=known, halvings=halvings, **flags)
 
     def dilation(self, usual_px2: float) -> float:
-        """Return the variance, px^2, that its renders add to splats, which is `usual_px2` at the source's pixels.
+        """Return what its renders add to the covariance of a splat, px^2, where whole pictures add `usual_px2`.
 
-        As much light is spread as there: a mean of n x n pixels has the variance (n^2 - 1) / 12 of their squares.
+        A merged pixel is the mean of n x n pixels, which spreads light by (n^2 - 1) / 12 of their squares more.
         """
         merged = 4**self.halvings
         return (usual_px2 + (merged - 1) / 12) / merged

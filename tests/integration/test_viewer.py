@@ -45,6 +45,7 @@ def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scene(folder / "unsaid", "polynomial")
     for name, dilation_px2 in (("usual", UNSAID_PX2), ("broad", BROAD_PX2)):
         write_scene(folder / name, "polynomial", dilation_px2=dilation_px2)
+    write_scene(folder / "sharpened", "polynomial", dilation_px2=-0.1)
     damaged = folder / "damaged"
     write_scene(damaged, "polynomial")
     (damaged / "viewer.bin").write_bytes((damaged / "viewer.bin").read_bytes()[:-100])
@@ -261,6 +262,7 @@ NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
         ("", "", "found no job in the address"),
         ("?job=none", "", "Job none has no viewer.json to show: found no artefact viewer.json"),
         ("?job=damaged", "", "viewer.bin: found"),
+        ("?job=sharpened", "", "dilation_px2 -0.1"),
         ("?job=polynomial", NO_WEBGL, "found no WebGL 2"),
     ],
 )

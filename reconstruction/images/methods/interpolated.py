@@ -52,7 +52,7 @@ def interpolated(
 
 
 def _set_before_all(found: Intervals) -> None:
-    """Make the first of the instants, found at the first plane, the one before it: no spike is before that."""
+    """Move the first instant, which was found at plane 0, to just before plane 0, where no spike lies before."""
     ticks, since, before, after = (part[0] for part in found)
     np.copyto(ticks, np.where(before, 1, ticks - since + 1))
     after |= before
@@ -60,7 +60,7 @@ def _set_before_all(found: Intervals) -> None:
 
 
 def _outer(stream: SpikeStream, end: int, focus: Focus | None) -> NDArray[np.uint16]:
-    """Return the whole intervals [2, ...] near the first and the last plane, in ticks; 0 where `end` is far from it."""
+    """Return the stream's outermost whole intervals [2, ...] in ticks; 0 for a side that `end` is out of reach of."""
     near = np.array([end < REACH, end >= len(stream) - REACH])
     if not near.any():
         return np.zeros((2, 1), np.uint16)
