@@ -73,7 +73,7 @@ def intervals(
 def outermost(packed: Planes, layout: PlaneLayout) -> NDArray[np.uint16]:
     """Return a whole interval near the first plane and one near the last, of every pixel [2, H, W], in ticks.
 
-    Only the planes at the distances NEAR from an end are looked at, the nearest first; 0 where none lies in an interval.
+    Only planes at the distances NEAR from an end are looked at, the nearest first; 0 where none lies in an interval.
     """
     lengths = np.zeros((2, layout.height, layout.width), np.uint16)
     away = [distance for distance in NEAR if distance < len(packed)]

@@ -189,11 +189,15 @@ def test_the_stand_in_finds_a_tensor_that_was_left_behind(elsewhere):
         there @ torch.zeros(3, 3)
 
 
-def stretched(kind: str) -> DynamicCloud:
-    """A cloud of no spheres: how one is turned has no gradient but rounding, of which Adam takes the sign."""
-    found = cloud(kind)
+SHAKEN_M = 0.01
+
+
+def uneven(kind: str) -> DynamicCloud:
+    """A cloud of no spheres on no grid: symmetry leaves gradients of rounding alone, of which Adam takes the sign."""
+    found, generator = cloud(kind), torch.Generator().manual_seed(0)
     for part in (found.still, found.moving):
         part.log_scales += torch.tensor([0.4, 0.0, -0.4])
+        part.means += SHAKEN_M * torch.randn(part.means.shape, generator=generator)
     return found
 
 
@@ -202,17 +206,16 @@ def test_torch_trains_as_the_kernels_do(kind, view, monkeypatch):
     """The same steps by torch's twins, with the reference behind gsplat's signature, and by the kernels."""
     training = Training(canonical_until=0.3, holds_depth=0.1)
     settings = TrainerSettings("counts", training, doublings=(0.4,))
-    expected = losses(Trainer(stretched(kind), [view], settings, CLOCK, seed=1))
+    expected = losses(Trainer(uneven(kind), [view], settings, CLOCK, seed=1))
     monkeypatch.setattr(gsplat_backend, "_rasterization", lambda: as_gsplat)
     monkeypatch.setattr(gsplat_backend, "DEVICE", "cpu")
     for module in (course, riding, picture, optimizer):
         monkeypatch.setattr(module, "fits", lambda *tensors: False)
-    other = Trainer(stretched(kind), [view], replace(settings, backend="gsplat"), CLOCK, seed=1)
+    other = Trainer(uneven(kind), [view], replace(settings, backend="gsplat"), CLOCK, seed=1)
     assert not isinstance(other.optimizer, Adam)
     found = losses(other)
     assert found[0] == pytest.approx(expected[0], rel=1e-4)
-    # Adam takes a whole step by the sign of a gradient that is rounding alone; the worst so far was 1.7%.
-    np.testing.assert_allclose(found, expected, rtol=4e-2)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)  # worst so far 3e-5
 
 
 @pytest.mark.gpu
