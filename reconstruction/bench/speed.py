@@ -42,7 +42,7 @@ class Extent:
 
 PLAIN, LARGE_STEP = StepSize(48_000, 400, 250, 10), StepSize(96_000, 1000, 1000, 3)
 FULL = Extent(
-    ((OLD, 60.0), (NEW, 20.0), (NEW, 60.0), (OLD, 40.0), (NEW, 40.0), (OLD, 20.0), (NEW, 10.0)),
+    ((OLD, 60.0), (NEW, 20.0), (NEW, 60.0), (OLD, 40.0), (NEW, 40.0), (OLD, 20.0), (NEW, 10.0), (NEW, 300.0)),
     (StepSize(20_000, 400, 250, 15), PLAIN, LARGE_STEP),
     PLAIN,
 )

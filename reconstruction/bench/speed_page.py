@@ -16,6 +16,7 @@ from reconstruction.bench.speed_summary import (
     STAGE,
     STEPS,
     clips_of,
+    compared,
     end_name,
     ends,
     level_seconds,
@@ -73,18 +74,18 @@ def _ends(document: dict) -> str:
 
 
 def _gains(document: dict) -> str:
-    """Return new less old: a gain in dB, a loss in depth where Abs Rel is positive."""
+    """Return ends less ends: a gain in dB, a loss in depth where Abs Rel is positive."""
     found: dict[tuple[str, str], dict[str, float]] = {}
     for key, value in document["summary"].items():
         clip, _, rest = key.partition(".")
         pair, _, score = rest.rpartition(".")
-        if f"-{OLD}@" in pair:
-            found.setdefault((clip, pair.replace(f"-{OLD}", f" - {OLD}")), {})[score] = value
+        if compared(key):
+            found.setdefault((clip, pair.replace("-", " - ")), {})[score] = value
     lines = [
         [*names, *(format(scores[key], form) if key in scores else "" for key, form in GAIN_FORMS)]
         for names, scores in found.items()
     ]
-    return _table(("scene", "new - old", "PSNR / dB", "movers / dB", "Abs Rel"), lines)
+    return _table(("scene", "run - run", "PSNR / dB", "movers / dB", "Abs Rel"), lines)
 
 
 def _times(document: dict) -> str:

@@ -21,7 +21,7 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
         for row in own:
             start = f"{clip}.{end_name(row)}"
             found |= {f"{start}.{name}": row[name] for name in END_FIGURES if name in row}
-        found |= _gains(clip, own) | _levels(clip, own) | _stages(clip, own)
+        found |= _gains(clip, own) | _patience(clip, own) | _levels(clip, own) | _stages(clip, own)
     return found | least(found) | _steps(rows) | _loaded(rows)
 
 
@@ -50,15 +50,23 @@ def longest_pair(rows: Sequence[dict]) -> tuple[dict, dict] | None:
 
 def _gains(clip: str, rows: Sequence[dict]) -> dict[str, float]:
     """Return how far every new run ends above the longest old one, and below it in depth: new less old."""
-    old = [row for row in rows if row["which"] == OLD]
-    if not old:
-        return {}
-    last = max(old, key=lambda row: row["budget_s"])
+    *_, last = [None, *(row for row in rows if row["which"] == OLD)]
+    return _less(clip, [row for row in rows if row["which"] == NEW], last) if last else {}
+
+
+def _patience(clip: str, rows: Sequence[dict]) -> dict[str, float]:
+    """Return how far the longest new run ends above the one before it, and below it in depth: longer less shorter."""
+    *_, shorter, longer = [None, None, *(row for row in rows if row["which"] == NEW)]
+    return _less(clip, [longer], shorter) if shorter and longer else {}
+
+
+def _less(clip: str, rows: Sequence[dict], other: dict) -> dict[str, float]:
+    """Return the scores of runs less those of another one, by the names of both."""
     return {
-        f"{clip}.{end_name(row)}-{end_name(last)}.{score}": row[score] - last[score]
+        f"{clip}.{end_name(row)}-{end_name(other)}.{score}": row[score] - other[score]
         for row in rows
         for score in SCORES
-        if row["which"] == NEW and score in row and score in last
+        if score in row and score in other
     }
 
 
@@ -66,9 +74,14 @@ def least(found: dict[str, float]) -> dict[str, float]:
     """Return the least gain in dB over all clips, by its two ends and its score."""
     gains: dict[str, list[float]] = {}
     for key, value in found.items():
-        if f"-{OLD}@" in key and key.endswith("psnr_db"):
+        if compared(key) and key.endswith("psnr_db"):
             gains.setdefault(key.partition(".")[2], []).append(value)
     return {f"least.{name}": min(values) for name, values in gains.items()}
+
+
+def compared(key: str) -> bool:
+    """Tell whether a number of the summary is a difference of two ends."""
+    return any(f"-{which}@" in key for which in (OLD, NEW))
 
 
 def level_seconds(rows: Sequence[dict], score: str, level_db: float) -> float | None:

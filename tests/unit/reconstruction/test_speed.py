@@ -128,8 +128,15 @@ def test_without_an_older_revision_there_are_its_own_figures_and_no_ratios():
     found = summarise([row for row in ROWS if row["which"] == NEW])
     assert found["a.new@20.psnr_db"] == 31.7
     assert found["loaded.new.slowdown"] == pytest.approx(1.5)
-    assert not any("old" in key or key.startswith("least") for key in found)
+    assert not any("old" in key for key in found)
     assert summarise([]) == {}
+
+
+def test_patience_is_of_the_longest_new_end_over_the_one_before_it():
+    found = summarise(ROWS)
+    assert found["a.new@60-new@20.psnr_db"] == pytest.approx(1.3)
+    assert found["least.new@60-new@20.psnr_db"] == found["a.new@60-new@20.psnr_db"]
+    assert not any(key.startswith("b.") and "-new@" in key for key in found)  # which has one new end
 
 
 def test_the_page_has_every_table_and_names_both_revisions(tmp_path):
@@ -152,7 +159,8 @@ def test_a_page_of_one_revision_leaves_out_what_compares():
     rows = [row for row in ROWS if row["which"] == NEW]
     text = page(DOCUMENT | {"rows": rows, "summary": summarise(rows)})
     assert "## Ends of runs" in text
-    assert "## Gains" not in text
+    assert "| a | new@60 - new@20 |" in text
+    assert "old@" not in text
     assert "## Stages" not in text
 
 
@@ -273,7 +281,7 @@ def test_what_failed_and_what_had_no_time_is_named(made, tmp_path, monkeypatch):
 
 def test_the_whole_bench_has_the_budgets_that_are_asked_for():
     budgets = {which: sorted(budget for name, budget in FULL.runs if name == which) for which in (OLD, NEW)}
-    assert budgets == {OLD: [20, 40, 60], NEW: [10, 20, 40, 60]}
+    assert budgets == {OLD: [20, 40, 60], NEW: [10, 20, 40, 60, 300]}
     assert {(size.gaussians, size.width) for size in FULL.steps} == {(20_000, 400), (48_000, 400), (96_000, 1000)}
     assert FULL.turns >= 5
     assert {budget for _, budget in LARGE.runs} == {180, 600}
