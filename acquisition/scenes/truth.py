@@ -7,7 +7,9 @@ Every k-th plane of each camera has four images [H, W]: `camRC/000120.npy` (floa
 `frame_000049.npy` (float32) is what an ordinary camera reads of the exposure around its plane; it is no truth.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +32,9 @@ BLUR_SAMPLES = 2  # rays a side of a pixel of a blurred frame
 DRAWN_AT_ONCE = 8  # frames of an exposure
 EVERY, MOST_INSTANTS = 20, 200  # planes between true frames, and frames of a camera: 1.6 MB each at 400x250
 ORDINARY = OrdinaryCamera()
+_VIEW_IMAGES = 3  # of a plane: light, depth and objects
 NOVEL_REACH = ((-0.5, -0.5), (1.25, -0.4))  # places in half widths of the rig: between the cameras, and beside them
+Images = Iterator[tuple[str, NDArray]]  # names of files, and what they hold
 
 
 def stride_of(planes: int) -> int:
@@ -60,12 +64,15 @@ def write_truth(
     planes, exposures = list(range(0, ticks, every)), exposures_of(rig.tick_rate_hz, ticks)
     cameras = (*rig.cameras, *novel_cameras(scene, rig))
     for number, camera in enumerate(cameras):
-        progress(number / len(cameras), f"truth of {camera.id}")
         (folder / camera.id).mkdir(parents=True)
-        _write_views(scene, rig, camera, planes, folder, samples)
+        images = _views(scene, rig, camera, planes, samples)
+        count = _VIEW_IMAGES * len(planes)
         if camera.id in rig.ids:
-            _write_blur(scene, rig, camera, planes, folder)
-            _write_frames(scene, rig, camera, exposures, folder)
+            images = chain(images, _blurred(scene, rig, camera, planes), _frames(scene, rig, camera, exposures))
+            count += len(planes) + len(exposures)
+        for done, (file, image) in enumerate(images):
+            progress((number + done / count) / len(cameras), f"truth of {camera.id}")
+            write_array(folder / camera.id / file, image)
     write_durably(folder / "cameras.json", dump_transforms(cameras))
     write_json(folder / "scene.json", _description(scene, rig, ticks, every) | {"sensor": sensor, "samples": samples})
     progress(1.0, f"truth of {len(cameras)} views, {len(planes)} instants each")
@@ -83,27 +90,28 @@ def novel_cameras(scene: Scenery, rig: Rig) -> tuple[Camera, ...]:
     )
 
 
-def _write_views(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], folder: Path, samples: int) -> None:
+def _views(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], samples: int) -> Images:
+    """Draw light, depth and objects at each of the planes."""
     view = scene.view(camera, samples)
     for plane in planes:
         frames = view.frames(np.array([rig.clock.instant_s(plane)]))
-        for prefix, image in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
-            write_array(folder / camera.id / f"{prefix}{plane:06d}.npy", image[0])
+        for prefix, images in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
+            yield f"{prefix}{plane:06d}.npy", images[0]
 
 
-def _write_blur(scene: Scenery, rig: Rig, camera: Camera, planes: list[int], folder: Path) -> None:
+def _blurred(scene: Scenery, rig: Rig, camera: Camera, planes: list[int]) -> Images:
     view = scene.view(camera, BLUR_SAMPLES)
     for plane in planes:
-        light = _mean_light(view, rig, plane, BLUR_PLANES)
-        write_array(folder / camera.id / f"blur_{plane:06d}.npy", light)
+        yield f"blur_{plane:06d}.npy", _mean_light(view, rig, plane, BLUR_PLANES)
 
 
-def _write_frames(scene: Scenery, rig: Rig, camera: Camera, exposures: list[Exposure], folder: Path) -> None:
+def _frames(scene: Scenery, rig: Rig, camera: Camera, exposures: list[Exposure]) -> Images:
+    """Draw what an ordinary camera reads of each exposure."""
     view, index = scene.view(camera, BLUR_SAMPLES), rig.ids.index(camera.id)
     for exposure in exposures:
         light = _mean_light(view, rig, exposure.middle, exposure.planes)
         rng = np.random.default_rng([scene.seed, index, exposure.first])
-        write_array(folder / camera.id / frame_file(exposure.middle), ORDINARY.read(light, scene.white, rng))
+        yield frame_file(exposure.middle), ORDINARY.read(light, scene.white, rng)
 
 
 def frame_file(tick: int) -> str:

@@ -57,6 +57,18 @@ def test_cameras_are_exact_and_novel_ones_are_nobodys(truth):
         assert np.isfinite(np.load(truth / novel / "depth_000040.npy")).all()
 
 
+def test_progress_goes_on_within_a_camera_and_never_back(tmp_path):
+    told: list[tuple[float, str]] = []
+    one = RIG.only(["cam11"])
+    write_truth(SCENE, one, 50, 20, tmp_path / "truth", lambda *said: told.append(said), samples=1)
+    shares = [share for share, _ in told]
+    assert shares == sorted(set(shares))
+    assert shares[-1] == 1.0
+    within = [share for share, said in told if said == "truth of cam11"]
+    assert len(within) == len(list((tmp_path / "truth/cam11").glob("*.npy")))
+    assert max(within) < 1 / 3
+
+
 def test_the_description_says_what_moves(truth):
     scene = json.loads((truth / "scene.json").read_text())
     assert scene["white"] == 0.6
