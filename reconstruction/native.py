@@ -53,25 +53,26 @@ def kernels_alone() -> Iterator[None]:
         _team.reset(token)
 
 
-def shared_out(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Yield what `work` makes of each item, in their order, as many at a time as torch has threads.
+def shared_out(work: Callable[[Item], Result], items: Iterable[Item], most: int | None = None) -> Iterator[Result]:
+    """Yield what `work` makes of each item, in their order, as many at a time as torch has threads, or `most`.
 
-    Each is made by one thread, its kernels and torch's operations included: no core waits for another at the end of
-    every loop. A few items are taken ahead, and no more.
+    Each is made by one thread, or its share of them where `most` are fewer, kernels and torch's operations included: no
+    core waits for another at the end of every loop. A few items are taken ahead, and no more.
     """
     import torch
 
     team, under_way = threads(), deque[Future[Result]]()
+    workers = min(team, most or team)
 
     def alone(item: Item) -> Result:
-        _team.set(1)  # of the item's own context
+        _team.set(team // workers)  # of the item's own context
         return work(item)
 
-    with kernels_alone(), ThreadPoolExecutor(team, "shared", torch.set_num_threads, (1,)) as pool:
+    with kernels_alone(), ThreadPoolExecutor(workers, "shared", torch.set_num_threads, (1,)) as pool:
         try:
             for item in items:
                 under_way.append(pool.submit(copy_context().run, alone, item))
-                if len(under_way) > team:
+                if len(under_way) > workers:
                     yield under_way.popleft().result()
             while under_way:
                 yield under_way.popleft().result()

@@ -26,16 +26,16 @@ DIFFERENT = 0.03  # spikes per tick, mean of 3x3: five deviations of a 33-plane 
 GROW_PX = 2
 REACH = 5  # planes behind an image's own that it is made from, as far as they tell much
 WHITE_PERCENTILE = 99.9
-KEPT_BYTES = 64_000_000  # memory for a view's short images, which training asks for again and again
+ROOM_BYTES = 64_000_000  # memory for a view's short images, which training asks for again and again
 
 
 @dataclass(frozen=True, eq=False)
 class CompositeSource:
     """One camera's target images under `light`: its background, but a short image by `method` where `moving` [H, W].
 
-    Short images are kept, their moving pixels alone, until they fill KEPT_BYTES; then the first goes first. Images and
-    counts are of the light behind what pixels fire, as `response` has it (None: they are all alike). `straightening`:
-    how its pixels came from recorded ones; None where they are these.
+    Short images are kept, their moving pixels alone, until they fill `room_bytes`; then the first goes first. Images
+    and counts are of the light behind what pixels fire, as `response` has it (None: they are all alike).
+    `straightening`: how its pixels came from recorded ones; None where they are these.
     """
 
     stream: SpikeStream
@@ -46,6 +46,7 @@ class CompositeSource:
     kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
     response: Response | None = None
     straightening: Straightening | None = None
+    room_bytes: int = ROOM_BYTES
 
     @cached_property
     def white(self) -> float:
@@ -69,7 +70,7 @@ class CompositeSource:
         """Return the moving pixels' values at `plane`."""
         if plane not in self.kept:
             values = self._made(plane)
-            while self.kept and (len(self.kept) + 1) * values.nbytes > KEPT_BYTES:
+            while self.kept and (len(self.kept) + 1) * values.nbytes > self.room_bytes:
                 self.kept.pop(next(iter(self.kept)))
             self.kept[plane] = values
         return self.kept[plane]

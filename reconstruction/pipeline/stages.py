@@ -83,7 +83,8 @@ def reconstruct_part(
         return False
     if not run.plan.spans:
         raise BadRunError("found a run without spans", "one of a long recording", "leave out --part", where=out)
-    from reconstruction.pipeline.span_stage import SpanTraining, learn_part
+    from reconstruction.pipeline.parts_training import SpanTraining
+    from reconstruction.pipeline.span_stage import learn_part
 
     recording = posed(run, Recording.open(recording_path).part(config.from_tick, config.to_tick))
     budget = Budget(time.monotonic, time.monotonic(), 0.0, config.budget_s, config.steps)

@@ -78,7 +78,7 @@ class Lags:
         first, last = learnt_planes(cloud, view)
         for plane in np.linspace(first, last - 1, INSTANTS + 2)[1:-1].astype(int).tolist():
             pixels = view.source.moving & ~view.source.useless(plane + 1)
-            early, late = (self._light(cloud, view, plane + sign * STEP)[pixels] for sign in (-1, 1))
+            early, late = (self._light(cloud, view, plane + sign * STEP, pixels) for sign in (-1, 1))
             changes.append((late - early) / (2 * STEP))
             gaps.append(view.source.at(plane)[pixels] - (late + early) / 2)
         change, gap = (np.concatenate(parts).astype(np.float64) for parts in (changes, gaps))
@@ -91,11 +91,14 @@ class Lags:
         sd = np.sqrt(ALIKE_PX * float(np.mean(pull * gap**2)) / normal)
         return step, float(sd)
 
-    def _light(self, cloud: DynamicCloud, view: TrainingView, plane: float) -> NDArray[np.float32]:
+    def _light(
+        self, cloud: DynamicCloud, view: TrainingView, plane: float, pixels: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """Return what a view shows at a plane in those of its `pixels` [H, W] that are True, in their order."""
         with torch.no_grad():
-            now = view.seen(cloud, self.clock.instant_s(plane))
-            seen = render(now, view.camera, backend=self.backend, dilation_px2=cloud.dilation_px2)
-            return seen.intensity[..., 0].float().cpu().numpy()
+            now, only = view.seen(cloud, self.clock.instant_s(plane)), torch.from_numpy(pixels).to(view.device)
+            seen = render(now, view.camera, backend=self.backend, dilation_px2=cloud.dilation_px2, only=only)
+            return seen.intensity[..., 0].float().cpu().numpy()[pixels]
 
     def state(self) -> dict:
         """Return plain numbers, for a checkpoint."""

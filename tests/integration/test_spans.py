@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +19,8 @@ from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.pipeline import span_training
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.part_file import PartFile
+from reconstruction.pipeline.parts_training import PartError, SpanTraining
 from reconstruction.pipeline.span_artefacts import BLIND, moving_spans, read_targets
-from reconstruction.pipeline.span_stage import PartError, SpanTraining
 from reconstruction.pipeline.stages import reconstruct, reconstruct_part
 from reconstruction.pipeline.trained_scene import trained_scene
 from reconstruction.run.configuration import ReconstructionConfig
@@ -250,6 +251,45 @@ def test_each_part_has_seconds_of_its_own_whenever_it_begins(begun, long_recordi
             found.append(done(0))
             now[0] += own_s / 2
         assert found == pytest.approx([0.0, 0.5, 1.0, 1.0])
+
+
+def test_parts_that_are_learnt_at_once_have_as_many_times_their_seconds(begun, long_recording):
+    now = [0.0]
+    run = RunFolder.open(begun)
+    run.document.seconds = dict.fromkeys(run.document.seconds, 0.5)
+    budget = Budget(lambda: now[0], 0.0, 0.0, 11.0, None)
+    training = SpanTraining(run, Recording.open(long_recording), silent, budget, lambda: False)
+    done = training.done_of("000000", beside=2)
+    now[0] = 2.0
+    assert done(0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("threads", "there", "at_once"), [(2, [], [2, 2, 1]), (1, [], [1, 1, 1]), (4, ["000000"], [2, 2])]
+)
+def test_spans_are_learnt_side_by_side_and_what_is_left_over_alone(
+    threads, there, at_once, begun, long_recording, tmp_path, monkeypatch
+):
+    path = hurried(begun, tmp_path / "run")
+    for name in (STILL, *there):
+        reconstruct_part(long_recording, path, HURRIED, name, silent)
+    budget, told = Budget(time.monotonic, 0.0, 0.0, None, STEPS), []
+    training = SpanTraining(
+        RunFolder.open(path), Recording.open(long_recording), lambda *said: told.append(said[0]), budget, lambda: False
+    )
+    still, found, before = training.still(), [], torch.get_num_threads()
+    monkeypatch.setattr(training, "done_of", lambda name, beside: found.append(beside) or budget.done)
+    torch.set_num_threads(threads)
+    try:
+        names = [one.name for one in training.parts[1:]]
+        spans = list(training.spans(names, still))
+    finally:
+        torch.set_num_threads(before)
+    assert [name for name, _, _ in spans] == names
+    assert [name for name, _, is_new in spans if not is_new] == there
+    assert found == at_once
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
 
 
 def test_seconds_of_a_part_that_was_learnt_elsewhere_are_the_stages_own(begun, long_recording, tmp_path):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -105,6 +107,15 @@ def test_composite_takes_the_clip_where_still_and_the_instant_where_moving():
     assert (bright[8:16, 8:16] == 1).all()
     assert np.abs(later[8:16, 8:16] - 0.5).max() <= 1 / 33
     assert (bright[:3] == 0.5).all()
+
+
+def test_short_images_are_kept_as_long_as_there_is_room():
+    source = source_of(blinking())
+    each_bytes = 4 * int(source.moving.sum())
+    small = replace(source, room_bytes=2 * each_bytes, kept={})
+    for plane in (120, 300, 140):
+        np.testing.assert_array_equal(small.at(plane), source.at(plane))
+    assert (list(source.kept), list(small.kept)) == ([120, 300, 140], [300, 140])
 
 
 def test_the_background_is_what_is_seen_most_of_the_time():

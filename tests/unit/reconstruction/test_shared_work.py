@@ -1,4 +1,5 @@
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -41,6 +42,29 @@ def test_each_item_has_one_thread_and_the_caller_has_its_own_again(alone):
         assert list(shared_out(work, range(7))) == [(1, 1, 9.0)] * 7
     assert (threads(), torch.get_num_threads()) == (3, 3)
     assert list(shared_out(work, [])) == []
+
+
+@pytest.mark.parametrize(("most", "shared"), [(1, 4), (2, 2), (3, 1), (9, 1)])
+def test_fewer_at_a_time_share_the_threads(most, shared):
+    before = torch.get_num_threads()
+    torch.set_num_threads(4)
+    lock, at_work, seen = threading.Lock(), [0], []
+
+    def work(_):
+        with lock:
+            at_work[0] += 1
+            seen.append(at_work[0])
+        time.sleep(0.01)
+        with lock:
+            at_work[0] -= 1
+        return threads()
+
+    try:
+        assert list(shared_out(work, range(8), most)) == [shared] * 8
+        assert threads() == 4
+    finally:
+        torch.set_num_threads(before)
+    assert max(seen) <= most
 
 
 @pytest.mark.usefixtures("three_threads")
