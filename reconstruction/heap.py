@@ -9,7 +9,10 @@ HEAPS = 2
 
 
 def share_heaps() -> None:
-    """Let all threads share HEAPS heaps from now on: one of its own would keep what a thread that ended has freed."""
+    """Let all threads share HEAPS heaps from now on.
+
+    A thread has a heap of its own otherwise, which keeps what was freed even after the thread has ended.
+    """
     if limit := getattr(_C, "mallopt", None):
         limit(_ARENA_MAX, HEAPS)
 

@@ -54,10 +54,11 @@ def kernels_alone() -> Iterator[None]:
 
 
 def shared_out(work: Callable[[Item], Result], items: Iterable[Item], most: int | None = None) -> Iterator[Result]:
-    """Yield what `work` makes of each item, in their order, as many at a time as torch has threads, or `most`.
+    """Yield what `work` makes of each item, in their order, as many at a time as torch has threads.
 
-    Each is made by one thread, or its share of them where `most` are fewer, kernels and torch's operations included: no
-    core waits for another at the end of every loop. A few items are taken ahead, and no more.
+    Each is made by one thread, its kernels and torch's operations included: no core waits for another at the end of
+    every loop. At most `most` are made at a time; kernels of each then have an equal share of the threads. A few items
+    are taken ahead, and no more.
     """
     import torch
 

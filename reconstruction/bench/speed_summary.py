@@ -50,14 +50,14 @@ def longest_pair(rows: Sequence[dict]) -> tuple[dict, dict] | None:
 
 def _gains(clip: str, rows: Sequence[dict]) -> dict[str, float]:
     """Return how far every new run ends above the longest old one, and below it in depth: new less old."""
-    *_, last = [None, *(row for row in rows if row["which"] == OLD)]
-    return _less(clip, [row for row in rows if row["which"] == NEW], last) if last else {}
+    old, new = ([row for row in rows if row["which"] == which] for which in (OLD, NEW))
+    return _less(clip, new, old[-1]) if old else {}
 
 
 def _patience(clip: str, rows: Sequence[dict]) -> dict[str, float]:
     """Return how far the longest new run ends above the one before it, and below it in depth: longer less shorter."""
-    *_, shorter, longer = [None, None, *(row for row in rows if row["which"] == NEW)]
-    return _less(clip, [longer], shorter) if shorter and longer else {}
+    new = [row for row in rows if row["which"] == NEW]
+    return _less(clip, new[-1:], new[-2]) if len(new) > 1 else {}
 
 
 def _less(clip: str, rows: Sequence[dict], other: dict) -> dict[str, float]:

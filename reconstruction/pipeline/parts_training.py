@@ -87,11 +87,11 @@ class SpanTraining:
     def spans(self, names: Sequence[str], still: GaussianCloud) -> Iterator[tuple[str, SpanContent, bool]]:
         """Yield each span's name, what it has of its own, and whether it was learnt now, in the order of `names`.
 
-        Those that are not there are learnt SIDE_BY_SIDE, so that no thread waits for another one; what is left over at
-        the end is learnt by all threads.
+        Those that are not there are learnt SIDE_BY_SIDE at a time, so that no thread waits for another one. A last one
+        that is left over is learnt by all threads.
         """
         due = [name for name in names if not self.file(name).is_there]
-        beside = min(SIDE_BY_SIDE, threads(), len(due))
+        beside = max(1, min(SIDE_BY_SIDE, threads(), len(due)))
         left_over = len(due) % beside if beside > 1 else len(due)
         together = len(names) if not left_over else names.index(due[-left_over])
 

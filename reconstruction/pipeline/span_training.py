@@ -41,7 +41,7 @@ from rigs.clock import RigClock
 
 OnStep = Callable[[Trainer, float, float], None]  # of a trainer, the share that is done, and the loss
 Done = Callable[[int], float]  # the share of a training that is done after so many steps
-ROOM_BYTES = 8_000_000  # memory for a view's short images, few of which are asked for twice in so short a training
+SPAN_ROOM_BYTES = 8_000_000  # for a view's short images, few of which are asked for twice in so short a training
 FOCUS_PX = 8  # pixels around movers that steps look at
 MOST_MOVING = 2.0  # times the plan's moving Gaussians that a span may have, where it sees more than others
 
@@ -84,7 +84,7 @@ def learn_span(
     span, clock = run.plan.spans[number], recording.rig.clock
     grown = span.grown(OVERLAP, recording.planes)
     seen = _looked_at_again(run, read_span_views(run, recording, number, grown))
-    sources = [replace(one.source, room_bytes=ROOM_BYTES) for one in seen]
+    sources = [replace(one.source, room_bytes=SPAN_ROOM_BYTES) for one in seen]
     views = [TrainingView(one.camera, s, focus=_around(one.shown)) for one, s in zip(seen, sources, strict=True)]
     cloud, changed = _started(run, recording, seen, still, len(grown))
     own = TimeSpan.of_planes(clock, span.first, span.last)
