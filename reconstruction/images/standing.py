@@ -37,7 +37,8 @@ def standing(rates: Image, moving: Masks, usual: Background, planes: Sequence[in
     """Return what stands still behind the `moving` pixels [S, H, W] of spans with the mean light `rates` [S, H, W].
 
     Rates are means over so many `planes` [S], in spikes per tick, without what the light as a whole does. A pixel that
-    moves in every span has what the `usual` background of the whole recording says.
+    moves in every span has what the `usual` background of the whole recording says. One that is still among others
+    whose median is of other spans is like the background in no span: it differs in all of them.
     """
     still = ~moving
     mostly = _masked_median(rates, still)
@@ -46,11 +47,12 @@ def standing(rates: Image, moving: Masks, usual: Background, planes: Sequence[in
     counted = alike.sum(axis=0)
     ever = counted > 0
     mean = np.where(alike, rates, 0).sum(axis=0, dtype=np.float32) / np.maximum(counted, 1)
-    image = np.where(ever, mean, usual.image).astype(np.float32)
+    median = np.where(still.any(axis=0), np.nan_to_num(mostly), usual.image)
+    image = np.where(ever, mean, median).astype(np.float32)
     trusted = np.where(ever, counted >= ALIKE * still.sum(axis=0), usual.trusted & ~still.any(axis=0))
     kernel = np.ones((2 * GROW_PX + 1,) * 2, np.uint8)
     differs = np.stack([cv2.dilate((s & ~a).astype(np.uint8), kernel) > 0 for s, a in zip(still, alike, strict=True)])
-    return Standing(Background(image, trusted, usual.stuck), differs & still & ever)
+    return Standing(Background(image, trusted, usual.stuck), differs & still)
 
 
 def unlike_share(rates: Image, others: Image, planes: int) -> float:

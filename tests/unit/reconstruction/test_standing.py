@@ -50,6 +50,26 @@ def test_the_background_is_what_most_spans_show():
     assert not found.differs[:4, 6, 6].any()
 
 
+def seen_by_turns() -> tuple[np.ndarray, np.ndarray]:
+    """Return a board that is bright in three spans and dark in two, which columns by turns are not all still in."""
+    rates, moving = quiet_scene()
+    rates[:3, 5:15, 6:15] = 0.4
+    moving[5, 5:15, 6:15] = True
+    moving[2, 5:15, 6:15:3] = True
+    moving[0, 5:15, 7:15:3] = True
+    return rates, moving
+
+
+def test_pixels_that_are_like_the_background_in_no_span_differ_wherever_they_are_still():
+    rates, moving = seen_by_turns()
+    found = standing(rates, moving, usual(0.05), PLANES)
+    inside = np.s_[6:14, 7:14]
+    assert (found.differs == ~moving)[:, *inside].all()
+    expected = [0.2, 0.4, 0.2, 0.2, 0.4, 0.2, 0.2]  # the median of the spans in which a column is still
+    assert np.allclose(found.background.image[inside], expected, atol=0.004)
+    assert not found.background.trusted[inside].any()
+
+
 def test_a_pixel_that_is_never_still_is_as_the_usual_background_says_and_not_sure():
     rates, moving = quiet_scene()
     moving[:, 5:9, 5:9] = True
