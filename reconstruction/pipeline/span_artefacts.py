@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import functools
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -91,6 +92,7 @@ def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span)
         stays, part = _stays(run, view, number, moving.shape), whole.part(span.first, span.last)
         if stays.any():
             light = whole.counts(own.first, own.last) / np.float32(len(own) * whole.light.over(own.first, own.last))
+            whole.stream.let_go()
             still = whole.background
             image = np.where(stays, mended(light, whole.useless(own.last)), still.image)
             part = replace(part, background=Background(image, still.trusted | stays, still.stuck))
@@ -133,7 +135,14 @@ def read_recorded_targets(run: RunFolder, recording: Recording) -> Sources:
 
 
 def _parts(read: Callable[[int, Span], Sources]) -> Callable[[int, Span], Sources]:
-    return functools.lru_cache(maxsize=2)(read)
+    """Return `read`, which keeps the last two parts; threads that want the same one wait for the first that does."""
+    kept, one_reads = functools.lru_cache(maxsize=2)(read), threading.Lock()
+
+    def part(number: int, span: Span) -> Sources:
+        with one_reads:
+            return kept(number, span)
+
+    return part
 
 
 def _spanned(

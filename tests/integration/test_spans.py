@@ -4,6 +4,7 @@ import json
 import shutil
 import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.gaussians.spanned import SpannedScene
-from reconstruction.pipeline import span_training
+from reconstruction.pipeline import span_artefacts, span_training
 from reconstruction.pipeline.budget import Budget, StoppedError
 from reconstruction.pipeline.part_file import PartFile
 from reconstruction.pipeline.parts_training import PartError, SpanTraining
@@ -104,6 +105,22 @@ def test_images_of_any_plane_show_the_movers(run, long_recording):
         image = source.at(150)
         count = source.stream.counts(142, 159) / 17
         assert np.abs(image - count).mean() < 0.03
+
+
+def test_a_span_whose_images_two_threads_want_at_once_is_read_once(run, long_recording, monkeypatch):
+    read, numbers = span_artefacts.read_span_views, []
+
+    def slowly(*given):
+        numbers.append(given[2])
+        time.sleep(0.05)
+        return read(*given)
+
+    monkeypatch.setattr(span_artefacts, "read_span_views", slowly)
+    targets = read_targets(run, Recording.open(long_recording))
+    with ThreadPoolExecutor(4) as pool:
+        images = list(pool.map(lambda seen: seen[1].at(150), targets.values()))
+    assert numbers == [1]
+    assert len(images) == 8
 
 
 def test_formats_show_the_span_of_their_instant(run, tmp_path):
