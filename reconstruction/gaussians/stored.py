@@ -1,42 +1,75 @@
 """Stores tensors of a scene in as few bytes as no picture tells from more."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-PLACES = ("means",)  # kept as 16-bit steps between the least and the largest, where a step is fine enough
 PRECISE = ("velocities", "accelerations", "jerks", "knot_quats", "knot_centers")  # kept in 32 bits
-STEP_M = 2e-4  # largest step of a place, m; a pixel of a laboratory rig sees millimetres
-STEPS, MIDDLE = 65_535, 32_768
-HALF_MAX = 6e4  # within what 16 bits hold
+MIDDLE = 32_768  # of 16 bits
+HALF_MAX = 6e4  # within what 16 bits hold as a number with a point
+NEARLY_UNIT = 0.02  # how far the length of a quaternion is off 1 at most, to be left as it is
+
+
+class Steps(NamedTuple):
+    """What is kept as whole steps between the least and the largest: in so many bits, where a step is short enough."""
+
+    bits: int
+    longest: float
+
+
+STEPS = {
+    "means": Steps(16, 2e-4),  # m; a pixel of a laboratory rig sees millimetres
+    "drifts": Steps(8, 4e-4),  # m per clip, so .1 mm at its ends
+    "quats_wxyz": Steps(8, 0.01),  # a degree is .009 of a unit quaternion
+    "log_scales": Steps(8, 0.05),
+    "log_durations": Steps(8, 0.05),
+    "opacity_logits": Steps(8, 0.1),
+}
 
 
 def stored(name: str, tensor: Tensor) -> Tensor | dict[str, Tensor]:
-    """Return a tensor by its name as it is stored: whole numbers and most others in 16 bits, if they fit in them."""
+    """Return a tensor by its name as it is stored: in whole steps or fewer bits, if it fits in them.
+
+    What was stored before and is stored again is the same. Quaternions keep their direction, not their length.
+    """
     kind = name.rpartition(".")[2]
     if not tensor.is_floating_point():
-        fits = not tensor.numel() or int(tensor.abs().max()) < MIDDLE
-        return tensor.to(torch.int16 if fits else torch.int32)
-    if kind in PLACES:
-        return _in_steps(tensor)
-    return tensor if kind in PRECISE else tensor.clamp(-HALF_MAX, HALF_MAX).half()
+        return tensor.to(next(narrow for narrow in (torch.int8, torch.int16, torch.int32) if _fits(tensor, narrow)))
+    if kind in PRECISE:
+        return tensor
+    values = _of_unit_length(tensor) if kind == "quats_wxyz" else tensor
+    if (steps := STEPS.get(kind)) and (kept := _in_steps(values, steps)):
+        return kept
+    return tensor if kind == "means" else values.clamp(-HALF_MAX, HALF_MAX).half()
 
 
 def restored(kept: Any) -> Tensor:
-    """Return the tensor that was stored, in float32 or int64; its places are off by half a step at most."""
+    """Return the tensor that was stored, in float32 or int64; what is in steps is off by half a step at most."""
     if isinstance(kept, dict):
-        return kept["least"] + (kept["steps"].float() + MIDDLE) * kept["step"]
+        whole = kept["bytes"].float() if "bytes" in kept else kept["steps"].float() + MIDDLE
+        return kept["least"] + whole * kept["step"]
     return kept.float() if kept.is_floating_point() else kept.long()
 
 
-def _in_steps(places: Tensor) -> Tensor | dict[str, Tensor]:
-    """Return places [N, 3] in m as whole steps; as they are where a step would be too long, or one is not finite."""
-    if not len(places):
-        return places
-    least, most = places.amin(dim=0), places.amax(dim=0)
-    step = ((most - least) / STEPS).clamp_min(torch.finfo(torch.float32).tiny)
-    if not bool((step <= STEP_M).all()):  # also where one is NaN
-        return places
-    steps = ((places - least) / step).round().clamp(0, STEPS) - MIDDLE
-    return {"least": least, "step": step, "steps": steps.to(torch.int16)}
+def _fits(numbers: Tensor, narrow: torch.dtype) -> bool:
+    return not numbers.numel() or int(numbers.abs().max()) <= torch.iinfo(narrow).max
+
+
+def _of_unit_length(quats: Tensor) -> Tensor:
+    length = quats.norm(dim=-1, keepdim=True)
+    return torch.where((length - 1).abs() <= NEARLY_UNIT, quats, torch.nn.functional.normalize(quats, dim=-1))
+
+
+def _in_steps(values: Tensor, steps: Steps) -> dict[str, Tensor] | None:
+    """Return values [N, ...] as whole steps; None for none, where steps would be too long, or one is not finite."""
+    if not len(values):
+        return None
+    least, most = values.amin(dim=0), values.amax(dim=0)
+    count = 2**steps.bits - 1
+    step = ((most - least) / count).clamp_min(torch.finfo(torch.float32).tiny)
+    if not bool((step <= steps.longest).all()):  # also where one is NaN
+        return None
+    whole = ((values - least) / step).round().clamp(0, count)
+    kept = {"bytes": whole.to(torch.uint8)} if steps.bits == 8 else {"steps": (whole - MIDDLE).to(torch.int16)}
+    return {"least": least, "step": step, **kept}
