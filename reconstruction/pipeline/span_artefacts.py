@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import functools
+import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -55,10 +56,19 @@ def write_masks(run: RunFolder, name: str, view: str, masks: Masks) -> None:
     run.write_array(name.format(view=view), np.packbits(masks.reshape(len(masks), -1), axis=1))
 
 
-def read_masks(run: RunFolder, name: str, view: str, size: tuple[int, int]) -> Masks:
+def read_masks(run: RunFolder, name: str, view: str, size: tuple[int, ...]) -> Masks:
     """Read the masks [S, H, W] of a view of this size (H, W)."""
-    packed = run.read_array(name.format(view=view))
-    return np.unpackbits(packed, axis=1, count=size[0] * size[1]).astype(bool).reshape(-1, *size)
+    return _unpacked(run.read_array(name.format(view=view)), size)
+
+
+def _read_mask(run: RunFolder, name: str, view: str, number: int, size: tuple[int, ...]) -> Mask:
+    """Read the mask [H, W] of one span; those of the others would stay in memory with it."""
+    return _unpacked(run.read_array(name.format(view=view))[number], size)
+
+
+def _unpacked(packed: NDArray[np.uint8], size: tuple[int, ...]) -> Masks:
+    count = math.prod(size)
+    return np.unpackbits(packed, axis=-1, count=count).view(bool).reshape(*packed.shape[:-1], *size)
 
 
 def read_still_views(run: RunFolder, recording: Recording) -> Views:
@@ -78,7 +88,7 @@ def read_span_views(run: RunFolder, recording: Recording, number: int, span: Spa
 
 def _stays(run: RunFolder, view: str, number: int, size: tuple[int, ...]) -> Mask:
     """Return the recorded pixels [H, W] that show what stands there in the span `number`, and not the background."""
-    shown, moving = (read_masks(run, name, view, (size[0], size[1]))[number] for name in (MASKS, PLANNED))
+    shown, moving = (_read_mask(run, name, view, number, size) for name in (MASKS, PLANNED))
     return shown & ~moving
 
 
@@ -88,7 +98,7 @@ def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span)
     for view, whole in read_sources(run, recording).items():
         if run.read_array(BLIND.format(view=view))[number]:
             continue
-        moving = read_masks(run, PLANNED, view, whole.moving.shape)[number]
+        moving = _read_mask(run, PLANNED, view, number, whole.moving.shape)
         stays, part = _stays(run, view, number, moving.shape), whole.part(span.first, span.last)
         if stays.any():
             light = whole.counts(own.first, own.last) / np.float32(len(own) * whole.light.over(own.first, own.last))

@@ -107,6 +107,13 @@ def test_images_of_any_plane_show_the_movers(run, long_recording):
         assert np.abs(image - count).mean() < 0.03
 
 
+def test_a_span_holds_the_mask_of_no_other(run, long_recording):
+    views = span_artefacts.read_span_views(run, Recording.open(long_recording), 1, run.plan.spans[1])
+    for moving in (view.source.moving for view in views.values()):
+        whole = moving if moving.base is None else moving.base
+        assert whole.nbytes == moving.nbytes == 64 * 100
+
+
 def test_a_span_whose_images_two_threads_want_at_once_is_read_once(run, long_recording, monkeypatch):
     read, numbers = span_artefacts.read_span_views, []
 
