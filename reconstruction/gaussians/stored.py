@@ -12,7 +12,7 @@ NEARLY_UNIT = 0.02  # how far the length of a quaternion is off 1 at most, to be
 
 
 class Steps(NamedTuple):
-    """What is kept as whole steps between the least and the largest: in so many bits, where a step is short enough."""
+    """Steps between the least and the largest number, counted in so many bits, where a step is short enough."""
 
     bits: int
     longest: float
