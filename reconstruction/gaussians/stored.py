@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 PRECISE = ("velocities", "accelerations", "jerks", "knot_quats", "knot_centers")  # kept in 32 bits
-MIDDLE = 32_768  # of 16 bits
-HALF_MAX = 6e4  # within what 16 bits hold as a number with a point
+MIDDLE = 32_768  # of the steps that 16 bits count
+HALF_MAX = 6e4  # within what half precision holds
 NEARLY_UNIT = 0.02  # how far the length of a quaternion is off 1 at most, to be left as it is
 
 
 class Steps(NamedTuple):
-    """Steps between the least and the largest number, counted in so many bits, where a step is short enough."""
+    """Steps from the least number to the largest: counted in `bits`, and none longer than `longest`."""
 
     bits: int
     longest: float

@@ -37,8 +37,8 @@ def standing(rates: Image, moving: Masks, usual: Background, planes: Sequence[in
     """Return what stands still behind the `moving` pixels [S, H, W] of spans with the mean light `rates` [S, H, W].
 
     Rates are means over so many `planes` [S], in spikes per tick, without what the light as a whole does. A pixel that
-    moves in every span has what the `usual` background of the whole recording says. One that is still among others
-    whose median is of other spans is like the background in no span: it differs in all of them.
+    moves in every span has what the `usual` background of the whole recording says. One that is still in other spans
+    than its neighbours may be like the background in none: then each span shows it otherwise.
     """
     still = ~moving
     mostly = _masked_median(rates, still)

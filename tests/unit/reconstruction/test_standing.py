@@ -51,7 +51,7 @@ def test_the_background_is_what_most_spans_show():
 
 
 def seen_by_turns() -> tuple[np.ndarray, np.ndarray]:
-    """Return a board that is bright in three spans and dark in two, which columns by turns are not all still in."""
+    """Return a board, bright in three spans and dark in two; each column is still in all of them but one, or in all."""
     rates, moving = quiet_scene()
     rates[:3, 5:15, 6:15] = 0.4
     moving[5, 5:15, 6:15] = True
