@@ -23,7 +23,10 @@ _PAUSE_S = 0.4
 
 @dataclass(frozen=True)
 class Plan:
-    """The amount that a campaign does: it ends when all is done and so much was killed."""
+    """The amount that a campaign does: it ends when all is done and so much was killed.
+
+    The last of the `kills` is kept for a capture, where none was met before.
+    """
 
     kills: int
     jobs: int
@@ -54,14 +57,16 @@ class Campaign:
         for name in ("api", *WORKERS):
             self._deployment.start(name)
         self._source = self._captures.first()
+        settled = False  # whether every capture has ended
         deadline = time.monotonic() + limit_s
         while time.monotonic() < deadline:
             if len(self.accepted) < self._plan.jobs:
                 self._submit()
             self._killer.revive()
-            disturbs = sum(self._killer.kills.values()) < self._plan.kills
+            kills_left = self._plan.kills - sum(self._killer.kills.values())
+            disturbs = kills_left > 0
             if disturbs and self._rng.random() < _STRIKES:
-                self._killer.strike()
+                self._killer.strike(at_capture=kills_left == 1 and not (settled or self._killer.met_a_capture))
             settled = self._captures.act()
             if self._act(disturbs=disturbs) and settled and not disturbs:
                 return self._killer.close()

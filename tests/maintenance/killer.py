@@ -42,12 +42,19 @@ class Killer:
         self.kept: dict[str, int] = {}
         self.ended_alone: list[str] = []
 
-    def strike(self) -> None:
-        """Kill something, where the thing that is drawn is there to be killed.
+    @property
+    def met_a_capture(self) -> bool:
+        """Return whether a recorder at work, or its worker, was killed."""
+        return any(self.kills[name] for name in AT_CAPTURE)
 
-        Recorders live for seconds: while one is at work, every second kill is of it or of its worker.
+    def strike(self, *, at_capture: bool) -> None:
+        """Kill something, where the thing that is drawn is there to be killed; `at_capture`: nothing else.
+
+        Recorders live for seconds. While one is at work, every second kill is of it or of its worker, and so is the
+        first.
         """
-        at_capture = bool(self._deployment.recorders()) and self._rng.random() < 0.5
+        if self._deployment.recorders():
+            at_capture |= not self.met_a_capture or self._rng.random() < 0.5
         always = [name for name in ALWAYS if name != "postgresql" or self._deployment.database is not None]
         target = self._rng.choice(AT_CAPTURE if at_capture else always)
         self.kills[target] += getattr(self, f"_{target}")()
