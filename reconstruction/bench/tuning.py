@@ -57,10 +57,10 @@ def bench_tuning(
     document = run_protocol("tuning", protocol, laboratory, progress, time_left)
     factors = trials()
     for row in document.rows:
-        row["method"], number = row["method"].split(BETWEEN)
+        row["tuned"], number = row["method"].split(BETWEEN)
         row |= {"trial": int(number), "rates": list(factors[int(number)])}
-    for method in dict.fromkeys(row["method"] for row in document.rows):
-        document.summary |= named(method, _found([r for r in document.rows if r["method"] == method]))
+    for method in dict.fromkeys(row["tuned"] for row in document.rows):
+        document.summary |= named(method, _found([r for r in document.rows if r["tuned"] == method]))
     return document
 
 

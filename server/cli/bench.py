@@ -56,7 +56,8 @@ def bench_command(name: str, out: Path | None, reason: str, as_json: bool, **opt
     bench = BENCHES[name]
     # The recorder is measured on the disk of this folder, not on that of the temporary ones.
     with tempfile.TemporaryDirectory(dir=None if out or name != "recorder" else Path.cwd()) as spare:
-        asked = Asked(out / "work" if out else Path(spare), progress_of, **options)
+        earlier = out / f"{name}.json" if out else None
+        asked = Asked(out / "work" if out else Path(spare), progress_of, earlier, **options)
         document = bench.run(asked)
         document.scenes = scenes_digest(committed_digests())
         found = document.to_json()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from acquisition.bench_document import BenchDocument
 from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from acquisition.scenes.catalog import EVALUATION_SEEDS, scenes_named
+from acquisition.spikes.sensor import SensorKind
 
 TICKS, QUICK_TICKS, QUICK_RIG = 400, 120, "ci3x3"
 THIS = (sys.executable, "-m", "server.cli")  # this command line, in a process of its own
@@ -20,10 +22,14 @@ THIS = (sys.executable, "-m", "server.cli")  # this command line, in a process o
 
 @dataclass(frozen=True)
 class Asked:
-    """The options of the command; a stopped bench resumes from what is in `work`."""
+    """The options of the command; a stopped bench resumes from what is in `work`.
+
+    `earlier`: the document that an earlier call has left, whose rows benches of cells take.
+    """
 
     work: Path
     progress_of: Callable[[str], Progress]
+    earlier: Path | None = None
     scenes: str | None = None
     quick: bool = False
     metric_files: Path | None = None
@@ -36,6 +42,11 @@ class Asked:
         """Return the scenes asked for, or `default`; only the first of them with --quick."""
         found = scenes_named(self.scenes) if self.scenes else default
         return found[:1] if self.quick else found
+
+    def earlier_rows(self) -> dict[str, dict]:
+        """Return the rows of the earlier document that are runs of cells, by what was asked of each."""
+        found = json.loads(self.earlier.read_text())["rows"] if self.earlier and self.earlier.exists() else []
+        return {row["asked"]: row for row in found if "asked" in row}
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -56,7 +67,14 @@ class Bench(NamedTuple):
 
 
 def recording(
-    scene: str, seed: int, work: Path, ticks: int = TICKS, rig: str | None = None, *, size: str | None = None
+    scene: str,
+    seed: int,
+    work: Path,
+    ticks: int = TICKS,
+    rig: str | None = None,
+    *,
+    size: str | None = None,
+    sensor: SensorKind | None = None,
 ) -> Path:
     """Return the recording of a scene and seed in `work`, simulated if it is not there yet.
 
@@ -66,7 +84,8 @@ def recording(
     path = work / f"{scene}-{seed}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path, "rig": rig, "size": size}
+        options = {"scene": scene, "seed": seed, "ticks": ticks, "out": path}
+        options |= {"rig": rig, "size": size, "sensor": sensor}
         command = [*THIS, "simulate"]
         command += [word for k, v in options.items() if v is not None for word in (f"--{k}", str(v))]
         if subprocess.run(command, stdout=sys.stderr).returncode:

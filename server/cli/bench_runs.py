@@ -10,13 +10,8 @@ from acquisition.devices.bench import parser_rows
 from acquisition.recording.bench import QUICK, Schedule, bench_recorder
 from acquisition.recording.compact_bench import bench_compact
 from acquisition.recording.reader import Recording
-from acquisition.scenes.catalog import (
-    DEVELOPMENT,
-    DEVELOPMENT_SEEDS,
-    EVALUATION,
-    REALISTIC,
-    scenes_named,
-)
+from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, REALISTIC, scenes_named
+from acquisition.spikes.sensor import SensorKind
 from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, TICKS, Asked, Bench, recording
 from server.cli.bench_long import draw_long, long_recordings
 from server.cli.bench_speed import draw_large, draw_speed, large, speed
@@ -146,6 +141,22 @@ def _draw_spss(asked: Asked, out: Path, found: dict) -> None:
     write_page(out / "spss.md", found)
 
 
+def _longer(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.longer import SCENES, bench_longer
+    from reconstruction.bench.paper.bench import timer
+
+    kinds: tuple[SensorKind, ...] = ("real", "ideal")
+    laboratories = {kind: _laboratory(asked, "longer", kind) for kind in kinds}
+    scenes, progress = asked.named(SCENES), asked.progress_of("longer")
+    return bench_longer(laboratories, scenes, progress, timer(asked.limit_s), quick=asked.quick)
+
+
+def _draw_longer(_: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.longer import write_page
+
+    write_page(out / "longer.md", found)
+
+
 def _leave_out(asked: Asked) -> BenchDocument:
     from reconstruction.bench.leave_out import bench_leave_out
     from reconstruction.bench.paper.bench import timer
@@ -198,16 +209,17 @@ def _viewpoints(asked: Asked) -> BenchDocument:
     return bench_viewpoints(_laboratory(asked, "paper").runs(cells), asked.progress_of("viewpoints"))
 
 
-def _laboratory(asked: Asked, name: str) -> Laboratory:
-    """Return the folder in which the runs of the bench `name` are made and kept."""
+def _laboratory(asked: Asked, name: str, sensor: SensorKind = "real") -> Laboratory:
+    """Return the folder in which the runs of the bench `name` are made and kept, on recordings of such sensors."""
     from reconstruction.bench.paper.run import Laboratory
 
     def recording_of(scene: str, seed: int) -> Path:
-        if asked.quick and name in ("paper", "tuning", "spss"):
-            return recording(scene, seed, asked.work / name / "quick", QUICK_TICKS, QUICK_RIG)
-        return recording(scene, seed, asked.work)
+        place = asked.work if sensor == "real" else asked.work / sensor
+        if asked.quick and name in ("paper", "tuning", "spss", "longer"):
+            return recording(scene, seed, place / name / "quick", QUICK_TICKS, QUICK_RIG, sensor=sensor)
+        return recording(scene, seed, place, sensor=sensor)
 
-    return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep)
+    return Laboratory(asked.work / name, recording_of, asked.progress_of, asked.keep, earlier=asked.earlier_rows())
 
 
 # In the order of `make bench`: viewpoints and leave-out use the runs of paper.
@@ -222,6 +234,7 @@ BENCHES: dict[str, Bench] = {
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
     "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_tuning, trains=True),
     "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_spss, trains=True),
+    "longer": Bench("why longer training may end worse", _longer, _draw_longer, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),

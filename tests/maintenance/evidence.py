@@ -20,6 +20,7 @@ from acquisition.durable import write_durably
 from acquisition.scenes.looks import LOOKS, read_looks
 from reconstruction.bench.diagrams import PLOTS
 from reconstruction.bench.long_page import write_page as write_long_page
+from reconstruction.bench.longer import write_page as write_longer_page
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
@@ -106,6 +107,7 @@ OWN_PAGES = {
     "uncertainty": write_uncertainty_page,
     "spss": write_spss_page,
     "tuning": write_tuning_page,
+    "longer": write_longer_page,
     **dict.fromkeys(("speed", "large"), write_speed_page),
 }
 

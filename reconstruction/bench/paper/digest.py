@@ -19,9 +19,13 @@ KEPT_DIGITS = 12
 
 
 def cell_digest(cell: Cell, recording: Path) -> str:
-    """Return the SHA-256 of the code, the cell's choices, and the manifest that holds the digests of the spikes."""
-    about = [code_digest(), asdict(cell), hashlib.sha256((recording / MANIFEST_FILE).read_bytes()).hexdigest()]
-    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:KEPT_DIGITS]
+    """Return a digest of the code, the cell's choices, and the manifest that holds the digests of the spikes."""
+    return _of([code_digest(), asdict(cell), hashlib.sha256((recording / MANIFEST_FILE).read_bytes()).hexdigest()])
+
+
+def asked_digest(cell: Cell) -> str:
+    """Return a digest of the code and the cell's choices, which no recording is needed for."""
+    return _of([code_digest(), asdict(cell)])
 
 
 def this_code() -> str:
@@ -36,6 +40,10 @@ def code_digest() -> str:
     for name, path in sorted(_sources()):
         digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
+
+
+def _of(about: list) -> str:
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:KEPT_DIGITS]
 
 
 def _sources() -> Iterator[tuple[str, Path]]:

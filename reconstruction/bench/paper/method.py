@@ -58,8 +58,8 @@ class Method:
 
     def config(self, effort: Effort, seed: int) -> ReconstructionConfig:
         """Return the configuration of one run; raises BadRunError for a name this revision does not know."""
-        length = {"budget_s": effort.budget_s, "steps": effort.steps}
-        return ReconstructionConfig(holdout=HOLDOUT, seed=seed, **length, **self.choices)
+        usual = {"holdout": HOLDOUT, "budget_s": effort.budget_s, "steps": effort.steps}
+        return ReconstructionConfig(seed=seed, **(usual | self.choices))
 
     def changed(self, name: str, change: Change | None = None, **choices: object) -> Method:
         """Return a method that differs in its name, its `choices` and, where given, its `change`."""

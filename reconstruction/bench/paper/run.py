@@ -2,8 +2,8 @@
 
 import json
 import shutil
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.bench_document import Stolen, device
@@ -13,7 +13,7 @@ from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.bench.conventions import KnownRecording
 from reconstruction.bench.paper.changed import changed
-from reconstruction.bench.paper.digest import cell_digest, this_code
+from reconstruction.bench.paper.digest import asked_digest, cell_digest, this_code
 from reconstruction.bench.paper.method import Cell, Effort
 from reconstruction.bench.score_run import score_run
 from reconstruction.errors import ReconstructionError
@@ -32,8 +32,9 @@ WARM_UP = Effort(steps=2)  # length of the run that loads what a process loads o
 class Laboratory:
     """Runs cells in the folder `work` on the recordings that `recording_of` returns for a scene and seed.
 
-    With `keep` results of other code are taken as they are. The methods named by `floors` are scored beside the floors.
-    A refusal is kept as well, with its reason.
+    `earlier` has rows of an earlier document by what was asked, so that a bench goes on where its folder is gone. With
+    `keep` results of other code are taken as they are. The methods named by `floors` are scored beside the floors. A
+    refusal is kept as well, with its reason.
     """
 
     work: Path
@@ -42,6 +43,7 @@ class Laboratory:
     keep: bool = False
     floors: tuple[str, ...] = ()
     warm: bool = False
+    earlier: Mapping[str, dict] = field(default_factory=dict)
 
     def kept(self, cell: Cell) -> Path | None:
         """Return the folder of a cell's run by this code, or with `keep` by any code; None where there is none.
@@ -54,10 +56,10 @@ class Laboratory:
         return self._own(cell) if found and self._own(cell) in found else None
 
     def known(self, cell: Cell) -> dict | None:
-        """Return the row that was kept of a cell; None where there is none."""
+        """Return the row that was kept of a cell, in the folder or by an earlier document; None where there is none."""
         folder = self.kept(cell)
         if folder is None:
-            return None
+            return self.earlier.get(asked_digest(cell))
         row = _row(folder)
         return row if row.get("code") == this_code() else row | {"kept": True}
 
@@ -65,7 +67,8 @@ class Laboratory:
         """Return each cell's recording and run, made where there is none; raises ReconstructionError if refused."""
         found = []
         for cell in cells:
-            row = self.known(cell) or self.result(cell)
+            folder = self.kept(cell)
+            row = self.result(cell) if folder is None else _row(folder)
             if "refused" in row:
                 raise ReconstructionError(row["refused"])
             recording = KnownRecording(cell.scene, cell.seed, self.recording_of(cell.scene, cell.seed))
@@ -91,6 +94,7 @@ class Laboratory:
             found = {"refused": " ".join(str(refusal).split())}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
         row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision(), "code": this_code()}
+        row |= {"asked": asked_digest(cell)}
         found = row | found
         out.mkdir(parents=True, exist_ok=True)
         write_json(out / SCORES, found)

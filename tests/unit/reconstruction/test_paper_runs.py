@@ -1,6 +1,7 @@
 """Cells of the paper's bench: run once, found again, refused with a reason, left out when time is up."""
 
 import json
+import shutil
 from types import SimpleNamespace
 
 import pytest
@@ -12,6 +13,7 @@ from reconstruction.bench.paper.bench import bench_paper, timer
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import SCORES, Laboratory
 from reconstruction.errors import StereoError
+from server.cli.bench_asked import Asked
 
 EFFORT = Effort(10.0)
 GOOD, BAD, UNKNOWN = Method("good"), Method("bad", {"images": "tfi"}), Method("unknown", {"model": "nerf"})
@@ -102,6 +104,24 @@ def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, mon
     laboratory.own.keep = False
     bench_paper(PROTOCOL, laboratory.own, silent)
     assert len(laboratory.made) == 4
+
+
+def test_a_bench_goes_on_by_its_document_where_its_folder_is_gone(laboratory, tmp_path, monkeypatch):
+    before = bench_paper(PROTOCOL, laboratory.own, silent)
+    document = tmp_path / "paper.json"
+    document.write_text(json.dumps({"rows": [*before.rows, {"part": "of another kind"}]}))
+    shutil.rmtree(laboratory.own.work / "cells")
+    laboratory.own.earlier = Asked(tmp_path, lambda name: silent, document).earlier_rows()
+    laboratory.made.clear()
+    again = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert (again.rows, laboratory.made) == (before.rows, ["fan_and_ball-2-bad-10"])  # refusals are in no row
+    monkeypatch.setattr(digest, "code_digest", lambda: "other")
+    assert laboratory.own.known(Cell(GOOD, "fan_and_ball", 2, EFFORT)) is None
+
+
+def test_a_first_call_has_no_earlier_rows(tmp_path):
+    assert Asked(tmp_path, lambda name: silent).earlier_rows() == {}
+    assert Asked(tmp_path, lambda name: silent, tmp_path / "none.json").earlier_rows() == {}
 
 
 def test_when_time_is_up_no_run_begins_and_what_is_missing_is_named(laboratory):

@@ -1,0 +1,58 @@
+"""The bench of longer training: each arm takes one cause away, and each longer run is held against its shorter one."""
+
+from dataclasses import asdict
+
+import pytest
+
+from reconstruction.bench.conventions import HOLDOUT, VIEWS
+from reconstruction.bench.longer import ARMS, EFFORTS, JUDGE, SCENES, bench_longer, longer_protocol, write_page
+
+KINDS = ("real", "ideal")
+ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
+
+
+class Told:
+    """A laboratory that knows the results of the runs that `level` has a number for."""
+
+    def __init__(self, level):
+        self.level = level
+
+    def known(self, cell):
+        level = self.level(cell)
+        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
+        row |= {"psnr_db": level, "abs_rel": 0.01}
+        return None if level is None else row | {"budget_s": None, "seconds": 60.0, "revision": "abc"}
+
+
+def found_by(level, scenes=SCENES[:2]):
+    laboratories = dict.fromkeys(KINDS, Told(level))
+    return bench_longer(laboratories, scenes, lambda done, message: None, lambda: False)
+
+
+def test_every_arm_is_run_once_at_both_lengths():
+    cells = [cell for kind in KINDS for cell in longer_protocol(SCENES, kind).cells()]
+    assert len({cell.name for cell in cells}) == len(cells) == len(SCENES) * len(ARMS) * len(EFFORTS)
+
+
+def test_the_camera_that_judges_is_held_out_and_so_is_the_usual_one():
+    for _, method in ARMS.values():
+        config = method.config(EFFORTS[0], 1)
+        judged = method.name == "judged"
+        assert config.holdout == (JUDGE if judged else HOLDOUT)
+        assert not {HOLDOUT, config.holdout} & set(config.views or VIEWS)
+
+
+def test_a_longer_run_is_held_against_the_shorter_one_of_its_scene_and_arm(tmp_path):
+    def level(cell):
+        if (cell.scene, cell.method.name, cell.effort.label) == (SCENES[1], "clean", "300"):
+            return None
+        return 30.0 + (0.5 if cell.effort.label == "300" else 0.0)
+
+    document = found_by(level)
+    assert document.summary[f"{SCENES[0]}.auto.longer.psnr_db"] == pytest.approx(0.5)
+    assert f"{SCENES[0]}.auto.longer.dynamic_psnr_db" not in document.summary  # a scene without movers
+    assert f"{SCENES[1]}.clean.longer.psnr_db" not in document.summary
+    write_page(tmp_path / "longer.md", asdict(document) | ABOUT)
+    text = (tmp_path / "longer.md").read_text()
+    assert f"| {SCENES[0]} | as it is | 30.00 |  | 0.0100 | 30.50 |  | 0.0100 | +0.50 |  | +0.0000 |" in text
+    assert f"| {SCENES[1]} | clean images |" not in text
