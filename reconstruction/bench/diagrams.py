@@ -20,6 +20,7 @@ from reconstruction.bench.figures import (
 )
 from reconstruction.bench.long_page import plot_long
 from reconstruction.bench.paper.diagrams import BARS, ERROR, against_time
+from reconstruction.bench.rivals import plot_rivals
 from reconstruction.bench.speed_diagram import plot_speed
 from reconstruction.bench.uncertainty_page import plot_uncertainty
 
@@ -217,7 +218,7 @@ def plot_stability(path: Path, document: dict) -> None:
 
 _DRAWN = (
     *(plot_images, plot_defects, plot_leave_out, plot_poses),
-    *(plot_long, plot_speed, plot_stability, plot_training, plot_uncertainty, plot_viewpoints),
+    *(plot_long, plot_rivals, plot_speed, plot_stability, plot_training, plot_uncertainty, plot_viewpoints),
 )
 PLOTS: Mapping[str, Callable[[Path, dict], None]] = {  # by the bench that each is named for
     "large": plot_speed,

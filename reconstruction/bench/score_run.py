@@ -18,10 +18,10 @@ METRICS = ("psnr_db", "ssim", "dynamic_psnr_db", "abs_rel", "dynamic_abs_rel", "
 CURVE_INSTANTS = 4  # truth instants behind each point of a curve but the last
 
 
-def held_out_with_truth(recording: Recording, views: Sequence[str]) -> tuple[HeldOut, Truth]:
+def held_out_with_truth(recording: Recording, views: Sequence[str], camera: str = HOLDOUT) -> tuple[HeldOut, Truth]:
     """Return the held-out camera and the truth in the frame of `views`; raises BadRunError where there is no truth."""
     true = truth_of(recording)
-    held_out, truth = held_out_camera(recording, HOLDOUT, views, true)
+    held_out, truth = held_out_camera(recording, camera, views, true)
     return held_out, truth or true
 
 
@@ -35,7 +35,7 @@ def score_run(run: RunFolder, recording: Recording, *, floors: bool = False) -> 
     seen = replace(
         recording, rig=replace(own.rig, tick_rate_hz=recording.tick_rate_hz, first_tick=recording.rig.first_tick)
     )
-    held_out, truth = held_out_with_truth(seen, run.plan.views)
+    held_out, truth = held_out_with_truth(seen, run.plan.views, run.config.holdout or HOLDOUT)
     states = [load_checkpoint(path) for path in run.snapshots()]
     clouds = [model_from_state(state["cloud"]) for state in states]
     last = score_against_truth(clouds[-1], held_out, truth)

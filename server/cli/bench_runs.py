@@ -199,6 +199,28 @@ def _protocol(asked: Asked) -> Protocol:
     return found.on(scenes_named(asked.scenes)) if asked.scenes else found
 
 
+def _rivals(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.paper.bench import timer
+    from reconstruction.bench.rivals import bench_rivals
+
+    laboratory, progress = _laboratory(asked, "rivals"), asked.progress_of("rivals")
+    return bench_rivals(_rivals_protocol(asked), laboratory, progress, timer(asked.limit_s))
+
+
+def _draw_rivals(asked: Asked, out: Path, found: dict) -> None:
+    from reconstruction.bench.rivals import write_page
+
+    _draw(asked, out, found)
+    write_page(out / "rivals.md", found, _rivals_protocol(asked))
+
+
+def _rivals_protocol(asked: Asked) -> Protocol:
+    from reconstruction.bench.rivals import rivals_protocol
+
+    found = rivals_protocol(quick=asked.quick)
+    return found.of(tuple(asked.tables.split(","))) if asked.tables else found
+
+
 def _viewpoints(asked: Asked) -> BenchDocument:
     from reconstruction.bench.paper.methods import AUTO
     from reconstruction.bench.paper.protocol import LONG, QUICK
@@ -215,7 +237,7 @@ def _laboratory(asked: Asked, name: str, sensor: SensorKind = "real") -> Laborat
 
     def recording_of(scene: str, seed: int) -> Path:
         place = asked.work if sensor == "real" else asked.work / sensor
-        if asked.quick and name in ("paper", "tuning", "spss", "longer"):
+        if asked.quick and name in ("paper", "rivals", "tuning", "spss", "longer"):
             return recording(scene, seed, place / name / "quick", QUICK_TICKS, QUICK_RIG, sensor=sensor)
         return recording(scene, seed, place, sensor=sensor)
 
@@ -232,6 +254,7 @@ BENCHES: dict[str, Bench] = {
     "compact": Bench("how small recordings become without loss, and how fast", _compact),
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
+    "rivals": Bench("ours and its rivals at equal lengths, on new scenes and old", _rivals, _draw_rivals, trains=True),
     "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_tuning, trains=True),
     "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_spss, trains=True),
     "longer": Bench("why longer training may end worse", _longer, _draw_longer, trains=True),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 
 import click
@@ -25,6 +26,8 @@ from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of, ordinary
 from reconstruction.bench.paper.tables import held_out_used, markdown, write_tables
+from reconstruction.bench.rivals import rivals_protocol
+from reconstruction.bench.rivals import write_page as write_rivals_page
 from reconstruction.bench.score_run import METRICS
 from reconstruction.bench.speed_page import write_page as write_speed_page
 from reconstruction.bench.spss import write_page as write_spss_page
@@ -108,6 +111,7 @@ OWN_PAGES = {
     "spss": write_spss_page,
     "tuning": write_tuning_page,
     "longer": write_longer_page,
+    "rivals": partial(write_rivals_page, protocol=rivals_protocol()),
     **dict.fromkeys(("speed", "large"), write_speed_page),
 }
 

@@ -10,6 +10,7 @@ from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import name_of, summarise
 from rigs.errors import Spike4dgsError
 
+OUT_OF_TIME = "no time was left"  # the reason of runs that were not begun
 OVERRUN = 0.1  # share of the budget beyond which an omission names the run
 NOTES = (
     "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
@@ -75,7 +76,7 @@ def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[st
             places: dict[str, list[str]] = {}
             for cell in (c for c in protocol.wanted(table, row) if c.name not in have):
                 where = f"{cell.scene}-{cell.seed} @{cell.effort.label}"
-                places.setdefault(refusals.get(cell.name, "no time was left"), []).append(where)
+                places.setdefault(refusals.get(cell.name, OUT_OF_TIME), []).append(where)
             for reason, found in places.items():
                 document.omissions.append(f"{table.name}, {row.label}: {reason} ({', '.join(found)})")
     for row in document.rows:

@@ -57,9 +57,10 @@ def name_of(row: dict) -> str:
     return f"{row['scene']}-{row['seed']}-{row['method']}-{row['effort']}"
 
 
-def gaps(rows: Sequence[dict], one: str, other: str, effort: str) -> list[float]:
+def gaps(rows: Sequence[dict], one: str, other: str, effort: str, score: str = "psnr_db") -> list[float]:
     """Return how many dB a method lies above another on each recording that both have at an effort."""
-    levels = {(r["method"], r["scene"], r["seed"]): r["psnr_db"] for r in rows if r["effort"] == effort}
+    own = [row for row in rows if row["effort"] == effort and score in row]
+    levels = {(r["method"], r["scene"], r["seed"]): r[score] for r in own}
     ones = {key[1:]: level for key, level in levels.items() if key[0] == one}
     return [level - levels[other, *key] for key, level in ones.items() if (other, *key) in levels]
 

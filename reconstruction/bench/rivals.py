@@ -1,0 +1,107 @@
+"""Measures ours beside its rivals, each length as a run of its own, a scene at a time with all rows in turns.
+
+The new scenes are drawn by a path tracer, and nothing was chosen on them. The old ones have been looked at.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.bench_document import BenchDocument
+from acquisition.durable import write_durably
+from acquisition.progress import Progress
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC_EVALUATION
+from reconstruction.bench.conventions import made_by, named
+from reconstruction.bench.figures import bars, caption, chart, errors
+from reconstruction.bench.paper import methods as m
+from reconstruction.bench.paper.bench import OUT_OF_TIME, run_protocol
+from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
+from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
+from reconstruction.bench.paper.run import Laboratory
+from reconstruction.bench.paper.summary import gaps, summarise
+from reconstruction.bench.paper.tables import measured_table
+
+SHORTEST, SHORT, LONG = (Effort(seconds) for seconds in (15.0, 60.0, 300.0))
+QUICK_EFFORT = Effort(steps=40)
+OURS_STG = Method("stg", {"model": "stg"})
+CHAIN = Method(
+    "msdi-points+4dgs+variation",
+    {"model": "4dgs", "images": "msdi", "init": "msdi", "tick_stride": 40, "supervision": "variation"},
+    m.NOMINAL,
+)
+ROWS = (
+    Row("Ours", m.AUTO),
+    Row("Ours on clean images: the bound", m.CLEAN),
+    Row("Our images + STG", OURS_STG),
+    Row("TFI + STG", m.TFI["stg"], "TFI + STG"),
+    Row("TFI + 4DGS", m.TFI["4dgs"], "TFI + 4DGS"),
+    Row("TFI + D3DGS", m.TFI["d3dgs"], "TFI + D3DGS"),
+    Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
+    Row("the paper's chain as we read it, small MSDI, found poses", CHAIN, "Spike4DGS"),
+)
+METHODS = tuple(row.method.name for row in ROWS if row.method)
+GROUPS = {
+    "new": ("Scenes that nobody had run", REALISTIC_EVALUATION, (SHORT, SHORTEST)),
+    "old": ("Scenes that have been looked at", EVALUATION, (SHORT, SHORTEST)),
+    "new-long": ("Five minutes, on two scenes that nobody had run", REALISTIC_EVALUATION[:2], (LONG,)),
+    "old-long": ("Five minutes, on two scenes that have been looked at", EVALUATION[:2], (LONG,)),
+}
+SCORES = ("psnr_db", "dynamic_psnr_db")
+ABOUT = "True poses but in the last row. Rates of all rows were searched by as many trials (`tuning`)."
+
+
+def rivals_protocol(*, quick: bool = False) -> Protocol:
+    """Return the runs of the bench, scene by scene; `quick`: ours and one rival, in a few steps."""
+    if quick:
+        table = Table("new", "A check of the bench", "", ROWS)
+        return Protocol((table,), (Batch("new", DEVELOPMENT, (QUICK_EFFORT,), METHODS[:3:2]),))
+    tables = tuple(Table(name, title, ABOUT, ROWS) for name, (title, _, _) in GROUPS.items())
+    batches = [Batch(name, (scene,), lengths) for name, (_, scenes, lengths) in GROUPS.items() for scene in scenes]
+    return Protocol(tables, tuple(batches))
+
+
+def bench_rivals(
+    protocol: Protocol, laboratory: Laboratory, progress: Progress, time_left: Callable[[], bool]
+) -> BenchDocument:
+    """Run the protocol and return its rows; the summary has means, and how far every row lies above ours."""
+    document = run_protocol("rivals", protocol, laboratory, progress, time_left)
+    summarise(document, protocol)
+    for table in protocol.tables:
+        scenes = {cell.scene for row in table.rows for cell in protocol.wanted(table, row)}
+        rows = [row for row in document.rows if row["scene"] in scenes]
+        for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in rows):
+            for score in SCORES if name != m.AUTO.name else ():
+                apart = gaps(rows, name, m.AUTO.name, effort, score)
+                found = {"mean": float(np.mean(apart)), "most": max(apart)} if apart else {}
+                document.summary |= named(f"{table.name}.{name}.above_ours.{score}", found, f"@{effort}")
+    document.omissions.append("one seed a scene")
+    return document
+
+
+def write_page(path: Path, document: dict, protocol: Protocol) -> None:
+    """Write the tables of which no run is left to be made, and name the others."""
+    lacking = [table.name for table in protocol.tables if _lacks(table, document["omissions"])]
+    whole = [measured_table(t, protocol, document["rows"]) for t in protocol.tables if t.name not in lacking]
+    about = " ".join((__doc__ or "").split())
+    parts = ["# Ours and its rivals", made_by(document), about, *whole]
+    parts += [f"Tables that still lack runs, and are not printed: {', '.join(lacking)}."] if lacking else []
+    parts += ["## Omissions\n\n" + "\n".join(f"- {line}" for line in document["omissions"])]
+    write_durably(path, "\n\n".join(parts).encode() + b"\n")
+
+
+def plot_rivals(path: Path, document: dict) -> None:
+    """Draw error against run time: the ends of all runs of each method, by their length."""
+    with chart(path, "Ours and its rivals: error against run time", (SECONDS, ERROR), _below(document)) as axes:
+        for number, name in enumerate(METHODS):
+            own = [row for row in document["rows"] if row["method"] == name]
+            lengths = {row["budget_s"]: [r for r in own if r["budget_s"] == row["budget_s"]] for row in own}
+            bars(axes, {budget_s: errors(lengths[budget_s]) for budget_s in sorted(lengths)}, number, name)
+
+
+def _below(document: dict) -> str:
+    return caption(document, document["rows"], BARS, "Every mark is the end of runs of that length.")
+
+
+def _lacks(table: Table, omissions: Sequence[str]) -> bool:
+    return any(line.startswith(f"{table.name}, ") and OUT_OF_TIME in line for line in omissions)

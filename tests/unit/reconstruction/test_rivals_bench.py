@@ -1,0 +1,68 @@
+"""The bench of rivals: every row at every length on every scene, tables printed when they are complete."""
+
+import json
+from dataclasses import asdict
+
+import pytest
+
+from acquisition.scenes.catalog import EVALUATION, REALISTIC_EVALUATION
+from reconstruction.bench.paper.method import Effort
+from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, plot_rivals, rivals_protocol, write_page
+
+ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
+
+
+class Told:
+    """A laboratory that knows the results of the runs that `known_of` says are there."""
+
+    def __init__(self, known_of):
+        self.known_of = known_of
+
+    def known(self, cell):
+        level = 40.0 - METHODS.index(cell.method.name) - (1 if cell.scene == EVALUATION[0] else 0)
+        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
+        row |= {"psnr_db": level, "ssim": 0.9, "abs_rel": 0.01, "delta_1_25": 1.0, "steps_per_s": 20.0, "gaussians": 9}
+        row |= {"budget_s": cell.effort.budget_s, "seconds": cell.effort.budget_s, "revision": "abc", "curve": []}
+        return row | {"processor": "p", "threads": 2} if self.known_of(cell) else None
+
+
+def measured(known_of=lambda cell: True):
+    protocol = rivals_protocol()
+    document = bench_rivals(protocol, Told(known_of), lambda done, message: None, lambda: False)
+    return protocol, asdict(document) | ABOUT
+
+
+def test_all_rows_are_run_in_turns_at_every_length_a_scene_at_a_time():
+    assert len(ROWS) == len(METHODS) <= 8
+    cells = rivals_protocol().cells()
+    lengths = {effort for _, _, efforts in GROUPS.values() for effort in efforts}
+    assert lengths == {Effort(15.0), Effort(60.0), Effort(300.0)}
+    own = len(METHODS) * 2
+    for number, scene in enumerate((*REALISTIC_EVALUATION, *EVALUATION)):
+        assert {cell.scene for cell in cells[number * own : (number + 1) * own]} == {scene}
+    for cell in cells:
+        assert cell.method.config(cell.effort, cell.seed).budget_s == cell.effort.budget_s
+
+
+def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path):
+    protocol, document = measured()
+    name = METHODS[2]
+    assert document["summary"][f"old.{name}.above_ours.psnr_db.mean@60"] == pytest.approx(-2.0)
+    assert document["summary"][f"old.{name}.above_ours.psnr_db.most@60"] == pytest.approx(-2.0)
+    assert not [key for key in document["summary"] if ".above_ours.dynamic_psnr_db" in key]
+    write_page(tmp_path / "rivals.md", document, protocol)
+    text = (tmp_path / "rivals.md").read_text()
+    assert "| Our images + STG | 60 s | 38.00 | -2.00 |" in text
+    assert "still lack runs" not in text
+    plot_rivals(tmp_path / "rivals.png", json.loads(json.dumps(document)))
+    assert (tmp_path / "rivals.png").stat().st_size > 0
+
+
+def test_a_table_that_lacks_a_run_is_not_printed(tmp_path):
+    lacking = ("new", REALISTIC_EVALUATION[1], METHODS[-1])
+    protocol, document = measured(lambda cell: (cell.scene, cell.method.name) != lacking[1:])
+    write_page(tmp_path / "rivals.md", document, protocol)
+    text = (tmp_path / "rivals.md").read_text()
+    assert "not printed: new, new-long." in text
+    assert "(`old`)" in text
+    assert "(`new`)" not in text
