@@ -146,7 +146,7 @@ def _longer(asked: Asked) -> BenchDocument:
     from reconstruction.bench.paper.bench import timer
 
     kinds: tuple[SensorKind, ...] = ("real", "ideal")
-    laboratories = {kind: _laboratory(asked, "longer", kind) for kind in kinds}
+    laboratories: dict[SensorKind, Laboratory] = {kind: _laboratory(asked, "longer", kind) for kind in kinds}
     scenes, progress = asked.named(SCENES), asked.progress_of("longer")
     return bench_longer(laboratories, scenes, progress, timer(asked.limit_s), quick=asked.quick)
 
