@@ -148,3 +148,22 @@ def field_of():
         return motion
 
     return make
+
+
+class ToldLaboratory:
+    """A laboratory that knows the result of every cell that `scores_of` has scores for, and runs none."""
+
+    def __init__(self, scores_of):
+        self._scores_of = scores_of
+
+    def known(self, cell):
+        scores = self._scores_of(cell)
+        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
+        row |= {"budget_s": cell.effort.budget_s, "seconds": 60.0, "revision": "abc"}
+        return None if scores is None else row | scores
+
+
+@pytest.fixture
+def told_laboratory():
+    """Return the class of laboratories that know results at once."""
+    return ToldLaboratory

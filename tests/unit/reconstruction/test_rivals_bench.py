@@ -12,23 +12,15 @@ from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, plo
 ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
 
 
-class Told:
-    """A laboratory that knows the results of the runs that `known_of` says are there."""
-
-    def __init__(self, known_of):
-        self.known_of = known_of
-
-    def known(self, cell):
+def measured(laboratory, known_of=lambda cell: True):
+    def scores_of(cell):
         level = 40.0 - METHODS.index(cell.method.name) - (1 if cell.scene == EVALUATION[0] else 0)
-        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
-        row |= {"psnr_db": level, "ssim": 0.9, "abs_rel": 0.01, "delta_1_25": 1.0, "steps_per_s": 20.0, "gaussians": 9}
-        row |= {"budget_s": cell.effort.budget_s, "seconds": cell.effort.budget_s, "revision": "abc", "curve": []}
-        return row | {"processor": "p", "threads": 2} if self.known_of(cell) else None
+        row = {"psnr_db": level, "ssim": 0.9, "abs_rel": 0.01, "delta_1_25": 1.0, "steps_per_s": 20.0, "gaussians": 9}
+        row |= {"curve": [], "processor": "p", "threads": 2}
+        return row if known_of(cell) else None
 
-
-def measured(known_of=lambda cell: True):
     protocol = rivals_protocol()
-    document = bench_rivals(protocol, Told(known_of), lambda done, message: None, lambda: False)
+    document = bench_rivals(protocol, laboratory(scores_of), lambda done, message: None, lambda: False)
     return protocol, asdict(document) | ABOUT
 
 
@@ -44,8 +36,8 @@ def test_all_rows_are_run_in_turns_at_every_length_a_scene_at_a_time():
         assert cell.method.config(cell.effort, cell.seed).budget_s == cell.effort.budget_s
 
 
-def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path):
-    protocol, document = measured()
+def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, told_laboratory):
+    protocol, document = measured(told_laboratory)
     name = METHODS[2]
     assert document["summary"][f"old.{name}.above_ours.psnr_db.mean@60"] == pytest.approx(-2.0)
     assert document["summary"][f"old.{name}.above_ours.psnr_db.most@60"] == pytest.approx(-2.0)
@@ -58,9 +50,9 @@ def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path):
     assert (tmp_path / "rivals.png").stat().st_size > 0
 
 
-def test_a_table_that_lacks_a_run_is_not_printed(tmp_path):
+def test_a_table_that_lacks_a_run_is_not_printed(tmp_path, told_laboratory):
     lacking = ("new", REALISTIC_EVALUATION[1], METHODS[-1])
-    protocol, document = measured(lambda cell: (cell.scene, cell.method.name) != lacking[1:])
+    protocol, document = measured(told_laboratory, lambda cell: (cell.scene, cell.method.name) != lacking[1:])
     write_page(tmp_path / "rivals.md", document, protocol)
     text = (tmp_path / "rivals.md").read_text()
     assert "not printed: new, new-long." in text

@@ -8,21 +8,13 @@ from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.spss import BASES, EFFORTS, SCENES, WEIGHTS, bench_spss, spss_protocol, weighted, write_page
 
 
-class Told:
-    """A laboratory that knows the results of the runs that `level` has a number for."""
+def found_by(laboratory, level):
+    def scores_of(cell):
+        db = level(cell)
+        known = {"psnr_db": db, "dynamic_psnr_db": db, "abs_rel": 0.01, "steps_per_s": 20.0}
+        return None if db is None else known
 
-    def __init__(self, level):
-        self.level = level
-
-    def known(self, cell):
-        level = self.level(cell)
-        row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
-        row |= {"psnr_db": level, "dynamic_psnr_db": level, "abs_rel": 0.01, "steps_per_s": 20.0}
-        return None if level is None else row | {"budget_s": None, "seconds": 60.0, "revision": "abc"}
-
-
-def found_by(level):
-    return bench_spss(spss_protocol(), Told(level), lambda done, message: None, lambda: False)
+    return bench_spss(spss_protocol(), laboratory(scores_of), lambda done, message: None, lambda: False)
 
 
 def test_every_base_has_every_weight_at_equal_steps_and_equal_time():
@@ -34,10 +26,10 @@ def test_every_base_has_every_weight_at_equal_steps_and_equal_time():
     assert BASES[0].config(Effort(60.0), 1).spike_weight is None
 
 
-def test_gains_are_over_the_scenes_that_both_rows_have(tmp_path):
+def test_gains_are_over_the_scenes_that_both_rows_have(tmp_path, told_laboratory):
     missing = (SCENES[-1], "auto+spss@0.1")
     level = lambda cell: None if (cell.scene, cell.method.name) == missing else _level(cell)  # noqa: E731
-    document = found_by(level)
+    document = found_by(told_laboratory, level)
     assert document.summary["auto+spss@0.1.gain.psnr_db@60"] == pytest.approx(0.5)
     assert document.summary["auto+spss@0.1.scenes@60"] == len(SCENES) - 1
     assert "auto.gain.psnr_db@60" not in document.summary
