@@ -21,7 +21,7 @@ from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, R
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.tables import markdown
 
-SHORT, LONG = EFFORTS = (Effort(60.0), Effort(300.0))
+EFFORTS = (Effort(60.0), Effort(300.0))
 QUICK_EFFORTS = (Effort(steps=20), Effort(steps=40))
 SCENES = (*DEVELOPMENT, *REALISTIC)
 JUDGE = VIEWS[0]  # the camera that the last arm holds out

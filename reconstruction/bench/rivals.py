@@ -19,7 +19,7 @@ from reconstruction.bench.paper.bench import OUT_OF_TIME, run_protocol
 from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.paper.summary import gaps, summarise
+from reconstruction.bench.paper.summary import gaps, lengths, name_of, summarise
 from reconstruction.bench.paper.tables import measured_table
 
 SHORTEST, SHORT, LONG = (Effort(seconds) for seconds in (15.0, 60.0, 300.0))
@@ -48,7 +48,7 @@ GROUPS = {
     "old-long": ("Five minutes, on two scenes that have been looked at", EVALUATION[:2], (LONG,)),
 }
 SCORES = ("psnr_db", "dynamic_psnr_db")
-ABOUT = "True poses but in the last row. Rates of all rows were searched by as many trials (`tuning`)."
+ABOUT = "True poses but in the last row."
 
 
 def rivals_protocol(*, quick: bool = False) -> Protocol:
@@ -68,8 +68,8 @@ def bench_rivals(
     document = run_protocol("rivals", protocol, laboratory, progress, time_left)
     summarise(document, protocol)
     for table in protocol.tables:
-        scenes = {cell.scene for row in table.rows for cell in protocol.wanted(table, row)}
-        rows = [row for row in document.rows if row["scene"] in scenes]
+        names = {cell.name for row in table.rows for cell in protocol.wanted(table, row)}
+        rows = [row for row in document.rows if name_of(row) in names]
         for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in rows):
             for score in SCORES if name != m.AUTO.name else ():
                 apart = gaps(rows, name, m.AUTO.name, effort, score)
@@ -91,16 +91,20 @@ def write_page(path: Path, document: dict, protocol: Protocol) -> None:
 
 
 def plot_rivals(path: Path, document: dict) -> None:
-    """Draw error against run time: the ends of all runs of each method, by their length."""
-    with chart(path, "Ours and its rivals: error against run time", (SECONDS, ERROR), _below(document)) as axes:
+    """Draw error against run time: the ends of runs of each method, on the scenes that have every length.
+
+    Nothing is drawn where nothing was run.
+    """
+    if not document["rows"]:
+        return
+    groups = [{row["scene"] for row in own} for own in lengths(document["rows"])]
+    rows = [row for row in document["rows"] if row["scene"] in set.intersection(*groups)]
+    below = caption(document, rows, BARS, "Every mark is the end of runs of one length.")
+    with chart(path, "Ours and its rivals: error against run time", (SECONDS, ERROR), below) as axes:
         for number, name in enumerate(METHODS):
-            own = [row for row in document["rows"] if row["method"] == name]
-            lengths = {row["budget_s"]: [r for r in own if r["budget_s"] == row["budget_s"]] for row in own}
-            bars(axes, {budget_s: errors(lengths[budget_s]) for budget_s in sorted(lengths)}, number, name)
-
-
-def _below(document: dict) -> str:
-    return caption(document, document["rows"], BARS, "Every mark is the end of runs of that length.")
+            own = lengths([row for row in rows if row["method"] == name])
+            ends = {float(np.median([row["seconds"] for row in some])): errors(some) for some in own}
+            bars(axes, dict(sorted(ends.items())), number, name)
 
 
 def _lacks(table: Table, omissions: Sequence[str]) -> bool:

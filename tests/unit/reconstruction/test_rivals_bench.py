@@ -48,6 +48,8 @@ def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, t
     assert "still lack runs" not in text
     plot_rivals(tmp_path / "rivals.png", json.loads(json.dumps(document)))
     assert (tmp_path / "rivals.png").stat().st_size > 0
+    plot_rivals(tmp_path / "none.png", {"rows": []})
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_a_table_that_lacks_a_run_is_not_printed(tmp_path, told_laboratory):
