@@ -98,6 +98,7 @@ class Raycaster:
 
     `placement` are world_from_shape of the shapes, rotations [P, 3, 3] and positions [P, 3] in metres; those of still
     shapes hold for good. A pixel is the mean of `samples` x `samples` rays; `threads` 0 takes every core.
+    `still_intensity` [H, W] is the light of still shapes alone, in spikes per tick, at a gain of 1.
     A lens bends each ray exactly. Raises AcquisitionError for one that folds inside the picture.
     """
 
@@ -109,9 +110,11 @@ class Raycaster:
         self._size = (camera.height, camera.width)
         self._scene, self._kept = _native_scene(scene)
         self._view, self._rays = _native_view(camera, samples, threads)
-        sampled, kinds = (*self._size, samples * samples), (np.float64,) * 5 + (np.float32, np.int8)
-        shapes = (sampled, sampled, sampled, (*self._size, 3), *(self._size,) * 3)
-        self._still_arrays = [np.empty(shape, kind) for shape, kind in zip(shapes, kinds, strict=True)]
+        sampled = (*self._size, samples * samples)
+        shapes = (sampled, sampled, sampled, (*self._size, 3), self._size)
+        self.still_intensity = np.empty(self._size, np.float32)
+        last = self.still_intensity, np.empty(self._size, np.int8)
+        self._still_arrays = [*(np.empty(shape) for shape in shapes), *last]
         self._still = _Still(*(a.ctypes.data for a in self._still_arrays))
         rotations, positions = self._checked(placement[0][None], placement[1][None])
         _raycast_still(self._scene, self._view, rotations, positions, self._still)

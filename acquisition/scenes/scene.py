@@ -21,6 +21,7 @@ from acquisition.scenes.view import Frames
 from rigs.camera import Camera
 
 NOWHERE_M = (0.0, 1e9, -1e9)  # below and behind
+STILL_SAMPLES = 4  # least rays a side of a pixel of a view that nothing moving changes
 
 
 class Placements(NamedTuple):
@@ -118,15 +119,21 @@ class Scene:
         return Raycaster(self.arrays, camera, (rotations[0], positions[0]), samples=samples, threads=threads)
 
     def view(self, camera: Camera, samples: int, threads: int = 0) -> RaycastView:
-        """Return what `camera` sees, by a ray caster that has already traced what stands still."""
-        return RaycastView(self, self.raycaster(camera, samples, threads))
+        """Return what `camera` sees, by a ray caster that has already traced what stands still.
+
+        Pixels that nothing moving changes have STILL_SAMPLES x STILL_SAMPLES rays where `samples` are fewer.
+        """
+        raycaster = self.raycaster(camera, samples, threads)
+        finer = raycaster if samples >= STILL_SAMPLES else self.raycaster(camera, STILL_SAMPLES, threads)
+        return RaycastView(self, raycaster, finer.still_intensity)
 
     def prepare(self, cameras: Sequence[Camera], last_s: float, progress: Progress = silent) -> None:
         """Do nothing: frames are made as fast as they are wanted."""
 
     def render(self, camera: Camera, instants_s: NDArray[np.float64], samples: int = 4) -> Frames:
         """Render what `camera` (pose in the rig frame) sees at `instants_s` [n], by samples x samples rays a pixel."""
-        return self.view(camera, samples).frames(instants_s)
+        raycaster = self.raycaster(camera, samples)
+        return RaycastView(self, raycaster, raycaster.still_intensity).frames(instants_s)
 
     def since(self, begins_s: float) -> Self:
         """Return the scene as it is where it has been going on for `begins_s` at the instant 0."""
@@ -157,15 +164,31 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class RaycastView:
-    """A scene through a ray caster that belongs to one camera."""
+    """A scene through a ray caster that belongs to one camera.
+
+    Pixels that nothing moving changes have `still` [H, W], their light by more rays: at an edge that stands still,
+    a few rays are wrong by the same light in every plane, which nobody could tell from a texture.
+    """
 
     scene: Scene
     raycaster: Raycaster
+    still: NDArray[np.float32]
 
     def light(self, instants_s: Floats) -> NDArray[np.float32]:
         """Return the linear light at `instants_s` [n], in spikes per tick [n, H, W]."""
-        return self.raycaster.intensity(*self.scene.placements(instants_s))
+        placements = self.scene.placements(instants_s)
+        return self._settled(self.raycaster.intensity(*placements), placements.gains)
 
     def frames(self, instants_s: Floats) -> Frames:
         """Return light, depth and objects at `instants_s` [n]."""
-        return self.raycaster.frames(*self.scene.placements(instants_s))
+        placements = self.scene.placements(instants_s)
+        frames = self.raycaster.frames(*placements)
+        return replace(frames, intensity=self._settled(frames.intensity, placements.gains))
+
+    def _settled(self, light: NDArray[np.float32], gains: Floats) -> NDArray[np.float32]:
+        """Return `light` [n, H, W] with that of more rays where it is the light of the still part, in place."""
+        coarse = self.raycaster.still_intensity
+        if self.still is not coarse:
+            for image, gain in zip(light, gains.astype(np.float32), strict=True):
+                np.copyto(image, gain * self.still, where=image == gain * coarse)
+        return light

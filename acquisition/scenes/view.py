@@ -80,9 +80,9 @@ class Scenery(Protocol):
         ...
 
     def view(self, camera: Camera, samples: int, threads: int = 0) -> View:
-        """Return what `camera` (pose in the rig frame) sees by samples x samples rays a pixel.
+        """Return what `camera` (pose in the rig frame) sees by samples x samples rays a pixel, or more.
 
-        `threads` 0 takes every core. What it costs to prepare is paid at once.
+        More may be where nothing moves. `threads` 0 takes every core. What it costs to prepare is paid at once.
         """
         ...
 

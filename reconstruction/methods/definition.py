@@ -43,13 +43,15 @@ AS_KIND = RateFactors()
 class Training:
     """The way a method is trained.
 
-    `ends_early`: whether a training that no longer gains may end before its budget. `holds_depth`: weight of the loss
-    on depths that the points stage confirmed; 0 is none. `deblurs`: whether a render is the mean of several instants
-    where movers get far. `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000
+    `ends_early`: whether a training that no longer gains may end before its budget. `enough_steps`: steps at which it
+    ends then in any case (None: as many as the budget has room for). `holds_depth`: weight of the loss on depths that
+    the points stage confirmed; 0 is none. `deblurs`: whether a render is the mean of several instants where movers get
+    far. `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000
     steps in 4DGS). `rates`: the factors of its learning rates. `spikes`: what a term on spikes looks at.
     """
 
     ends_early: bool = True
+    enough_steps: int | None = None
     holds_depth: float = 0.0
     deblurs: bool = False
     canonical_until: float = 3 / 17

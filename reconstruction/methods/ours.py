@@ -3,7 +3,7 @@
 from reconstruction.methods.definition import Method, Training, seeded
 
 # Weights of the held depths from 0.05 to 0.5 gave the same depths on development recordings; more dims still scenes.
-TRAINING = Training(holds_depth=0.05, deblurs=True)
+TRAINING = Training(enough_steps=4000, holds_depth=0.05, deblurs=True)
 STATIC = Method("static", seeded("seed_cloud"), moves=False, training=TRAINING, ours=True)
 LINEAR = Method("linear", seeded("seed_cloud"), watched=True, training=TRAINING, ours=True)
 CUBIC = Method("cubic", seeded("seed_cloud", cubic=True), watched=True, training=TRAINING, ours=True)

@@ -88,8 +88,9 @@ def train_stage(
     saver.checkpoint()
     preview.draw(trainer.result(), trainer.steps)
     if trainer.ending and budget.done(trainer.steps) < 1:
-        run.document.stopped_early = EarlyEnd(trainer.steps, trainer.ending.reason)
-        progress(1.0, f"stopped early at step {trainer.steps}: {trainer.ending.reason}")
+        reason = trainer.ending.reason(trainer.steps)
+        run.document.stopped_early = EarlyEnd(trainer.steps, reason)
+        progress(1.0, f"stopped early at step {trainer.steps}: {reason}")
     warn_if_missed(run, budget)
     _record(run, recording, trainer)
 

@@ -4,6 +4,9 @@ Losses of single steps differ by view and instant far more than a training gains
 steps are compared, every view counting the same in each: the mean of the last PATIENCE windows with that of as many
 before them. While rates are high the loss stands still above what lower rates reach. So once it does, the rates run
 down to their final values within a share RUN_DOWN of the steps so far, and only then the training ends.
+
+A loss may fall on and on by the noise of the images, learnt by heart. A method may therefore say how many steps are
+enough; its rates then fall as in a training of so many steps, however many the budget has room for.
 """
 
 import copy
@@ -21,11 +24,13 @@ RUN_DOWN = 0.25  # share of the steps so far in which the rates run down
 class Ending:
     """Watches the losses of `views` training views.
 
-    `windows`: mean losses of the windows that are complete. `totals` and `counts` [V]: losses and steps by view in the
-    window under way. `began`: the step at which the rates started to run down, `share` of the training at that step.
+    `enough`: steps at which a training ends in any case (None: never). `windows`: mean losses of the windows that are
+    complete. `totals` and `counts` [V]: losses and steps by view in the window under way. `began`: the step at which
+    the rates started to run down, `share` of the training at that step.
     """
 
     views: int
+    enough: int | None = None
     windows: list[float] = field(default_factory=list)
     began: int | None = None
     share: float = 0.0
@@ -57,15 +62,18 @@ class Ending:
         return float(np.mean(after)) > (1 - LEAST_GAIN) * float(np.mean(before))
 
     def done(self, share: float, steps: int) -> float:
-        """Return the share of the training that is done: as the budget has it, or more while the rates run down."""
-        if self.began is None:
-            return share
-        down = (steps - self.began) / max(1.0, RUN_DOWN * self.began)
-        return min(1.0, max(share, self.share + (1 - self.share) * down))
+        """Return the share of the training that is done: as the budget has it, or more where it ends before."""
+        if self.enough:
+            share = max(share, steps / self.enough)
+        if self.began is not None:
+            down = (steps - self.began) / max(1.0, RUN_DOWN * self.began)
+            share = max(share, self.share + (1 - self.share) * down)
+        return min(1.0, share)
 
-    @property
-    def reason(self) -> str:
-        """The reason why it ended."""
+    def reason(self, steps: int) -> str:
+        """Return why it ended after `steps`."""
+        if self.enough and steps >= self.enough:
+            return f"{self.enough} steps are enough: more of them learn the noise of the images by heart"
         gain = 1 - float(np.mean(self.windows[-PATIENCE:])) / float(np.mean(self.windows[-2 * PATIENCE : -PATIENCE]))
         return (
             f"the loss fell by {gain:.2%} over {PATIENCE * WINDOW} steps, less than {LEAST_GAIN:.1%}; "

@@ -27,7 +27,7 @@ from reconstruction.training.exposure import Exposure
 from reconstruction.training.freeing import freed, freed_states
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.lags import Lags
-from reconstruction.training.optimizer import anneal, optimizer_of
+from reconstruction.training.optimizer import anneal, keep_light, optimizer_of
 from reconstruction.training.ray_term import RAYS, RayTerm
 from reconstruction.training.refinement import Refinement
 from reconstruction.training.term import Term, supervisions
@@ -83,7 +83,7 @@ class Trainer:
         self.draws = Draws(len(views), seed)
         self.steps = 0
         self.averages = Averages()
-        self.ending = Ending(len(views)) if settings.ends_early else None
+        self.ending = Ending(len(views), settings.training.enough_steps) if settings.ends_early else None
         self.closeness = Closeness(settings.white)
         self.exposure = Exposure(settings.image_planes, clock) if settings.training.deblurs else None
         self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
@@ -120,6 +120,7 @@ class Trainer:
         loss = self._loss(_halved(seen, halvings), due)
         loss.backward()
         self.optimizer.step()
+        keep_light(self.optimizer)
         self.averages.see(self.cloud.tensors(), stage)
         if self.refinement:
             self.refinement.step(done)
@@ -208,7 +209,7 @@ class Trainer:
                 steps = old.get(name, {}).get("step", begun).clone()
                 self.optimizer.state[tensor] = {"step": steps, **moments[name]}
         if self.ending:
-            self.ending = Ending(len(views))
+            self.ending = Ending(len(views), self.ending.enough)
 
 
 def _on(device: str, cloud: SceneModel) -> SceneModel:

@@ -88,7 +88,8 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     default=2,
     show_default=True,
     type=click.IntRange(min=1, max=8),
-    help="Rays along a side of a pixel in each plane; the truth has 4. Scenes of a path tracer have their own number.",
+    help="Rays along a side of a pixel that changes; the truth, and pixels that do not change, have 4 or more. Scenes "
+    "of a path tracer have their own number.",
 )
 @click.option(
     "--truth-every",

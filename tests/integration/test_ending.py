@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -9,6 +10,7 @@ from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
+from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline.budget import Budget
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.pipeline.train_stage import train_stage
@@ -50,6 +52,18 @@ def test_it_ends_early_with_its_last_state_on_the_curve(recording, tmp_path, mon
     assert lines[-1].startswith(f"stopped early at step {steps}")
     assert load_checkpoint(run.checkpoint)["elapsed_s"] < 390
     assert load_checkpoint(run.snapshots()[-1])["steps"] == steps
+
+
+def test_it_ends_after_the_steps_that_are_enough_for_its_method(recording, tmp_path, monkeypatch):
+    for name, method in METHODS.items():
+        monkeypatch.setitem(METHODS, name, replace(method, training=replace(method.training, enough_steps=9)))
+    run, lines = trained(recording, tmp_path / "run", monkeypatch, budget_s=400.0)
+    assert run.document.steps == 9
+    assert run.document.stopped_early.reason.startswith("9 steps are enough")
+    assert lines[-1].startswith("stopped early at step 9: ")
+    assert load_checkpoint(run.snapshots()[-1])["steps"] == 9
+    run, _ = trained(recording, tmp_path / "exact", monkeypatch, budget_s=None, steps=12)
+    assert run.document.steps == 12
 
 
 def test_steps_are_exact(recording, tmp_path, monkeypatch):

@@ -120,7 +120,7 @@ def test_what_no_mover_reaches_is_the_same_in_every_frame():
     poses = np.stack([np.c_[about(1, 0.1 * k), (-0.5 + 0.002 * k, 0.0, 1.6)] for k in range(KEYFRAMES)])
     lamp = Lamp((0.0, -1.4, 1.0), (0.1, 0, 0), (0, 0, -0.1), 30.0)
     things = [Thing("wall", WALL, Finish((0.0, 0.5))), Thing("box", box((0.1, 0.1, 0.1)), Finish((0.0, 0.8)), poses)]
-    light = Studio(Setting(tuple(things), CORNERS, lamps=(lamp,))).draw({"a": CAMERA}, 5)["a"]
+    light = Studio(Setting(tuple(things), CORNERS, lamps=(lamp,))).draw([CAMERA], 5)[0]
     assert light.shape == (CHUNK, CAMERA.height, CAMERA.width)
     spread = np.ptp(light, axis=0)
     assert (spread[:, 26:] == 0).all()
@@ -145,20 +145,21 @@ def test_a_realistic_scene_is_recorded_by_its_name(tmp_path, monkeypatch):
 def test_settled_light_is_the_same_light_with_less_noise(monkeypatch):
     from acquisition.scenes.realistic import settled
     from acquisition.scenes.realistic.painter import paint
+    from acquisition.scenes.realistic.studio import Studio
 
     poses = np.stack([np.c_[about(1, 0.1 * k), (-0.5 + 0.002 * k, 0.0, 1.6)] for k in range(KEYFRAMES)])
     lamp = Lamp((0.0, -1.4, 1.0), (0.4, 0, 0), (0, 0, -0.4), 12.0)  # large: soft shadows
     things = [Thing("wall", WALL, Finish((0.0, 0.5))), Thing("box", box((0.1, 0.1, 0.1)), Finish((0.0, 0.8)), poses)]
     drawn = []
     monkeypatch.setattr(settled, "paint", lambda *given: drawn.append(len(given[3])) or paint(*given))
-    settling = settled.Settling(Setting(tuple(things), CORNERS, lamps=(lamp,)))
-    light = settling.light(CAMERA, 0.0)
-    painter = settling._painter
+    studio = Studio(Setting(tuple(things), CORNERS, lamps=(lamp,)))
+    light = studio.true_light(CAMERA, 0.0)
+    painter = studio._painter
     many, few = (paint(painter, painter.whole, CAMERA, PIXELS, rays, 7).light.reshape(light.shape) for rays in (40, 4))
     error, noise = (np.sqrt(np.mean((image - many) ** 2)) for image in (light, few))
     assert error < min(1.5 * settled.NOISE, 0.6 * noise)
     assert min(drawn) < len(PIXELS) / 2  # what had settled was not drawn on
-    again, later = settling.light(CAMERA, 0.0), settling.light(CAMERA, 0.02)
+    again, later = studio.true_light(CAMERA, 0.0), studio.true_light(CAMERA, 0.02)
     np.testing.assert_array_equal(again, light)
     assert (later != light).any()
     np.testing.assert_array_equal(later[:, 30:], light[:, 30:])  # no mover reaches these

@@ -19,8 +19,7 @@ from acquisition.scenes.realistic.setting import Finish, Setting, Thing
 from acquisition.scenes.realistic.surfaces import COLUMNS, OBJECT
 from rigs.camera import Camera
 
-RAYS = 4  # a side of a pixel where something moves
-STILL_RAYS = 8  # where nothing does
+RAYS = 6  # a side of a pixel where something moves
 COARSE_RAYS = 2  # to find where that is
 
 

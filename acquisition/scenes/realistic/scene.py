@@ -22,14 +22,13 @@ from acquisition.scenes.motion import Floats, Vector
 from acquisition.scenes.realistic.cache import LightCache, camera_digest
 from acquisition.scenes.realistic.library import versions
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, LASTS_S, Setting
-from acquisition.scenes.realistic.settled import Settling
 from acquisition.scenes.realistic.studio import CHUNK, Studio, chunks_of
 from acquisition.scenes.view import Frames
 from rigs.camera import Camera
 
 Build = Callable[[int], Setting]
 WHITE, CENTER = 0.6, (0.0, 0.0, 1.9)  # of every such scene: spikes per tick, metres
-_DRAWING = ("meshes", "setting", "pictures", "physics", "painter", "rays", "surfaces", "passed_on", "studio")
+_DRAWING = ("meshes", "setting", "pictures", "physics", "painter", "rays", "surfaces", "passed_on", "settled", "studio")
 LENS = b"# lens\n"  # ends lines of code that change nothing for cameras whose lenses do not bend
 _one_at_a_time = threading.RLock()  # nine simulated cameras ask at once
 
@@ -79,11 +78,6 @@ class DrawnScene:
     def digest(self) -> str:
         """The SHA-256 of all that decides what pinholes see: the code, the versions of the packages, the seed."""
         return self._digest(_DRAWING, lambda line: not line.endswith(LENS))
-
-    @functools.cached_property
-    def settled_digest(self) -> str:
-        """The SHA-256 of all that decides the light of truth."""
-        return self._digest((*_DRAWING, "bent", "settled"), lambda line: True)
 
     @functools.cached_property
     def bent_digest(self) -> str:
@@ -143,7 +137,6 @@ class DrawnView:
         self.camera = camera
         self._scene = scene
         self._cache = LightCache(scene.bent_digest if camera.bends else scene.digest, camera)
-        self._true = LightCache(scene.settled_digest, camera)
         self._read: dict[int, NDArray] = {}
 
     def has(self, chunk: int) -> bool:
@@ -171,7 +164,7 @@ class DrawnView:
         """Return light, depth and objects at `instants_s` [n]; the light is drawn until its noise is small."""
         places_s = [float(instant_s) + self._scene.begins_s for instant_s in instants_s]
         depth, ids = (np.stack(images) for images in zip(*map(self._look, places_s), strict=True))
-        light = np.stack([self._settled(place_s) for place_s in places_s])
+        light = np.stack([self._true_light(place_s) for place_s in places_s])
         return Frames(light if self._scene.level == 1 else light * np.float32(self._scene.level), depth, ids)
 
     def _frame(self, keyframe: int) -> NDArray[np.float32]:
@@ -183,13 +176,13 @@ class DrawnView:
             self._read[chunk] = self._cache.read(_chunk_name(chunk))
         return self._read[chunk][keyframe % CHUNK].astype(np.float32)
 
-    def _settled(self, instant_s: float) -> NDArray[np.float32]:
-        name = f"light_{round(instant_s * 1e9)}"
-        if not self._true.has(name):
+    def _true_light(self, instant_s: float) -> NDArray[np.float32]:
+        name = f"true_{round(instant_s * 1e9)}"
+        if not self._cache.has(name):
             with _one_at_a_time:
-                light = _settling(self._scene.build, self._scene.seed).light(self.camera, instant_s)
-            self._true.write(name, light.astype(np.float16))
-        return self._true.read(name).astype(np.float32)
+                light = _studio(self._scene.build, self._scene.seed).true_light(self.camera, instant_s)
+            self._cache.write(name, light.astype(np.float16))
+        return self._cache.read(name).astype(np.float32)
 
     def _look(self, instant_s: float) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
         _places(np.array([instant_s]))
@@ -208,9 +201,9 @@ def draw(scene: DrawnScene, views: Sequence[DrawnView], chunk: int) -> None:
     with _one_at_a_time:
         lacking = {camera_digest(view.camera): view for view in views if not view.has(chunk)}
         if lacking:
-            studio = _studio(scene.build, scene.seed)
-            for key, light in studio.draw({key: view.camera for key, view in lacking.items()}, chunk).items():
-                lacking[key].keep(chunk, light)
+            drawn = _studio(scene.build, scene.seed).draw([view.camera for view in lacking.values()], chunk)
+            for view, light in zip(lacking.values(), drawn, strict=True):
+                view.keep(chunk, light)
 
 
 @functools.lru_cache(maxsize=2)
@@ -221,11 +214,6 @@ def _setting(build: Build, seed: int) -> Setting:
 @functools.lru_cache(maxsize=1)
 def _studio(build: Build, seed: int) -> Studio:
     return Studio(_setting(build, seed))
-
-
-@functools.lru_cache(maxsize=1)
-def _settling(build: Build, seed: int) -> Settling:
-    return Settling(_setting(build, seed))
 
 
 def _places(instants_s: Floats) -> Floats:

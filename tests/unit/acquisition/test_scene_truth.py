@@ -31,7 +31,7 @@ def test_the_folder_holds_what_the_contract_names_and_nothing_else(truth):
 
 
 def test_arrays_are_the_scene_at_the_middle_of_the_plane(truth):
-    frames = SCENE.render(RIG.camera("cam02"), np.array([20.5 / 20000]), 2)
+    frames = SCENE.view(RIG.camera("cam02"), 2).frames(np.array([20.5 / 20000]))
     for prefix, expected in (("", frames.intensity), ("depth_", frames.depth), ("id_", frames.ids)):
         stored = np.load(truth / "cam02" / f"{prefix}000020.npy")
         assert stored.dtype == expected.dtype
@@ -40,7 +40,7 @@ def test_arrays_are_the_scene_at_the_middle_of_the_plane(truth):
 
 def test_blur_is_the_mean_light_of_its_window(truth):
     every_plane = (20 + 0.5 + np.arange(-16, 16) + 0.5) / 20000
-    mean = SCENE.render(RIG.camera("cam11"), every_plane, 2).intensity.mean(axis=0)
+    mean = SCENE.view(RIG.camera("cam11"), 2).light(every_plane).mean(axis=0)
     blur = np.load(truth / "cam11" / "blur_000020.npy")
     sharp = np.load(truth / "cam11" / "000020.npy")
     assert np.sqrt(np.mean((blur - mean) ** 2)) < 0.2 * np.sqrt(np.mean((sharp - mean) ** 2))

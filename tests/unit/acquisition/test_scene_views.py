@@ -72,7 +72,7 @@ def test_truth_holds_what_any_scenery_shows_and_says(tmp_path):
 def test_a_view_shows_the_scene_as_the_ray_caster_does():
     scene, camera = build_scene("fan_and_ball", 1), RIG.camera("cam11")
     instants_s = np.array([0.0, 0.004])
-    light, frames = scene.view(camera, 2).light(instants_s), scene.render(camera, instants_s, 2)
+    light, frames = scene.view(camera, 4).light(instants_s), scene.render(camera, instants_s, 4)
     np.testing.assert_array_equal(light, frames.intensity)
-    later = scene.since(0.004).view(camera, 2).light(np.zeros(1))
+    later = scene.since(0.004).view(camera, 4).light(np.zeros(1))
     np.testing.assert_array_equal(later[0], light[1])

@@ -12,7 +12,7 @@ from acquisition.scenes.bodies import still
 from acquisition.scenes.calibration import FLAT_LEVEL
 from acquisition.scenes.catalog import SCENES, build_scene
 from acquisition.scenes.motion import Motion
-from acquisition.scenes.scene import Scene
+from acquisition.scenes.scene import STILL_SAMPLES, Scene
 from acquisition.scenes.source import SceneSource
 from acquisition.scenes.truth import write_truth
 from acquisition.spikes.layout import PlaneLayout
@@ -38,6 +38,24 @@ def test_planes_do_not_depend_on_how_many_are_rendered_at_a_time(monkeypatch):
     for most in (1, 5 * SMALL.width * SMALL.height):  # a plane at a time, and five
         monkeypatch.setattr("acquisition.scenes.source.CHUNK_PX", most)
         np.testing.assert_array_equal(source(ticks=12).next_planes(12), whole)
+
+
+@pytest.mark.parametrize("name", ["fan_and_ball", "flicker"])
+def test_what_nothing_moving_changes_is_recorded_with_the_rays_of_truth(name):
+    scene, instants_s = build_scene(name, 3), np.linspace(0, 0.02, 5)
+    light = scene.view(SMALL, 2).light(instants_s)
+    true, coarse = (scene.render(SMALL, instants_s, samples) for samples in (STILL_SAMPLES, 2))
+    gains = scene.placements(instants_s).gains.astype(np.float32)[:, None, None]
+    bare, fine = (gains * scene.raycaster(SMALL, samples).still_intensity for samples in (2, STILL_SAMPLES))
+    still = coarse.intensity == bare
+    assert 0.5 < still.mean() < 1
+    np.testing.assert_array_equal(light, np.where(still, fine, coarse.intensity))
+    both = still & (true.intensity == fine)
+    assert both.mean() > 0.9 * still.mean()
+    assert np.abs(coarse.intensity - true.intensity)[both].max() > 0.01 * scene.white  # at edges
+    frames = scene.view(SMALL, 2).frames(instants_s)
+    np.testing.assert_array_equal(frames.intensity, light)
+    np.testing.assert_array_equal(frames.ids, coarse.ids)
 
 
 class Film:
@@ -182,7 +200,7 @@ def test_a_source_gives_the_same_planes_however_they_are_asked_for(cuts):
 
 def test_a_source_is_scene_then_sensor_at_the_middle_of_each_tick():
     instants = (np.arange(40) + 0.5) / 20000
-    light = build_scene("fan_and_ball", 3).render(SMALL, instants, 2).intensity
+    light = build_scene("fan_and_ball", 3).view(SMALL, 2).light(instants)
     expected = pack(Sensor(41, 26, "real", 3, 4).expose(light), PlaneLayout(41, 26))
     np.testing.assert_array_equal(source().next_planes(40), expected)
 

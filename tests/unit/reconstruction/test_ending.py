@@ -22,7 +22,7 @@ def test_a_loss_that_falls_never_ends():
 def test_a_loss_that_stands_still_ends_after_twice_the_patience():
     found = fed(np.ones(10 * WINDOW))
     assert found.began == 2 * PATIENCE * WINDOW
-    assert "less than 0.2%" in found.reason
+    assert "less than 0.2%" in found.reason(10 * WINDOW)
 
 
 def test_views_that_come_up_more_often_do_not_pass_for_a_gain():
@@ -41,6 +41,23 @@ def test_the_rates_run_down_before_the_end():
     assert found.done(0.41, 1000 + round(RUN_DOWN * 500)) == pytest.approx(0.7)
     assert found.done(0.45, 1000 + round(RUN_DOWN * 1000)) == 1.0
     assert found.done(0.95, 1010) == 0.95  # the budget runs out first
+
+
+def test_enough_steps_end_a_loss_that_falls_on():
+    found = Ending(1, enough=4000)
+    assert found.done(0.1, 300) == 0.1  # the budget ends before them
+    assert found.done(0.1, 1000) == 0.25
+    assert found.done(0.3, 4000) == found.done(0.3, 4001) == 1.0
+    assert found.reason(4000).startswith("4000 steps are enough")
+
+
+def test_a_loss_that_stands_still_ends_before_enough_steps():
+    found = Ending(1, enough=4000, windows=[1.0] * 2 * PATIENCE, began=3000, share=0.75)
+    assert found.done(0.5, 3000) == 0.75
+    assert found.done(0.5, 3000 + round(RUN_DOWN * 1500)) == pytest.approx(0.875)
+    assert found.done(0.6, 3750) == 1.0
+    assert "rates ran down from step 3000" in found.reason(3750)
+    assert Ending(**found.state()) == found
 
 
 def test_its_state_carries_it_on():
