@@ -13,7 +13,6 @@ from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.images.scarce import SCARCE, lit_spikes
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import Method
-from reconstruction.methods.ours import BASES
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
@@ -32,6 +31,8 @@ WINDOW_S, WINDOW_SPIKES = 1e-3, 0.35  # most seconds of a short image, and spike
 COARSE_PX = 100_000  # least pixels of a picture that was made smaller
 COARSE_UNTIL = 0.75  # share of the training after which pictures are whole
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
+MOVING = 2.5  # times the share of the pixels that move: the share of the Gaussians that do
+LEAST_MOVING, MOST_MOVING = 0.1, 0.6  # of all Gaussians
 BEST_METHOD = "adaptive"  # best image method without a network, on single images
 
 
@@ -270,12 +271,8 @@ def _choose_model(
 
 
 def _split(cap: int, method: Method, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
-    """Split the cap into still and moving Gaussians: movers get more than their share of the pixels.
-
-    They get most where a Gaussian is seen for a part of the clip only. One that rides on a body is seen all along: with
-    half as many, `fan_and_ball` gained 0.5 dB over the whole view and lost as much on movers.
-    """
+    """Split the cap into still and moving Gaussians: movers get more than their share of the pixels."""
     if not method.moves:
         return cap, 0
-    moving = round(cap * min(0.6, max(0.1, (1.25 if method is BASES else 2.5) * _share(masks))))
+    moving = round(cap * min(MOST_MOVING, max(LEAST_MOVING, MOVING * _share(masks))))
     return cap - moving, moving
