@@ -35,9 +35,9 @@ def test_the_camera_that_judges_is_held_out_and_so_is_the_usual_one():
 
 def test_a_longer_run_is_held_against_the_shorter_one_of_its_scene_and_arm(tmp_path, told_laboratory):
     def level(cell):
-        if (cell.scene, cell.method.name, cell.effort.label) == (SCENES[1], "clean", "300"):
+        if (cell.scene, cell.method.name, cell.effort.label) == (SCENES[1], "clean", EFFORTS[1].label):
             return None
-        return 30.0 + (0.5 if cell.effort.label == "300" else 0.0)
+        return 30.0 + (0.5 if cell.effort == EFFORTS[1] else 0.0)
 
     document = found_by(told_laboratory, level)
     assert document.summary[f"{SCENES[0]}.auto.longer.psnr_db"] == pytest.approx(0.5)
