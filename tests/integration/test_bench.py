@@ -26,7 +26,7 @@ NAMES = {
 }
 
 
-LONG = ("pixels", "images", "tuning")
+LONG = ("pixels", "images", "rasterizer", "tuning")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in LONG else ()) for n in NAMES])

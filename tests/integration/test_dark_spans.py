@@ -62,7 +62,12 @@ def usual(recording, tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("cameras", "first", "last"),
-    [(["cam00"], 100, 300), (["cam00", "cam01", "cam02"], 100, 200), (["cam22"], 0, 200), (["cam10"], 300, 400)],
+    [
+        (["cam00"], 100, 300),
+        (["cam00", "cam01", "cam02"], 100, 200),
+        pytest.param(["cam22"], 0, 200, marks=pytest.mark.long),
+        (["cam10"], 300, 400),
+    ],
 )
 def test_cameras_that_drop_out_and_return_are_missed_in_those_spans_alone(
     cameras, first, last, recording, usual, tmp_path
@@ -107,7 +112,7 @@ def test_a_camera_in_the_sun_for_a_span_spoils_no_other(recording, usual, tmp_pa
         assert scores[number] > usual[number] - 1.5
 
 
-@pytest.mark.parametrize("short", ["cam00", "cam22"])
+@pytest.mark.parametrize("short", ["cam00", pytest.param("cam22", marks=pytest.mark.long)])
 def test_of_a_recording_that_was_cut_off_all_have_the_planes_of_the_shortest(short, recording, tmp_path):
     opened, dats = Recording.open(recording), []
     for camera_id in opened.camera_ids:

@@ -10,7 +10,9 @@ from maintenance.postgresql import PostgresqlMissingError
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("database", ["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
+@pytest.mark.parametrize(
+    "database", ["sqlite", pytest.param("postgres", marks=[pytest.mark.postgres, pytest.mark.long])]
+)
 def test_a_campaign_loses_doubles_and_overstates_nothing(tmp_path: Path, database: str) -> None:
     try:
         row = run_campaign(tmp_path, Plan(kills=8, jobs=3, captures=8), database, seed=5, limit_s=400)

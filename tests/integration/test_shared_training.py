@@ -20,7 +20,7 @@ from server.schemas.job_types import ReconstructRequest, VerifyRequest
 from server.schemas.jobs import Job
 
 pytestmark = pytest.mark.slow
-DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
+DATABASES = ["sqlite", pytest.param("postgresql", marks=[pytest.mark.postgres, pytest.mark.long])]
 
 
 @pytest.fixture(scope="module", params=DATABASES)

@@ -32,7 +32,7 @@ PERIOD = 1003  # planes after which the light is the same again: a prime beside 
 FLAT_BYTES = 48 << 20  # memory of any step, whatever the length: rings, blocks at work, digests
 LENGTHS = [
     *(1, 2, 63, 64, 65, 79, 80, 81, 399, 400, 401, 100_000),
-    pytest.param(1_000_000, marks=pytest.mark.slow),
+    pytest.param(1_000_000, marks=[pytest.mark.slow, pytest.mark.long]),
 ]
 
 
