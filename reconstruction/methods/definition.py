@@ -46,8 +46,8 @@ class Training:
     `ends_early`: whether a training that no longer gains may end before its budget. `enough_steps`: steps at which it
     ends then in any case (None: as many as the budget has room for). `holds_depth`: weight of the loss on depths that
     the points stage confirmed; 0 is none. `deblurs`: whether a render is the mean of several instants where movers get
-    far. `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000
-    steps in 4DGS). `rates`: the factors of its learning rates. `spikes`: what a term on spikes looks at.
+    far. `canonical_until`: share of the training before a field begins to deform (3,000 of 17,000 steps in 4DGS).
+    `rates`: the factors of its learning rates. `spikes`: what a term on spikes looks at.
     """
 
     ends_early: bool = True
