@@ -1,6 +1,7 @@
-"""Tells which pixels have a texture that determines their depth, and what the confirmed depths say of the poses.
+"""Tells which pixels have a texture that determines their depth, and what follows for poses and for points.
 
-Wrong poses leave depths unconfirmed that texture determines. A plain wall confirms nothing and says nothing.
+Wrong poses leave depths unconfirmed that texture determines. A plain wall confirms nothing and says nothing. It needs
+few Gaussians, too: more of them learn its noise.
 Letters: H rows, W columns.
 """
 
@@ -16,6 +17,8 @@ from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions
 TEXTURED = 2.0  # deviations of an image's noise that a window spreads by, from which its depth can be judged
 LEAST_TEXTURE = 0.005  # share of textured pixels from which poses can be judged
 LEAST_SHARE = 0.4  # of textured pixels with a confirmed depth; right poses leave 0.65 to 0.91, wrong ones 0.07 to 0.2
+PLAIN_SHARE = 0.125  # points drawn from so many pixels without texture, for one drawn from as many with texture
+PIXELS_EACH = 2.5  # pixels of a view with texture, for each point of a plain scene
 
 Mask = NDArray[np.bool_]
 
@@ -61,3 +64,17 @@ def judge_poses(maps: Sequence[DepthMap], sure: Sequence[Mask]) -> str:
             "check the poses",
         )
     return f"{texture:.0%} of the pixels have texture, {share:.0%} of them a depth that two views confirm"
+
+
+def thinned(
+    wanted: Sequence[Mask], sure: Sequence[Mask], most: int, rng: np.random.Generator
+) -> tuple[list[Mask], int]:
+    """Return the `wanted` pixels [H, W] of each view that points are drawn from, and how many points: at most `most`.
+
+    Few of the pixels without texture stay: `sure` is false there. The number follows them, but textured pixels keep
+    as many points as in an even draw of `most`, or one for each PIXELS_EACH of them.
+    """
+    kept = [mask & (has | (rng.random(mask.shape) < PLAIN_SHARE)) for mask, has in zip(wanted, sure, strict=True)]
+    left, whole = (sum(int(mask.sum()) for mask in masks) for masks in (kept, wanted))
+    needed = max(left / len(kept) / PIXELS_EACH, most * left / max(whole, 1))
+    return kept, min(most, round(needed))

@@ -17,7 +17,7 @@ from reconstruction.initialization.points import Points, sample_points
 from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.surfaces import with_planes
 from reconstruction.initialization.sweep import NOISE, DepthMap, Image, SweepOptions, depth_range_m, filled
-from reconstruction.initialization.texture import judge_poses, textured
+from reconstruction.initialization.texture import judge_poses, textured, thinned
 from reconstruction.methods.catalogue import METHODS
 from reconstruction.parallel import each
 from reconstruction.pipeline import artefacts
@@ -97,11 +97,27 @@ def _still_points(run: RunFolder, views: Views, rng: np.random.Generator, report
         reason = f"{share:.1%} of the pixels see neither light nor texture"
         run.amend("points", Decision("darkness", "kept empty", reason, "none", facts={"share": share}))
     masks = [source.background.trusted & ~void for source, void in zip(sources.values(), voids, strict=True)]
-    points = sample_points([filled(m) for m in maps], stills, masks, run.plan.still_gaussians, 0.0, rng)
+    masks, count = _needed(run, masks, sure, rng)
+    points = sample_points([filled(m) for m in maps], stills, masks, count, 0.0, rng)
     least = min(LEAST_POINTS, run.plan.still_gaussians)
     if len(points) < least:
         raise StereoError(f"found {len(points)} points", f"{least}", "check that the scene is lit and stands still")
     return points
+
+
+def _needed(
+    run: RunFolder, wanted: list[Mask], sure: Sequence[Mask], rng: np.random.Generator
+) -> tuple[list[Mask], int]:
+    """Return where still points are drawn from, and how many; where a plain scene needs fewer than planned, say so."""
+    most = run.plan.still_gaussians
+    masks, count = thinned(wanted, sure, most, rng)
+    count = max(count, min(LEAST_POINTS, most))
+    if count < most:
+        share = float(np.mean([mask.mean() for mask in sure]))
+        reason = f"{share:.0%} of the pixels have texture, and more Gaussians learn the noise of the others"
+        decision = Decision("plain surfaces", f"{count:,} still, not {most:,}", reason, "none", facts={"share": share})
+        run.amend("points", decision)
+    return masks, count
 
 
 def _still_maps(

@@ -11,7 +11,7 @@ from reconstruction.images.noise import pixel_spread, still_sigma
 from reconstruction.initialization.pyramid import swept_maps
 from reconstruction.initialization.surfaces import inferred, regions, with_planes
 from reconstruction.initialization.sweep import DepthMap, SweepOptions, depth_range_m
-from reconstruction.initialization.texture import judge_poses, spread_of, textured
+from reconstruction.initialization.texture import PLAIN_SHARE, judge_poses, spread_of, textured, thinned
 from rigs.camera import Camera
 from rigs.toml import catalog_rig
 from rigs.transform import Transform
@@ -181,3 +181,24 @@ def test_textured_views_keep_their_depths_to_the_bit():
     sure = [np.ones((H, W), bool)] * 3
     after = with_planes(maps, [image] * 3, [NOISE] * 3, sure, OPTIONS, np.random.default_rng(0))
     assert all(a.depth is m.depth for a, m in zip(after, maps, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("textured_columns", "most", "count"),
+    [(40, 4000, 4000), (40, 100, 100), (4, 4000, 850), (4, 500, 170), (0, 4000, 500), (0, 1, 1)],
+)
+def test_a_plain_scene_gets_fewer_points_and_its_texture_no_fewer(textured_columns, most, count):
+    wanted, sure = [np.ones((50, 40), bool)] * 3, np.zeros((50, 40), bool)
+    sure[:, :textured_columns] = True
+    masks, found = thinned(wanted, [sure] * 3, most, np.random.default_rng(0))
+    assert found == pytest.approx(count, rel=0.1)
+    assert all(mask[sure].all() for mask in masks)
+    plain = np.mean([mask[~sure].mean() for mask in masks]) if textured_columns < 40 else PLAIN_SHARE
+    assert plain == pytest.approx(PLAIN_SHARE, rel=0.2)
+
+
+def test_pixels_that_are_not_wanted_stay_out():
+    wanted, sure = np.zeros((50, 40), bool), np.ones((50, 40), bool)
+    masks, count = thinned([wanted] * 2, [sure] * 2, 1000, np.random.default_rng(0))
+    assert count == 0
+    assert not np.any(masks)
