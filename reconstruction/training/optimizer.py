@@ -11,7 +11,6 @@ from reconstruction.training.adam import BETAS, EPS, Adam
 
 FINAL_LENGTH, FINAL = 0.05, 1 / 3  # share of its first rate that a tensor of lengths, and any other, ends with
 SETTLING = 120  # steps at first rates that the last rate of still Gaussians in a long training is worth
-LIGHT = 0.0, 1.0  # spikes per tick: no pixel fires less, or more
 PARTS = {"still": "still", "field": "moving", "moving": "moving", "motion": "motion", "shifts": "motion"}
 Optimizer = Adam | torch.optim.Adam
 
@@ -46,15 +45,6 @@ def anneal(optimizer: Optimizer, done: float, stage: float, steps: int, canonica
         share = min(max(stage if group["moves"] else done, 0.0), 1.0)
         end = FINAL if group["moves"] else still
         group["lr"] = group["start"] * (FINAL_LENGTH if group["length"] else end) ** share if begun else 0.0
-
-
-@torch.no_grad()
-def keep_light(optimizer: Optimizer) -> None:
-    """Put light that a step took beyond LIGHT back to its limits: what few views ask for may be no light at all."""
-    for group in optimizer.param_groups:
-        if group.get("light"):  # not in the checkpoint of an earlier revision
-            for tensor in group["params"]:
-                tensor.clamp_(*LIGHT)
 
 
 def final(steps: float) -> float:

@@ -27,7 +27,8 @@ from reconstruction.training.exposure import Exposure
 from reconstruction.training.freeing import freed, freed_states
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.lags import Lags
-from reconstruction.training.optimizer import anneal, keep_light, optimizer_of
+from reconstruction.training.limits import keep_light, keep_sizes
+from reconstruction.training.optimizer import anneal, optimizer_of
 from reconstruction.training.ray_term import RAYS, RayTerm
 from reconstruction.training.refinement import Refinement
 from reconstruction.training.term import Term, supervisions
@@ -87,6 +88,7 @@ class Trainer:
         self.closeness = Closeness(settings.white)
         self.exposure = Exposure(settings.image_planes, clock) if settings.training.deblurs else None
         self.image, self.spikes = _terms(settings, clock, self.closeness, self.exposure)
+        self.center = torch.tensor(np.mean([view.camera.center for view in views], axis=0), dtype=torch.float32)
         self.extent_m = extent_m(self.cloud, [view.camera for view in views])
         self.units = {"none": 1.0, "scene": self.extent_m, "light": dimming(settings.white)}
         self.optimizer = optimizer_of(self.cloud, self.units, settings.training.rates)
@@ -121,6 +123,7 @@ class Trainer:
         loss.backward()
         self.optimizer.step()
         keep_light(self.optimizer)
+        keep_sizes(self.cloud.tensors(), self.center, self.extent_m)
         self.averages.see(self.cloud.tensors(), stage)
         if self.refinement:
             self.refinement.step(done)

@@ -1,11 +1,9 @@
 """Learning rates as a training goes on: how they fall, and how far by its end."""
 
-import math
-
 import pytest
 import torch
 
-from reconstruction.training.optimizer import FINAL, FINAL_LENGTH, SETTLING, anneal, final, keep_light
+from reconstruction.training.optimizer import FINAL, FINAL_LENGTH, SETTLING, anneal, final
 
 KINDS = dict.fromkeys(("field", "moves", "length", "light"), False)
 
@@ -50,19 +48,3 @@ def test_movers_end_at_a_third_of_their_stage_however_long_it_takes():
 
 def test_a_deformation_waits_for_the_canonical_scene():
     assert rate(0.2, 0.2, 100, field=True) == 0.0 < rate(0.3, 0.3, 100, field=True)
-
-
-def test_light_is_kept_where_a_pixel_can_fire():
-    values = (-2.5, -1e-9, 0.0, 0.3, 1.0, 4.0, math.inf, -math.inf)
-    light, other = optimizer(values, light=True), optimizer(values)
-    keep_light(light)
-    keep_light(other)
-    kept = torch.tensor((0, 0, 0, 0.3, 1, 1, 1, 0))
-    assert torch.equal(light.param_groups[0]["params"][0], kept)
-    assert torch.equal(other.param_groups[0]["params"][0], torch.tensor(values))
-
-
-def test_light_that_is_no_number_stays_one_to_be_found():
-    light = optimizer((math.nan,), light=True)
-    keep_light(light)
-    assert light.param_groups[0]["params"][0].isnan().all()
