@@ -15,6 +15,7 @@ from reconstruction.stability import (
     expectations,
     images,
     lenses,
+    limits,
     losses,
     marching,
     motion,
@@ -30,7 +31,7 @@ from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, sti
 
 _SUBJECTS = (
     *(rendering, motion, losses, expectations, images, recordings),
-    *(cameras, marching, dimness, pixels, lenses, spans, averages),
+    *(cameras, marching, dimness, pixels, lenses, spans, averages, limits),
 )
 _ALL = (case for subject in _SUBJECTS for case in subject.CASES)
 CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))
