@@ -24,6 +24,7 @@ from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.initialization import texture
 from reconstruction.pipeline.artefacts import MOVING, posed, read_views, read_white
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.rendering.result import Rendering
@@ -71,8 +72,10 @@ def _clocked(work: Callable[[], Result]) -> tuple[Result, dict]:
 
 
 def _run(job: Job) -> RunFolder:
-    """Reconstruct up to the training; masks, which have no option, are put in after the plan, and a blind plan too."""
+    """Reconstruct up to the training; what has no option is put in beside the plan or after it."""
     config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
+    if job.arm.even:
+        texture.PLAIN_SHARE = 1.0  # this process does nothing else
     made = partial(reconstruct, job.recording, job.out, config, lambda _: silent)
     run = made(last="plan")
     if job.arm.everywhere:
