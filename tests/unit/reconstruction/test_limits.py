@@ -1,4 +1,4 @@
-"""What training keeps within limits: light that a pixel can fire, and sizes that a view can show."""
+"""Limits that training keeps: light that a pixel can fire, and sizes that a view can show."""
 
 import math
 
