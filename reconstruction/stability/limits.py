@@ -1,4 +1,4 @@
-"""Defines cases of what training keeps within limits, and of where still points are drawn from, at any size."""
+"""Defines cases of the limits that training keeps, and of the pixels that still points are drawn from, at any size."""
 
 from itertools import product
 
