@@ -13,7 +13,7 @@ import rigs
 from acquisition.recording.manifest import MANIFEST_FILE
 from reconstruction.bench.paper.method import Cell
 
-SHOWN = ("bench", "stability", "report", "export", "uncertainty")  # folders of `reconstruction` that only look at results
+SHOWN = ("bench", "stability", "report", "export", "uncertainty")  # folders of `reconstruction` that look at results
 SUFFIXES = {".py", ".cpp", ".h", ".npz", ".toml", ".json"}
 KEPT_DIGITS = 12
 
