@@ -17,8 +17,8 @@ from reconstruction.initialization.sweep import DepthMap, Image, SweepOptions
 TEXTURED = 2.0  # deviations of an image's noise that a window spreads by, from which its depth can be judged
 LEAST_TEXTURE = 0.005  # share of textured pixels from which poses can be judged
 LEAST_SHARE = 0.4  # of textured pixels with a confirmed depth; right poses leave 0.65 to 0.91, wrong ones 0.07 to 0.2
-PLAIN_SHARE = 0.125  # points drawn from so many pixels without texture, for one drawn from as many with texture
-PIXELS_EACH = 2.5  # pixels of a view with texture, for each point of a plain scene
+PLAIN_SHARE = 0.125  # share of the pixels without texture that points may be drawn from
+PIXELS_EACH = 2.5  # pixels of a view that are left, for each point of a plain scene
 
 Mask = NDArray[np.bool_]
 
@@ -71,8 +71,8 @@ def thinned(
 ) -> tuple[list[Mask], int]:
     """Return the `wanted` pixels [H, W] of each view that points are drawn from, and how many points: at most `most`.
 
-    Few of the pixels without texture stay: `sure` is false there. The number follows them, but textured pixels keep
-    as many points as in an even draw of `most`, or one for each PIXELS_EACH of them.
+    `sure` pixels have texture, and all of them stay; of the others PLAIN_SHARE does. The number of points falls as that
+    of the pixels does, so that textured ones get no fewer, unless one for every PIXELS_EACH of a view is more.
     """
     kept = [mask & (has | (rng.random(mask.shape) < PLAIN_SHARE)) for mask, has in zip(wanted, sure, strict=True)]
     left, whole = (sum(int(mask.sum()) for mask in masks) for masks in (kept, wanted))

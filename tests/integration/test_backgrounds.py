@@ -24,7 +24,7 @@ def pointed(tmp_path_factory):
     def run_of(scene):
         if scene not in made:
             folder = tmp_path_factory.mktemp(scene)
-            simulate(Simulation(scene, 1, samples=1, truth_every=100), RIG, 60, folder / "rec")
+            simulate(Simulation(scene, 1, samples=1, truth_every=100), RIG, 120, folder / "rec")
             made[scene] = reconstruct(folder / "rec", folder / "run", CONFIG, lambda _: silent, last="points")
         return made[scene]
 
@@ -39,7 +39,7 @@ def test_hills_get_points_beyond_the_usual_depths(pointed):
     run = pointed("far")
     assert decided(run)["depths"] == "searched to infinity"
     away = read(run, STILL, Points).positions[:, 2]
-    assert (away > 20).mean() > 0.05  # measured 0.097: many see little texture, and get few points
+    assert (away > 20).mean() > 0.1
     assert not run.has_array(EMPTY.format(view="cam00"))
 
 

@@ -5,7 +5,7 @@ import torch
 
 from reconstruction.training.optimizer import FINAL, FINAL_LENGTH, SETTLING, anneal, final
 
-KINDS = dict.fromkeys(("field", "moves", "length", "light"), False)
+KINDS = dict.fromkeys(("field", "moves", "length"), False)
 
 
 def optimizer(values: tuple[float, ...] = (0.0,), **flags: bool) -> torch.optim.Optimizer:
