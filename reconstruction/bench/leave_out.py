@@ -45,7 +45,7 @@ class Arm:
 
     `everywhere`: every pixel is taken to move. `channels`: number of the Gaussians' channels; where it is given, the
     training alone is measured, from the first snapshot of a run by the plan. `blind`: the plan took all for still.
-    `even`: as many points are drawn from plain surfaces as from texture.
+    `even`: as many points are drawn from plain surfaces as from texture. `whole`: bodies are not cut into parts.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Arm:
     channels: int | None = None
     blind: bool = False
     even: bool = False
+    whole: bool = False
 
     def config(self, *, steps: int | None = None, budget_s: float | None = None) -> ReconstructionConfig:
         """Return the configuration of a run of so many steps, or to a budget in seconds."""
@@ -101,6 +102,7 @@ ALL_VIEWS = Arm("views", {"views": VIEWS})
 GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
 BLIND = Arm("blind", blind=True)
 EVEN = Arm("plain surfaces", even=True)
+WHOLE = Arm("bodies", whole=True)
 UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a model that was asked for
 UNLIKE: dict[str, Any] = {"camera_gains": 0.05, "camera_lags": 4.0}
 CASES = (
@@ -113,6 +115,7 @@ CASES = (
     PlanCase("dim", "dim", 101, (MOTION,), ticks=800, everything=AS_GIVEN),
     PlanCase("one-dead-view", "fan_and_ball", 3, (ALL_VIEWS,), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}),
     PlanCase("painted", "plain", 101, (EVEN,)),
+    PlanCase("bending", "deforming", 101, (WHOLE,)),
     PlanCase("outdoors", "outdoor", 101, (IMAGES, Arm("Gaussians", {"gaussians": TWICE}))),
 )
 MISSED = PlanCase("missed-mover", "faint", 101)

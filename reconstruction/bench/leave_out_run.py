@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from reconstruction.bench.leave_out import PLAN, Job
 from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth
+from reconstruction.gaussians import parts
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.initialization import texture
 from reconstruction.pipeline.artefacts import MOVING, posed, read_views, read_white
@@ -76,6 +78,8 @@ def _run(job: Job) -> RunFolder:
     config = job.arm.config(steps=job.steps, budget_s=job.budget_s)
     if job.arm.even:
         texture.PLAIN_SHARE = 1.0  # this process does nothing else
+    if job.arm.whole:
+        parts.RIDERS = sys.maxsize  # nor does it here
     made = partial(reconstruct, job.recording, job.out, config, lambda _: silent)
     run = made(last="plan")
     if job.arm.everywhere:

@@ -11,6 +11,7 @@ from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import MODELS, DynamicCloud
 from reconstruction.gaussians.hexplane import HexPlaneMotion, box_around
 from reconstruction.gaussians.motion_model import MotionModel
+from reconstruction.gaussians.parts import parted
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.gaussians.spacetime import SpacetimeMotion
@@ -62,6 +63,11 @@ def seed_rigid(seeds: Seeds) -> DynamicCloud:
         durations.log(),
     )
     return _cloud(replace(seeds, moving=_in_bodies(placed, owners, bodies)), motion)
+
+
+def seed_parts(seeds: Seeds) -> DynamicCloud:
+    """Return Gaussians as `seed_rigid` does whose bodies are cut into parts, each of which learns its own motion."""
+    return parted(seed_rigid(seeds))
 
 
 def seed_field(seeds: Seeds, kind: str = HexPlaneMotion.kind) -> DynamicCloud:

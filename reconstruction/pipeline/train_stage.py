@@ -32,6 +32,7 @@ from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.exposure import FROM
 from reconstruction.training.lags import Lags
+from reconstruction.training.regrouping import GAP_PX
 from reconstruction.training.trainer import Trainer, TrainerSettings, train
 from reconstruction.training.view import TrainingView
 
@@ -205,6 +206,11 @@ def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
             choice, saves_s = "one instant an image", Work(*size, None, trainer.steps).second_instants_s(1 - FROM)
         facts = {"passed_px": passed_px, "planes": planes}
         run.amend("train", Decision("exposure", choice, reason, "none", saves_s, facts=facts))
+    if trainer.joined and trainer.joined[0]:
+        parts, bodies = trainer.joined
+        reason = f"{parts} parts learnt a motion each, and {bodies} motions are theirs within {GAP_PX:g} px"
+        facts = {"parts": parts, "bodies": bodies}
+        run.amend("train", Decision("bodies", f"{bodies} move as one each", reason, "none", facts=facts))
     if trainer.lags and trainer.lags.looks:
         run.amend("train", _lags(trainer.lags, plan=run.plan))
     if trainer.refinement:

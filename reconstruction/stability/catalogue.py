@@ -19,6 +19,7 @@ from reconstruction.stability import (
     losses,
     marching,
     motion,
+    parts,
     pixels,
     recordings,
     rendering,
@@ -31,7 +32,7 @@ from reconstruction.stability.stiff import FULL, Extent, StiffScene, curves, sti
 
 _SUBJECTS = (
     *(rendering, motion, losses, expectations, images, recordings),
-    *(cameras, marching, dimness, pixels, lenses, spans, averages, limits),
+    *(cameras, marching, dimness, pixels, lenses, spans, averages, limits, parts),
 )
 _ALL = (case for subject in _SUBJECTS for case in subject.CASES)
 CASES: tuple[Case, ...] = tuple(sorted(_ALL, key=lambda case: case.number or math.inf))

@@ -12,6 +12,7 @@ from torch import Tensor
 from reconstruction.initialization.seeding import LONG_LIFE
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.checkpoint import model_from_state
+from reconstruction.training.optimizer import AdamStates
 
 FRESH = {  # values that the motion of a freed Gaussian starts from, by the kind of tensor
     **dict.fromkeys(("velocities", "accelerations", "jerks", "turns"), 0.0),
@@ -20,8 +21,6 @@ FRESH = {  # values that the motion of a freed Gaussian starts from, by the kind
 }
 BENDS = ("accelerations", "jerks")  # kinds of tensors that stay empty for straight paths
 MOMENTS = ("exp_avg", "exp_avg_sq")  # Adam's, by the names that torch gives them
-
-AdamStates = Mapping[str, Mapping[str, Tensor]]  # by the name of a tensor, as torch keeps them
 
 
 def freed(cloud: SceneModel, which: Tensor) -> SceneModel:

@@ -28,9 +28,10 @@ from reconstruction.training.freeing import freed, freed_states
 from reconstruction.training.image_term import ImageTerm
 from reconstruction.training.lags import Lags
 from reconstruction.training.limits import keep_light, keep_sizes
-from reconstruction.training.optimizer import anneal, optimizer_of
+from reconstruction.training.optimizer import AdamStates, anneal, optimizer_of, states_of
 from reconstruction.training.ray_term import RAYS, RayTerm
 from reconstruction.training.refinement import Refinement
+from reconstruction.training.regrouping import GAP_PX, JOINED_AT, bodies_of, regrouped
 from reconstruction.training.term import Term, supervisions
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -83,6 +84,7 @@ class Trainer:
         self.settings = settings
         self.draws = Draws(len(views), seed)
         self.steps = 0
+        self.joined: tuple[int, int] | None = None  # how many parts became how many bodies, once they were joined
         self.averages = Averages()
         self.ending = Ending(len(views), settings.training.enough_steps) if settings.ends_early else None
         self.closeness = Closeness(settings.white)
@@ -108,6 +110,8 @@ class Trainer:
     def step(self, done: float) -> float:
         """Do one step and return its loss; `done` in [0, 1] is the share of the training before it."""
         way = self.settings.training
+        if done >= JOINED_AT and self.joined is None:
+            self._join()
         stage = self.cloud.advance(done)
         anneal(self.optimizer, done, stage, self.steps, way.canonical_until)
         if self.exposure:
@@ -129,7 +133,7 @@ class Trainer:
             self.refinement.step(done)
         self.steps += 1
         if self.steps % LIVING_EVERY == 0:
-            self._refuse_dead()
+            _refuse_dead(self.cloud, self.steps)
         found = float(loss.detach())
         if self.ending and due is None and halvings == 0 and done >= way.canonical_until:
             self.ending.see(view, found, self.steps, done)
@@ -143,15 +147,6 @@ class Trainer:
         else:
             loss = (spikes or self.image)(self.cloud, view, self.draws)
         return loss if penalty is None else loss + penalty
-
-    def _refuse_dead(self) -> None:
-        """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
-        if not (self.cloud.opacity() >= DEAD).any():
-            raise ReconstructionError(
-                f"found no {self.cloud.unit} of opacity {DEAD} or more after {self.steps} steps",
-                "some to learn from",
-                "check that the recording is lit and the poses are its own, then start a new run",
-            )
 
     def done(self, share: float) -> float:
         """Return the share of the training that is done: `share`, as the budget has it, or more once it ends early."""
@@ -175,6 +170,7 @@ class Trainer:
             "draws": self.draws.state(),
             "averages": self.averages.state(),
             "steps": self.steps,
+            "joined": self.joined,
             "ending": self.ending.state() if self.ending else None,
             "passed_px": self.exposure.passed_px if self.exposure else None,
             "refinement": self.refinement.state() if self.refinement else None,
@@ -188,7 +184,7 @@ class Trainer:
         self.optimizer.load_state_dict(state["optimizer"])
         if "draws" in state:  # not in the checkpoint of an earlier revision
             self.draws.restore(state["draws"])
-        self.steps = state["steps"]
+        self.steps, self.joined = state["steps"], state.get("joined", (0, 0))
         self.averages = Averages(**state.get("averages", {}))  # not in the checkpoint of an earlier revision either
         if self.ending and state.get("ending"):
             self.ending = Ending(**copy.deepcopy(state["ending"]))
@@ -201,18 +197,37 @@ class Trainer:
 
     def unsettle(self, views: Sequence[TrainingView], which: Tensor) -> None:
         """Go on with other targets, and with the still Gaussians of the mask `which` [N] as moving ones."""
-        names = {id(tensor): name for name, tensor in self.cloud.tensors()}
-        old = {names[id(leaf)]: self.optimizer.state[leaf] for g in self.optimizer.param_groups for leaf in g["params"]}
+        old = states_of(self.optimizer, self.cloud)
         moments, begun = freed_states(self.cloud, old, which), torch.tensor(float(self.steps))
-        self.views, self.cloud = self._corrected(views), freed(self.cloud, which)
-        self.optimizer = optimizer_of(self.cloud, self.units, self.settings.training.rates)
-        self.averages.restart()
-        for name, tensor in self.cloud.tensors():
-            if tensor.requires_grad:
-                steps = old.get(name, {}).get("step", begun).clone()
-                self.optimizer.state[tensor] = {"step": steps, **moments[name]}
+        steps = {name: old.get(name, {}).get("step", begun) for name in moments}
+        self.views = self._corrected(views)
+        self._go_on(freed(self.cloud, which), {name: {"step": steps[name], **own} for name, own in moments.items()})
         if self.ending:
             self.ending = Ending(len(views), self.ending.enough)
+
+    def _join(self) -> None:
+        """Go on with one body for all parts that move alike."""
+        parts, focal_px = bodies_of(self.cloud), max(view.camera.fx for view in self.views)
+        gap_m = GAP_PX * self.extent_m / focal_px
+        if found := regrouped(self.cloud, states_of(self.optimizer, self.cloud), gap_m):
+            self._go_on(*found)
+        self.joined = parts, bodies_of(self.cloud)
+
+    def _go_on(self, cloud: SceneModel, states: AdamStates) -> None:
+        """Go on with another cloud, of whose tensors the optimiser knows `states`."""
+        self.cloud = cloud
+        self.optimizer = optimizer_of(cloud, self.units, self.settings.training.rates, states)
+        self.averages.restart()
+
+
+def _refuse_dead(cloud: SceneModel, steps: int) -> None:
+    """Raise ReconstructionError where nothing is left to be seen, and so nothing to learn from."""
+    if not (cloud.opacity() >= DEAD).any():
+        raise ReconstructionError(
+            f"found no {cloud.unit} of opacity {DEAD} or more after {steps} steps",
+            "some to learn from",
+            "check that the recording is lit and the poses are its own, then start a new run",
+        )
 
 
 def _on(device: str, cloud: SceneModel) -> SceneModel:

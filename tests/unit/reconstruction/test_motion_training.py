@@ -1,6 +1,6 @@
 """Training with every motion model: exact resume, what is learnt and what is not, and a mover brought back."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -30,6 +30,8 @@ from reconstruction.tensors import write_tensors
 from reconstruction.training.averaging import EVERY
 from reconstruction.training.checkpoint import load_checkpoint
 from reconstruction.training.image_term import ImageTerm
+from reconstruction.training.optimizer import states_of
+from reconstruction.training.regrouping import bodies_of
 from reconstruction.training.trainer import LIVING_EVERY, Trainer, TrainerSettings
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
@@ -80,9 +82,9 @@ def view() -> TrainingView:
     return recorded_view()
 
 
-def recorded_view() -> TrainingView:
-    """Record blobs that cross 60 cm with an ideal sensor."""
-    truth = cloud("polynomial", 0.6)
+def recorded_view(truth: DynamicCloud | None = None) -> TrainingView:
+    """Record a scene, by default blobs that cross 60 cm, with an ideal sensor."""
+    truth = truth or cloud("polynomial", 0.6)
     with torch.no_grad():
         light = [render(truth.at(CLOCK.instant_s(k)), CAMERA).intensity[..., 0].numpy() for k in range(PLANES)]
     layout = PlaneLayout(WIDTH, HEIGHT)
@@ -220,3 +222,78 @@ def test_every_model_says_which_of_its_tensors_are_learnt(kind):
     names = {field.name for field in fields(MODELS[kind])}
     assert names - MODELS[kind].rates.keys() == fixed.get(kind, set())
     assert MODELS[kind].rates.keys() <= names
+
+
+def strips(speeds: tuple[float, float]) -> DynamicCloud:
+    """Two dark strips of 20 Gaussians that touch, each on a part of its own, at so many metres a clip along x."""
+    strip = torch.stack([torch.linspace(-0.2, 0.2, 20), torch.zeros(20), torch.full((20,), 1.5)], dim=-1)
+    places = torch.cat([strip, strip + torch.tensor([0.0, 0.1, 0.0])])
+    quats, centers = torch.tensor([1.0, 0, 0, 0]).expand(2, 5, 4).clone(), torch.zeros(2, 5, 3)
+    for part, speed in enumerate(speeds):
+        centers[part, :, 0] = speed * torch.linspace(-0.5, 0.5, 5)
+    moving = GaussianCloud.from_points(places, torch.full((40, 1), 0.1), torch.full((40,), 0.04).log(), 0.9)
+    always = torch.full((40,), 0.5), torch.full((40,), 4.0)
+    return replace(
+        cloud("bases"),
+        moving=moving,
+        motion=RigidMotion(torch.arange(40) // 20, quats, centers, torch.zeros(0, 3), *always),
+    )
+
+
+def trainer_of_parts(view: TrainingView, speeds: tuple[float, float]) -> Trainer:
+    return Trainer(strips(speeds), [view], TrainerSettings("pixels"), CLOCK, seed=1)
+
+
+@pytest.mark.parametrize(("speeds", "bodies"), [((0.4, 0.4), 1), ((0.4, -0.4), 2), ((-0.1, 0.4), 2)])
+def test_parts_of_what_was_taken_for_one_body_at_rest_find_their_motions(speeds, bodies, monkeypatch):
+    """They touch all the time, and are plain: only pictures tell. Ten seeds of the training find the same bodies."""
+    monkeypatch.setitem(RigidMotion.rates, "knot_centers", Rate(6e-3, "scene"))  # fast, for eighty steps
+    view, start = recorded_view(strips(speeds)), strips((0.0, 0.0)).state()
+    for seed in range(10):
+        trainer = Trainer(DynamicCloud.from_state(start), [view], TrainerSettings("pixels"), CLOCK, seed)
+        for _ in range(80):
+            trainer.step(0.2)
+        trainer.step(0.5)
+        assert trainer.joined == (2, bodies)
+
+
+@pytest.mark.parametrize(("speeds", "bodies"), [((0.6, 0.6), 1), ((0.6, -0.6), 2)])
+def test_parts_that_move_alike_are_one_body_from_the_middle_on(speeds, bodies, view):
+    trainer = trainer_of_parts(view, speeds)
+    for step in range(4):
+        trainer.step(step / 8)
+    known = {name: state["exp_avg_sq"].clone() for name, state in states_of(trainer.optimizer, trainer.cloud).items()}
+    assert trainer.joined is None
+    before = trainer.cloud.movers(CLIP.middle_s)[0].detach()
+    trainer._join()
+    assert trainer.joined == (2, bodies)
+    assert bodies_of(trainer.cloud) == bodies
+    torch.testing.assert_close(trainer.cloud.movers(CLIP.middle_s)[0].detach(), before, atol=1e-4, rtol=0)
+    for name, tensor in trainer.cloud.tensors():
+        if name in known and not (bodies == 1 and name.startswith("motion.knot")):
+            assert torch.equal(trainer.optimizer.state[tensor]["exp_avg_sq"], known[name]), name
+    for step in range(4, 8):
+        assert np.isfinite(trainer.step(step / 8))
+    assert trainer.joined == (2, bodies)
+
+
+@pytest.mark.parametrize("stop", [3, 4, 5])
+def test_a_training_stopped_around_the_joining_ends_in_the_same_state(stop, view, tmp_path):
+    whole, first, second = (trainer_of_parts(view, (0.6, 0.6)) for _ in range(3))
+    for step in range(8):
+        whole.step(step / 8)
+        if step < stop:
+            first.step(step / 8)
+    write_tensors(tmp_path / "state.pt", {"trainer": first.state()})
+    second.restore(load_checkpoint(tmp_path / "state.pt")["trainer"])
+    for step in range(stop, 8):
+        second.step(step / 8)
+    assert whole.joined == second.joined == (2, 1)
+    for (name, a), (_, b) in zip(whole.cloud.tensors(), second.cloud.tensors(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_a_training_that_is_over_at_once_joins_before_its_only_step(view):
+    trainer = trainer_of_parts(view, (0.6, 0.6))
+    assert np.isfinite(trainer.step(1.0))
+    assert trainer.joined == (2, 1)
