@@ -207,10 +207,7 @@ def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
         facts = {"passed_px": passed_px, "planes": planes}
         run.amend("train", Decision("exposure", choice, reason, "none", saves_s, facts=facts))
     if trainer.joined and trainer.joined[0]:
-        parts, bodies = trainer.joined
-        reason = f"{parts} parts learnt a motion each, and {bodies} motions are theirs within {GAP_PX:g} px"
-        facts = {"parts": parts, "bodies": bodies}
-        run.amend("train", Decision("bodies", f"{bodies} move as one each", reason, "none", facts=facts))
+        run.amend("train", _bodies(*trainer.joined))
     if trainer.lags and trainer.lags.looks:
         run.amend("train", _lags(trainer.lags, plan=run.plan))
     if trainer.refinement:
@@ -218,6 +215,12 @@ def _record(run: RunFolder, recording: Recording, trainer: Trainer) -> None:
         run.document.refinement = trainer.refinement.report()
     run.document.steps, run.document.backend = trainer.steps, trainer.settings.backend
     run.document.elements = Elements(cloud.unit.lower(), len(cloud.still), len(cloud.moving))
+
+
+def _bodies(parts: int, bodies: int) -> Decision:
+    """Return the decision on the bodies of a scene, which were made of so many parts."""
+    reason = f"each of {parts} parts learnt a motion, and those of one body agree within {GAP_PX:g} px"
+    return Decision("bodies", f"{bodies}", reason, "none", facts={"parts": parts, "bodies": bodies})
 
 
 def _lags(lags: Lags, plan: Plan) -> Decision:

@@ -1,4 +1,4 @@
-"""Decides in the middle of a training which Gaussians ride on one body, and keeps what the optimiser knows of them.
+"""Decides early in a training which Gaussians ride on one body, and keeps what the optimiser knows of them.
 
 A body begins in parts that learn a motion each. Parts that move alike by then are one body.
 """
@@ -15,10 +15,10 @@ from reconstruction.gaussians.rigid import RigidMotion
 from reconstruction.scene_model import SceneModel
 from reconstruction.training.optimizer import AdamStates
 
-JOINED_AT = 0.5  # share of the training before bodies are made of parts
+JOINED_AT = 0.25  # share of the training before bodies are made of parts
 GAP_PX = 1.0  # how far a body may take its parts aside
-BEGIN_ANEW = ("motion.knot_quats", "motion.knot_centers")  # tensors whose rows are others after it
-TURNED = {"moving.means", "moving.quats_wxyz"}  # those whose rows are seen from another body
+KNOTS = {"motion.knot_quats", "motion.knot_centers"}  # tensors that have a row a body
+TURNED = {"moving.means", "moving.quats_wxyz"}  # tensors whose rows are seen from another body
 
 
 @torch.no_grad()
@@ -27,7 +27,8 @@ def regrouped(
 ) -> tuple[SceneModel, dict[str, dict[str, Tensor]]] | None:
     """Return the cloud with parts joined that one body takes at most `gap_m` aside; None where there are none.
 
-    Beside it are Adam's `states` of its tensors; those that begin anew have none.
+    Beside it are Adam's `states` of its tensors: the squares of a body are the sums of those of its parts, as those of
+    gradients are in the mean, and directions are forgotten where frames are others.
     """
     if not (isinstance(cloud, DynamicCloud) and isinstance(cloud.motion, RigidMotion)):
         return None
@@ -35,9 +36,16 @@ def regrouped(
     found = joined(here, gap_m)
     if found is here:
         return None
-    kept = {name: dict(state) for name, state in states.items() if name not in BEGIN_ANEW}
-    for name in kept.keys() & TURNED:
-        kept[name]["exp_avg"] = torch.zeros_like(kept[name]["exp_avg"])
+    assert isinstance(found.motion, RigidMotion)
+    kept = {name: dict(state) for name, state in states.items()}
+    numbers = torch.zeros(len(cloud.motion.knot_quats), dtype=torch.int64)
+    numbers[cloud.motion.bodies.cpu()] = found.motion.bodies
+    for name in kept.keys() & (KNOTS | TURNED):
+        squares = kept[name]["exp_avg_sq"]
+        if name in KNOTS:
+            body = numbers.to(squares.device)
+            squares = squares.new_zeros(len(found.motion.knot_quats), *squares.shape[1:]).index_add(0, body, squares)
+        kept[name] |= {"exp_avg": torch.zeros_like(squares), "exp_avg_sq": squares}
     return _on(cloud.moving.means.device, found), kept
 
 

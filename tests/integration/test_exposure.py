@@ -27,6 +27,8 @@ def test_fast_movers_are_rendered_as_blurred_as_their_images(small_recording, tm
     whole = reconstruct(small_recording, tmp_path / "whole", CONFIG, quiet)
     assert said(whole).choice == "2 instants an image from 50% on"
     assert load_checkpoint(whole.checkpoint)["trainer"]["passed_px"] > 0.01
+    bodies = next(d.facts for d in whole.plan.decisions if d.about == "bodies")
+    assert 1 <= bodies["bodies"] <= bodies["parts"]
     stops = iter([False] * (3 * STEPS // 4) + [True] * STEPS)
     with pytest.raises(StoppedError):
         reconstruct(small_recording, tmp_path / "stopped", CONFIG, quiet, should_stop=lambda: next(stops))

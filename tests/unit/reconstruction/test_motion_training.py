@@ -253,15 +253,15 @@ def test_parts_of_what_was_taken_for_one_body_at_rest_find_their_motions(speeds,
         trainer = Trainer(DynamicCloud.from_state(start), [view], TrainerSettings("pixels"), CLOCK, seed)
         for _ in range(80):
             trainer.step(0.2)
-        trainer.step(0.5)
+        trainer.step(0.25)
         assert trainer.joined == (2, bodies)
 
 
 @pytest.mark.parametrize(("speeds", "bodies"), [((0.6, 0.6), 1), ((0.6, -0.6), 2)])
-def test_parts_that_move_alike_are_one_body_from_the_middle_on(speeds, bodies, view):
+def test_parts_that_move_alike_are_one_body_from_a_quarter_on(speeds, bodies, view):
     trainer = trainer_of_parts(view, speeds)
-    for step in range(4):
-        trainer.step(step / 8)
+    for _ in range(4):
+        trainer.step(0.2)
     known = {name: state["exp_avg_sq"].clone() for name, state in states_of(trainer.optimizer, trainer.cloud).items()}
     assert trainer.joined is None
     before = trainer.cloud.movers(CLIP.middle_s)[0].detach()
@@ -270,14 +270,16 @@ def test_parts_that_move_alike_are_one_body_from_the_middle_on(speeds, bodies, v
     assert bodies_of(trainer.cloud) == bodies
     torch.testing.assert_close(trainer.cloud.movers(CLIP.middle_s)[0].detach(), before, atol=1e-4, rtol=0)
     for name, tensor in trainer.cloud.tensors():
-        if name in known and not (bodies == 1 and name.startswith("motion.knot")):
-            assert torch.equal(trainer.optimizer.state[tensor]["exp_avg_sq"], known[name]), name
-    for step in range(4, 8):
-        assert np.isfinite(trainer.step(step / 8))
+        if name in known:
+            squares = trainer.optimizer.state[tensor]["exp_avg_sq"]
+            as_before = known[name].sum(dim=0, keepdim=True) if len(squares) < len(known[name]) else known[name]
+            assert torch.equal(squares, as_before), name
+    for _ in range(4):
+        assert np.isfinite(trainer.step(0.3))
     assert trainer.joined == (2, bodies)
 
 
-@pytest.mark.parametrize("stop", [3, 4, 5])
+@pytest.mark.parametrize("stop", [1, 2, 3])
 def test_a_training_stopped_around_the_joining_ends_in_the_same_state(stop, view, tmp_path):
     whole, first, second = (trainer_of_parts(view, (0.6, 0.6)) for _ in range(3))
     for step in range(8):
