@@ -1,8 +1,7 @@
 """Cuts rigid bodies into parts that learn a motion each, and joins the parts that turned out to move as one.
 
-Points at a few instants tell badly what belongs together; pictures tell it well, once parts have followed them for a
-while. What bends, or was taken for one body but is two, stays in parts. Letters: K bodies or parts, A Gaussians that
-ride on them, P knots.
+Noisy points at a few instants may put two things on one body; pictures tell them apart, once their parts have followed
+those for a while. What bends stays in parts. Letters: K bodies or parts, A Gaussians that ride on them, P knots.
 """
 
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ MOST_PARTS = 64
 THICK = 0.1  # least extent of a part along any axis, over its largest: a thin rod shows how it rolls by its quaternion
 NEAR = 1.5  # sizes apart at which neighbours touch
 TINY_M = 1e-6
-Joint = tuple[Tensor, Tensor]  # quaternions [P, 4] and centres [P, 3] in m, from the middle knot's place
+Joint = tuple[Tensor, Tensor]  # quaternions [P, 4], no turn at the middle knot, and centres [P, 3] in m
 
 
 class _Part(NamedTuple):
