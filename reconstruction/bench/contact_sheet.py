@@ -28,13 +28,20 @@ def write_sheet(path: Path, strips: Sequence[Sequence[tuple[str, Picture]]]) -> 
     if width > MOST_PX:
         size = (MOST_PX, height * MOST_PX // width)
         sheet = np.asarray(cv2.resize(sheet, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    write_png(path, sheet)
+    _write(path, sheet)
 
 
 def stack_sheets(path: Path, sheets: Sequence[Path]) -> None:
-    """Write sheets of one width below one another as one JPEG, which takes an eighth of a PNG."""
-    stacked = np.concatenate([np.asarray(cv2.imread(str(sheet)), dtype=np.uint8) for sheet in sheets])
-    write_durably(path, cv2.imencode(".jpg", stacked, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
+    """Write sheets of one width below one another as one."""
+    _write(path, np.concatenate([np.asarray(cv2.imread(str(sheet)), dtype=np.uint8) for sheet in sheets]))
+
+
+def _write(path: Path, sheet: Picture) -> None:
+    """Write a PNG, or the JPEG that the name asks for, which takes an eighth of it."""
+    if path.suffix == ".jpg":
+        write_durably(path, cv2.imencode(".jpg", sheet, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
+    else:
+        write_png(path, sheet)
 
 
 def _titled(title: str, picture: Picture) -> Picture:

@@ -11,6 +11,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 from acquisition.bench_document import BenchDocument, Stolen, device
 from acquisition.progress import Progress, part
@@ -70,12 +71,21 @@ class Clip:
         return f"{self.scene}-{self.seed}-{self.size[0]}x{self.size[1]}" if self.size else self.scene
 
 
+class Ended(NamedTuple):
+    """A run that ended: its recording, who made it in how many seconds, and its folder."""
+
+    clip: Clip
+    contender: Contender
+    budget_s: float
+    folder: Path
+
+
 @dataclass
 class SpeedBench:
     """Measures `contenders` on `clips`, as far as there is `time_left`; what was measured is kept in `work`.
 
     What an earlier call has measured with the same revisions on the same machine is not measured again. `name` is the
-    document's. `seen` is called with a clip and the folder of each run of this revision, before that is deleted.
+    document's. `seen` is called with each run that ended, before its folder is deleted.
     """
 
     contenders: Sequence[Contender]
@@ -85,7 +95,7 @@ class SpeedBench:
     extent: Extent = FULL
     time_left: Callable[[], bool] = lambda: True
     name: str = "speed"
-    seen: Callable[[Clip, Path], None] = lambda clip, out: None
+    seen: Callable[[Ended], None] = lambda ended: None
 
     def run(self) -> BenchDocument:
         """Return the document of all runs and steps; what failed or was left out stands in its omissions."""
@@ -167,15 +177,15 @@ class SpeedBench:
         recording, tried = clip.recorded(), []
         while not tried or (len(tried) < TRIES and tried[-1]["stolen"] > QUIET):
             out = self.work / f"{clip.name}-{contender.name}.run"
-            tried.append(run_to_end(contender, recording, out, budget_s, partial(self._told, clip, contender)))
+            shown = partial(self._shown, clip, contender, budget_s)
+            tried.append(run_to_end(contender, recording, out, budget_s, shown))
         about = {"part": "ends", "which": contender.name, "command": contender.said, "clip": clip.name}
         about |= {"scene": clip.scene, "seed": clip.seed, "budget_s": budget_s}
         return {"rows": [about | min(tried, key=lambda row: row["stolen"])]}
 
-    def _told(self, clip: Clip, contender: Contender, out: Path) -> dict:
-        """Show a run that ended; the folder of an older revision is not read."""
-        if contender.name == NEW:
-            self.seen(clip, out)
+    def _shown(self, clip: Clip, contender: Contender, budget_s: float, out: Path) -> dict:
+        """Show a run that ended, and tell nothing more of it."""
+        self.seen(Ended(clip, contender, budget_s, out))
         return {}
 
 

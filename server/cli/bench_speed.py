@@ -12,7 +12,8 @@ from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, REALISTIC
 from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, THIS, TICKS, Asked, recording
 
 if TYPE_CHECKING:
-    from reconstruction.bench.speed import Clip
+    from reconstruction.bench.conventions import KnownRecording
+    from reconstruction.bench.speed import Clip, Ended, Extent
     from reconstruction.bench.speed_run import Contender
 
 LARGE_SEEDS = DEVELOPMENT_SEEDS[:2]
@@ -21,17 +22,11 @@ LARGE_SEEDS = DEVELOPMENT_SEEDS[:2]
 def speed(asked: Asked) -> BenchDocument:
     """Measure whole runs and single steps of this revision, and of an older one in turns."""
     from reconstruction.bench.paper.bench import timer
-    from reconstruction.bench.speed import FULL, QUICK, Clip, SpeedBench
+    from reconstruction.bench.speed import SpeedBench
 
-    extent, work, rig = (QUICK, "speed/quick", QUICK_RIG) if asked.quick else (FULL, "speed", None)
-    ticks, place = (QUICK_TICKS, asked.work / work) if asked.quick else (TICKS, asked.work)
-    seed = DEVELOPMENT_SEEDS[0]
-    clips = [
-        Clip(scene, seed, extent.runs, partial(recording, scene, seed, place, ticks, rig))
-        for scene in asked.named((*DEVELOPMENT, *REALISTIC))
-    ]
-    progress = asked.progress_of("speed")
-    return SpeedBench(_contenders(asked), clips, asked.work / work, progress, extent, timer(asked.limit_s)).run()
+    extent, clips = _clips(asked)
+    progress, seen, contenders = asked.progress_of("speed"), partial(_keep_movers, asked), _contenders(asked)
+    return SpeedBench(contenders, clips, _work(asked), progress, extent, timer(asked.limit_s), seen=seen).run()
 
 
 def large(asked: Asked) -> BenchDocument:
@@ -52,7 +47,30 @@ def large(asked: Asked) -> BenchDocument:
     return measured.run()
 
 
-def draw_speed(_: Asked, out: Path, found: dict) -> None:
+def draw_speed(asked: Asked, out: Path, found: dict) -> None:
+    """Draw the picture of a document of speed, its page, and movers of both revisions after as many seconds."""
+    from reconstruction.bench.mover_sheet import write_mover_sheet
+    from reconstruction.bench.speed_run import NEW, OLD
+
+    _draw(out, found)
+    extent, clips = _clips(asked)
+    budget_s = max(budget_s for which, budget_s in extent.runs if which == OLD)
+    images = {clip: {which: _image(asked, clip, which, budget_s) for which in (OLD, NEW)} for clip in clips}
+    seen = [(_known(clip), own) for clip, own in images.items() if own[NEW].exists()]
+    if seen:
+        write_mover_sheet(out / "speed-movers.jpg", seen)
+
+
+def draw_large(asked: Asked, out: Path, found: dict) -> None:
+    """Do the same of large pictures, with a sheet of whole views."""
+    from reconstruction.bench.contact_sheet import stack_sheets
+
+    _draw(out, found)
+    if sheets := sorted(_tiles(asked).glob("*.png")):
+        stack_sheets(out / "large-sheet.jpg", sheets)
+
+
+def _draw(out: Path, found: dict) -> None:
     """Draw the picture of a document of either bench, and write its page."""
     from reconstruction.bench.diagrams import PLOTS
     from reconstruction.bench.speed_page import write_page
@@ -62,13 +80,37 @@ def draw_speed(_: Asked, out: Path, found: dict) -> None:
     write_page(out / f"{name}.md", found)
 
 
-def draw_large(asked: Asked, out: Path, found: dict) -> None:
-    """Do the same of the bench of large pictures, and write a sheet of its ends."""
-    from reconstruction.bench.contact_sheet import stack_sheets
+def _clips(asked: Asked) -> tuple[Extent, list[Clip]]:
+    """Return what the bench of speed measures, and the recordings it measures on."""
+    from reconstruction.bench.speed import FULL, QUICK, Clip
 
-    draw_speed(asked, out, found)
-    if sheets := sorted(_tiles(asked).glob("*.png")):
-        stack_sheets(out / "large-sheet.jpg", sheets)
+    extent, rig = (QUICK, QUICK_RIG) if asked.quick else (FULL, None)
+    ticks, place = (QUICK_TICKS, _work(asked)) if asked.quick else (TICKS, asked.work)
+    seed = DEVELOPMENT_SEEDS[0]
+    scenes = asked.named((*DEVELOPMENT, *REALISTIC))
+    return extent, [Clip(one, seed, extent.runs, partial(recording, one, seed, place, ticks, rig)) for one in scenes]
+
+
+def _work(asked: Asked) -> Path:
+    return asked.work / ("speed/quick" if asked.quick else "speed")
+
+
+def _known(clip: Clip) -> KnownRecording:
+    from reconstruction.bench.conventions import KnownRecording
+
+    return KnownRecording(clip.scene, clip.seed, clip.recorded())
+
+
+def _image(asked: Asked, clip: Clip, which: str, budget_s: float) -> Path:
+    return _work(asked) / "movers" / f"{clip.name}-{which}@{budget_s:g}.npy"
+
+
+def _keep_movers(asked: Asked, ended: Ended) -> None:
+    """Keep the held-out view of a run that ended."""
+    from reconstruction.bench.mover_sheet import shoot
+
+    image = _image(asked, ended.clip, ended.contender.name, ended.budget_s)
+    shoot(ended.contender, _known(ended.clip), ended.folder, image)
 
 
 def _contenders(asked: Asked) -> list[Contender]:
@@ -83,12 +125,14 @@ def _tiles(asked: Asked) -> Path:
     return asked.work / "large" / "tiles"
 
 
-def _keep_tiles(asked: Asked, clip: Clip, out: Path) -> None:
-    """Keep the pictures of a run that ended: those of the longest budget come last, and stay."""
+def _keep_tiles(asked: Asked, ended: Ended) -> None:
+    """Keep the pictures of a run of this revision that ended: those of the longest budget come last, and stay."""
     from reconstruction.bench.contact_sheet import run_tiles, write_sheet
-    from reconstruction.bench.conventions import KnownRecording
+    from reconstruction.bench.speed_run import NEW
     from reconstruction.run.folder import RunFolder
 
-    tiles = run_tiles(KnownRecording(clip.scene, clip.seed, clip.recorded()), RunFolder.open(out))
+    if ended.contender.name != NEW:
+        return
+    tiles = run_tiles(_known(ended.clip), RunFolder.open(ended.folder))
     _tiles(asked).mkdir(parents=True, exist_ok=True)
-    write_sheet(_tiles(asked) / f"{clip.name}.png", [tiles[:3], tiles[3:]])
+    write_sheet(_tiles(asked) / f"{ended.clip.name}.png", [tiles[:3], tiles[3:]])

@@ -1,4 +1,5 @@
 import sys
+from typing import NamedTuple
 
 import pytest
 from maintenance.operator_page import capture, chromium, done, open_page, seen, service  # noqa: F401  fixtures
@@ -9,16 +10,33 @@ from rigs.toml import catalog_rig
 from server.cli.main import main
 
 
+class Ended(NamedTuple):
+    """How a command ended: its exit status, standard output, and lines of standard error."""
+
+    status: int
+    out: str
+    lines: list[str]
+
+    def refused(self, *words):
+        """Return whether it refused its input with `words` in the last line, and without a traceback."""
+        said = "\n".join(self.lines)
+        assert self.status == 2, said
+        assert "Traceback" not in said
+        for word in words:
+            assert word in self.lines[-1]
+        return True
+
+
 @pytest.fixture
 def spike4dgs(monkeypatch, capsys):
-    """Runs the command line in this process; gives its exit status, standard output, and lines of standard error."""
+    """Runs the command line in this process, which has loaded its modules already; gives an `Ended`."""
 
     def run(*args):
         monkeypatch.setattr(sys, "argv", ["spike4dgs", *map(str, args)])
         with pytest.raises(SystemExit) as caught:
             main()
         out, err = capsys.readouterr()
-        return caught.value.code, out, err.strip().splitlines()
+        return Ended(caught.value.code or 0, out, err.strip().splitlines())
 
     return run
 

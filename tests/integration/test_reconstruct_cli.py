@@ -1,8 +1,5 @@
 """Tests reconstruction from the command line, and its answers to wrong input."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -11,26 +8,16 @@ from acquisition.spikes.packing import pack, unpack
 from reconstruction.rendering.gsplat_backend import why_unavailable
 
 
-def spike4dgs(*arguments):
-    command = [sys.executable, "-m", "server.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-
-
-def refused(result, *words):
-    assert result.returncode == 2, result.stderr
-    assert "Traceback" not in result.stderr
-    last = result.stderr.strip().splitlines()[-1]
-    for word in words:
-        assert word in last
-    return True
-
-
-def test_a_stage_leaves_its_mark_only_where_it_succeeds(tmp_path, monkeypatch):
+def test_a_stage_leaves_its_mark_only_where_it_succeeds(spike4dgs, tmp_path, monkeypatch):
     mark = tmp_path / "finished"
-    monkeypatch.setenv("SPIKE4DGS_FINISHED", str(mark))
-    assert refused(spike4dgs("verify", tmp_path), "recording")
+
+    def stage(*arguments):
+        monkeypatch.setenv("SPIKE4DGS_FINISHED", str(mark))
+        return spike4dgs(*arguments)
+
+    assert stage("verify", tmp_path).refused("recording")
     assert not mark.exists()
-    assert spike4dgs("--version").returncode == 0
+    assert stage("--version").status == 0
     assert mark.exists()
 
 
@@ -43,12 +30,12 @@ def dat(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["tfi", "tfstp", "adaptive"])
-def test_images_of_a_bare_file(dat, tmp_path, method):
+def test_images_of_a_bare_file(spike4dgs, dat, tmp_path, method):
     out = tmp_path / "out"
     result = spike4dgs(
         "images", dat, "--size", "41x26", "--tick-rate", 20000, "--method", method, "--ticks", "10:31:10", "--out", out
     )
-    assert result.returncode == 0, result.stderr
+    assert result.status == 0, result.lines
     assert sorted(f.name for f in out.iterdir()) == sorted(
         f"{prefix}{plane:06d}{suffix}"
         for plane in (10, 20, 30)
@@ -60,40 +47,37 @@ def test_images_of_a_bare_file(dat, tmp_path, method):
     assert np.isfinite(image).all()
 
 
-def test_images_refuse_what_they_cannot_use(dat, tmp_path):
+def test_images_refuse_what_they_cannot_use(spike4dgs, dat, tmp_path):
     out, empty = tmp_path / "out", tmp_path / "empty.dat"
     empty.write_bytes(b"")
     size = ("--size", "41x26", "--tick-rate", 20000)
-    assert refused(spike4dgs("images", dat, *size, "--method", "crystal", "--out", out), "crystal", "tfi, tfp")
-    assert refused(spike4dgs("images", dat, *size, "--method", "tfi", "--ticks", "90:91:1", "--out", out), "plane 90")
-    assert refused(spike4dgs("images", empty, *size, "--method", "tfi", "--out", out), "empty.dat", "0 bytes")
-    assert refused(spike4dgs("images", dat, "--method", "tfi", "--out", out), "--size")
-    assert refused(
-        spike4dgs("images", dat, "--size", "40x26", "--tick-rate", 20000, "--method", "tfi", "--out", out), "bytes"
-    )
-    assert refused(
-        spike4dgs("images", dat, "--size", "big", "--tick-rate", 20000, "--method", "tfi", "--out", out), "400x250"
-    )
+    assert spike4dgs("images", dat, *size, "--method", "crystal", "--out", out).refused("crystal", "tfi, tfp")
+    assert spike4dgs("images", dat, *size, "--method", "tfi", "--ticks", "90:91:1", "--out", out).refused("plane 90")
+    assert spike4dgs("images", empty, *size, "--method", "tfi", "--out", out).refused("empty.dat", "0 bytes")
+    assert spike4dgs("images", dat, "--method", "tfi", "--out", out).refused("--size")
+    rest = ("--tick-rate", 20000, "--method", "tfi", "--out", out)
+    assert spike4dgs("images", dat, "--size", "40x26", *rest).refused("bytes")
+    assert spike4dgs("images", dat, "--size", "big", *rest).refused("400x250")
     assert not out.exists()
 
 
-def test_reconstruct_refuses_what_is_no_recording(tmp_path):
-    assert refused(spike4dgs("reconstruct", tmp_path / "nothing", "--out", tmp_path / "run"), "nothing")
-    assert refused(spike4dgs("render", tmp_path, "--cameras", "t.json", "--out", tmp_path / "o"), "run.json")
-    assert refused(spike4dgs("evaluate", tmp_path / "nothing"), "run.json")
-    assert refused(spike4dgs("levitate"), "levitate")
+def test_reconstruct_refuses_what_is_no_recording(spike4dgs, tmp_path):
+    assert spike4dgs("reconstruct", tmp_path / "nothing", "--out", tmp_path / "run").refused("nothing")
+    assert spike4dgs("render", tmp_path, "--cameras", "t.json", "--out", tmp_path / "o").refused("run.json")
+    assert spike4dgs("evaluate", tmp_path / "nothing").refused("run.json")
+    assert spike4dgs("levitate").refused("levitate")
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.skipif(why_unavailable() is None, reason="gsplat and a CUDA device are here")
-def test_a_gpu_that_is_not_here_is_refused_before_anything_else(tmp_path):
+def test_a_gpu_that_is_not_here_is_refused_before_anything_else(spike4dgs, tmp_path):
     result = spike4dgs("reconstruct", tmp_path / "rec", "--device", "cuda", "--out", tmp_path / "run")
-    assert refused(result, f"found no GPU to train on ({why_unavailable()})", "expected gsplat and a CUDA device")
-    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.refused(f"found no GPU to train on ({why_unavailable()})", "expected gsplat and a CUDA device")
+    assert len(result.lines) == 1
     assert not (tmp_path / "run").exists()
 
 
-def test_the_real_car_is_upright_and_both_methods_agree(spikedata, tmp_path):
+def test_the_real_car_is_upright_and_both_methods_agree(spike4dgs, spikedata, tmp_path):
     means = {}
     for method in ("tfi", "tfp"):
         out = tmp_path / method
@@ -101,7 +85,7 @@ def test_the_real_car_is_upright_and_both_methods_agree(spikedata, tmp_path):
             "images", spikedata / "histsflow_car.dat", "--size", "400x250", "--tick-rate", 20000,
             "--method", method, "--ticks", "100:101:1", "--out", out,
         )  # fmt: skip
-        assert result.returncode == 0, result.stderr
+        assert result.status == 0, result.lines
         image = np.load(out / "000100.npy")
         means[method] = image.mean()
         assert image[:50, :80].mean() > 2 * image[200:, :80].mean()  # bright sky, dark road

@@ -67,11 +67,10 @@ def owner(deployment: Deployment, job_id: str) -> str | None:
     for pid in deployment.stages():
         try:
             line = Path(f"/proc/{pid}/cmdline").read_text()
-            parent = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
         except OSError:
             continue
         if job_id in line:
-            return next((name for name, process in deployment.processes.items() if process.pid == parent), None)
+            return deployment.worker_of(pid)
     return None
 
 

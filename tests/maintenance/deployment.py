@@ -92,11 +92,8 @@ class Deployment:
 
     def worker_of(self, pid: int) -> str | None:
         """The worker that started a stage, if it is still alive."""
-        try:
-            parent = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
-        except OSError:
-            return None
-        return next((name for name, process in self.processes.items() if process.pid == parent), None)
+        parent = ancestors(pid)[:1]
+        return next((name for name, process in self.processes.items() if [process.pid] == parent), None)
 
     def family(self) -> list[int]:
         """Process ids of all that name the data folder, but this one."""
@@ -140,3 +137,15 @@ def _command(pid: int) -> list[str]:
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
     except OSError:
         return []
+
+
+def ancestors(pid: int) -> list[int]:
+    """Return the process ids above a process, its parent's first, as far as they can be read."""
+    above: list[int] = []
+    while pid > 1:
+        try:
+            pid = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            break
+        above.append(pid)
+    return above

@@ -238,13 +238,14 @@ def test_both_revisions_are_run_in_turns_and_nothing_twice(made, tmp_path):
     assert (again.rows, again.summary) == (document.rows, document.summary)
 
 
-def test_each_run_of_this_revision_is_shown_before_it_is_deleted(made, tmp_path):
-    shown = []
-    SpeedBench(
-        contenders(OLD, NEW), [clip()], tmp_path, silent, Extent(SHORT.runs), seen=lambda c, out: shown.append((c, out))
-    ).run()
+def test_each_run_is_shown_before_it_is_deleted(made, tmp_path):
+    shown, both = [], contenders(OLD, NEW)
+    SpeedBench(both, [clip()], tmp_path, silent, Extent(SHORT.runs), seen=shown.append).run()
     assert made == ["old@6", "old@6", "new@2", "new@6"]  # no single steps were asked for
-    assert shown == [(clip(), tmp_path / "a-new.run")] * 2
+    assert shown == [
+        (clip(), by, budget_s, tmp_path / f"a-{by.name}.run")
+        for by, budget_s in ((both[0], 6.0), (both[0], 6.0), (both[1], 2.0), (both[1], 6.0))
+    ]
 
 
 def test_other_code_is_measured_again_on_both_sides(made, tmp_path, monkeypatch):

@@ -121,6 +121,7 @@ def test_the_bench_compares_this_command_with_itself(tmp_path):
         "summary"
     ].keys()
     assert (tmp_path / "speed.png").stat().st_size > 10_000
+    assert (tmp_path / "speed-movers.jpg").stat().st_size > 10_000
     assert document["revision"] in (tmp_path / "speed.md").read_text()
     assert json.loads((tmp_path / "speed.json").read_text()) == document
     assert not list(tmp_path.rglob("*.run"))
