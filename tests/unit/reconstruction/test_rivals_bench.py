@@ -29,11 +29,13 @@ def test_all_rows_are_run_in_turns_at_every_length_a_scene_at_a_time():
     cells = rivals_protocol().cells()
     lengths = {effort for _, _, efforts in GROUPS.values() for effort in efforts}
     assert lengths == {Effort(15.0), Effort(60.0), Effort(300.0)}
-    own = len(METHODS) * 2
-    for number, scene in enumerate((*REALISTIC_EVALUATION, *EVALUATION)):
-        assert {cell.scene for cell in cells[number * own : (number + 1) * own]} == {scene}
     for cell in cells:
         assert cell.method.config(cell.effort, cell.seed).budget_s == cell.effort.budget_s
+    for _, scenes, efforts in GROUPS.values():
+        for scene in scenes:
+            own, cells = cells[: len(METHODS) * len(efforts)], cells[len(METHODS) * len(efforts) :]
+            assert {(cell.scene, cell.effort) for cell in own} == {(scene, effort) for effort in efforts}
+    assert cells == []
 
 
 def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, told_laboratory):
