@@ -20,7 +20,7 @@ from rigs.exchange.nerfstudio import Frame, dump_frames
 SHARE = 0.3  # of the view's width and height that is enlarged
 ZOOM = 3
 GAIN = 5  # of differences
-FRAME_PX = 2  # of what is enlarged, in the whole view
+FRAME_PX = 2  # width of the frame that marks the enlarged part in the whole view
 
 
 def shoot(contender: Contender, clip: KnownRecording, run: Path, image: Path) -> None:

@@ -1,6 +1,6 @@
 """Measures ours beside its rivals, each length as a run of its own, a scene at a time with all rows in turns.
 
-The new scenes are drawn by a path tracer, and nothing was chosen on them. The old ones have been looked at, and ours was
+The new scenes are drawn by a path tracer, and nothing was chosen on them. The old ones have been looked at. Ours was
 developed on those of the first table.
 """
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from reconstruction.training.optimizer import Optimizer
 
 LIGHT = 0.0, 1.0  # spikes per tick: no pixel fires less, or more
-WIDEST = 0.1  # largest size of a Gaussian, in its distances from the cameras: no surface needs a larger one
+WIDEST = 0.3  # largest size of a Gaussian, in its distances from the cameras: a pole may be one, and no more is needed
 
 
 @torch.no_grad()

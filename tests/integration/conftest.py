@@ -11,7 +11,7 @@ from server.cli.main import main
 
 
 class Ended(NamedTuple):
-    """How a command ended: its exit status, standard output, and lines of standard error."""
+    """The end of a command: its exit status, standard output, and lines of standard error."""
 
     status: int
     out: str

@@ -41,7 +41,7 @@ def test_light_that_is_no_number_stays_one_to_be_found():
     assert light.param_groups[0]["params"][0].isnan().all()
 
 
-def test_a_needle_is_cut_to_a_tenth_of_its_distance_and_the_rest_stays():
+def test_a_needle_is_cut_by_its_distance_and_the_rest_stays():
     tensors, sizes = sized([[0.0, 0, 3], [1.0, 0, 5], [0.0, 0, 21]], [300.0, 0.02, 1.9])
     keep_sizes(tensors, torch.tensor([0.0, 0, 1]), FAR_M)
     assert sizes.exp()[:, 0].tolist() == pytest.approx([2 * WIDEST, 0.02, 1.9])
