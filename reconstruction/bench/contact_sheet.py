@@ -56,10 +56,8 @@ def run_tiles(clip: KnownRecording, run: RunFolder) -> list[tuple[str, Picture]]
     truth, cloud = clip.truth, load_cloud(run.snapshots()[-1])
     cameras = {c.id: c for c in load_transforms(truth.path / "cameras.json")}
     novel = next(c for c in cameras if c.startswith("novel"))
-    planes = truth.planes(HOLDOUT)
-    plane = planes[len(planes) // 2]
-    instant_s = clip.recording.rig.clock.instant_s(plane)
-    wanted, elsewhere = truth.frame(HOLDOUT, plane), truth.frame(novel, plane)
+    wanted = clip.middle
+    instant_s, elsewhere = clip.recording.rig.clock.instant_s(wanted.plane), truth.frame(novel, wanted.plane)
     seen, unseen = (cloud.look(cameras[c], instant_s) for c in (HOLDOUT, novel))
     near, far = depth_span_m(wanted.depth)
     return [

@@ -23,7 +23,7 @@ from acquisition.scenes.catalog import (
 )
 from reconstruction.calibration.features import long_image
 from reconstruction.errors import BadRunError
-from reconstruction.truth import Truth
+from reconstruction.truth import Truth, TruthFrame
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
 
@@ -61,6 +61,12 @@ class KnownRecording:
     def truth(self) -> Truth:
         """The truth of the recording; raises BadRunError where it has none."""
         return truth_of(self.recording)
+
+    @cached_property
+    def middle(self) -> TruthFrame:
+        """The truth of the held-out camera in the middle of the recording."""
+        planes = self.truth.planes(HOLDOUT)
+        return self.truth.frame(HOLDOUT, planes[len(planes) // 2])
 
     @cached_property
     def rig(self) -> Rig:

@@ -14,7 +14,6 @@ from reconstruction.bench.conventions import HOLDOUT, KnownRecording
 from reconstruction.bench.speed_run import Contender
 from reconstruction.errors import ReconstructionError
 from reconstruction.report.display import grey
-from reconstruction.truth import TruthFrame
 from rigs.exchange.nerfstudio import Frame, dump_frames
 
 SHARE = 0.3  # of the view's width and height that is enlarged
@@ -30,7 +29,7 @@ def shoot(contender: Contender, clip: KnownRecording, run: Path, image: Path) ->
     """
     cameras, out = run / "held_out.json", run / "held_out"
     camera = next(one for one in clip.rig.cameras if one.id == HOLDOUT)
-    instant_s = clip.recording.rig.clock.instant_s(_middle(clip).plane)
+    instant_s = clip.recording.rig.clock.instant_s(clip.middle.plane)
     write_durably(cameras, dump_frames([Frame(camera, instant_s)], ["000000.png"]).encode())
     command = [*contender.words, "render", str(run), "--cameras", str(cameras), "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, env=contender.environment())
@@ -49,7 +48,7 @@ def write_mover_sheet(path: Path, clips: Sequence[tuple[KnownRecording, dict[str
 
 
 def _strips(clip: KnownRecording, images: dict[str, Path]) -> list[list[tuple[str, Picture]]]:
-    frame, white = _middle(clip), clip.truth.white
+    frame, white = clip.middle, clip.truth.white
     crop, truth = most_moving(frame.moving), grey(frame.intensity, white)
     above = [(f"{clip.scene}: truth", _enlarged(truth, crop))]
     below = [("what is enlarged", _framed(truth, crop))]
@@ -71,11 +70,6 @@ def most_moving(moving: NDArray[np.bool_]) -> tuple[slice, slice]:
     inside = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
     row, column = np.unravel_index(int(inside.argmax()), inside.shape)
     return slice(row, row + height), slice(column, column + width)
-
-
-def _middle(clip: KnownRecording) -> TruthFrame:
-    planes = clip.truth.planes(HOLDOUT)
-    return clip.truth.frame(HOLDOUT, planes[len(planes) // 2])
 
 
 def _enlarged(picture: Picture, crop: tuple[slice, slice]) -> Picture:

@@ -53,12 +53,15 @@ def draw_speed(asked: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.speed_run import NEW, OLD
 
     _draw(out, found)
-    extent, clips = _clips(asked)
-    budget_s = max(budget_s for which, budget_s in extent.runs if which == OLD)
-    images = {clip: {which: _image(asked, clip, which, budget_s) for which in (OLD, NEW)} for clip in clips}
-    seen = [(_known(clip), own) for clip, own in images.items() if own[NEW].exists()]
-    if seen:
-        write_mover_sheet(out / "speed-movers.jpg", seen)
+    budget_s, clips = _shown_s(asked), _clips(asked)[1]
+    measured = {(row["clip"], row["which"]) for row in found["rows"] if row.get("budget_s") == budget_s}
+    shown = [
+        (_known(clip), {f"{name} after {budget_s:g} s": _image(asked, clip, name) for name in (OLD, NEW)})
+        for clip in clips
+        if (clip.name, NEW) in measured
+    ]
+    if shown:
+        write_mover_sheet(out / "speed-movers.jpg", shown)
 
 
 def draw_large(asked: Asked, out: Path, found: dict) -> None:
@@ -101,16 +104,24 @@ def _known(clip: Clip) -> KnownRecording:
     return KnownRecording(clip.scene, clip.seed, clip.recorded())
 
 
-def _image(asked: Asked, clip: Clip, which: str, budget_s: float) -> Path:
-    return _work(asked) / "movers" / f"{clip.name}-{which}@{budget_s:g}.npy"
+def _shown_s(asked: Asked) -> float:
+    """Return the seconds of the runs on the sheet of movers: the longest that both revisions have."""
+    from reconstruction.bench.speed_run import OLD
+
+    return max(budget_s for name, budget_s in _clips(asked)[0].runs if name == OLD)
+
+
+def _image(asked: Asked, clip: Clip, name: str) -> Path:
+    return _work(asked) / "movers" / f"{clip.name}-{name}.npy"
 
 
 def _keep_movers(asked: Asked, ended: Ended) -> None:
-    """Keep the held-out view of a run that ended."""
+    """Keep the held-out view of a run that the sheet of movers shows."""
     from reconstruction.bench.mover_sheet import shoot
 
-    image = _image(asked, ended.clip, ended.contender.name, ended.budget_s)
-    shoot(ended.contender, _known(ended.clip), ended.folder, image)
+    if ended.budget_s == _shown_s(asked):
+        image = _image(asked, ended.clip, ended.contender.name)
+        shoot(ended.contender, _known(ended.clip), ended.folder, image)
 
 
 def _contenders(asked: Asked) -> list[Contender]:
