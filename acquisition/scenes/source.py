@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from acquisition.errors import BadRecordingError
 from acquisition.scenes.glass import Pane
 from acquisition.scenes.own import AS_NOMINAL, Own
-from acquisition.scenes.view import Scenery, View
+from acquisition.scenes.view import View, Visible
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
@@ -32,7 +32,7 @@ class SceneSource:
 
     def __init__(
         self,
-        scene: Scenery,
+        scene: Visible,
         camera: Camera,
         clock: RigClock,
         ticks: int,

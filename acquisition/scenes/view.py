@@ -43,10 +43,29 @@ class View(Protocol):
         ...
 
 
-class Scenery(Protocol):
+class Visible(Protocol):
+    """Things that a camera can be put before.
+
+    `white` is the light that is shown as white, in spikes per tick.
+    """
+
+    @property
+    def white(self) -> float:
+        """The light that is shown as white."""
+        ...
+
+    def view(self, camera: Camera, samples: int, threads: int = 0) -> View:
+        """Return what `camera` (pose in the rig frame) sees by samples x samples rays a pixel, or more.
+
+        More may be where nothing moves. `threads` 0 takes every core. What it costs to prepare is paid at once.
+        """
+        ...
+
+
+class Scenery(Visible, Protocol):
     """Things before a rig, in its frame, whichever renderer draws them.
 
-    `white` is the light that is shown as white, in spikes per tick. `center` is the point the scene happens around.
+    `center` is the point the scene happens around.
     """
 
     @property
@@ -57,11 +76,6 @@ class Scenery(Protocol):
     @property
     def seed(self) -> int:
         """The seed that the scene was built with."""
-        ...
-
-    @property
-    def white(self) -> float:
-        """The light that is shown as white."""
         ...
 
     @property
@@ -77,13 +91,6 @@ class Scenery(Protocol):
     @property
     def movers(self) -> Mapping[str, int]:
         """The object ids of the bodies that move, by name."""
-        ...
-
-    def view(self, camera: Camera, samples: int, threads: int = 0) -> View:
-        """Return what `camera` (pose in the rig frame) sees by samples x samples rays a pixel, or more.
-
-        More may be where nothing moves. `threads` 0 takes every core. What it costs to prepare is paid at once.
-        """
         ...
 
     def render(self, camera: Camera, instants_s: Floats, samples: int = 4) -> Frames:

@@ -1,9 +1,10 @@
 """`python -m reconstruction.networks.train`: random scenes to train on, and the networks that learn from them.
 
 Everything is resumed by giving the same command again; a killed training loses what came after its last score.
-`clips` takes 1 s a clip, `view-clips` 2 s. `network small` takes 1 to 2 hours on two cores; `network published --device
-cuda --batch 16` wants a GPU. `own REC` trains the blind-spot network on a recording of one's own, whose true light
-nobody knows. `msdi` takes 1 s a step on one core; on several GPUs: `torchrun --nproc-per-node N -m ... msdi`.
+`clips` takes 1 s a clip, `view-clips` 2 s, 10 s where a path tracer draws it. `network small` takes 1 to 2 hours on two
+cores; `network published --device cuda --batch 16` wants a GPU. `own REC` trains the blind-spot network on a recording
+of one's own, whose true light nobody knows. `msdi` takes 1 s a step on one core; on several GPUs: `torchrun
+--nproc-per-node N -m ... msdi`.
 """
 
 import sys
@@ -18,7 +19,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, infer, loss
 from reconstruction.networks.training import msdi_validation, processes
-from reconstruction.networks.training.clips import CameraClips, MultiviewClips, write_clips
+from reconstruction.networks.training.clips import VIEW_KINDS, CameraClips, MultiviewClips, write_clips
 from reconstruction.networks.training.curve import plot_curves
 from reconstruction.networks.training.image_training import (
     Batches,
@@ -70,9 +71,17 @@ def clips_command(out: Path, count: int, first_seed: int, size: int) -> None:
 @click.option("--count", type=int, default=480, show_default=True, help="Clips; 2 MB each.")
 @FIRST_SEED
 @click.option("--views", type=int, default=4, show_default=True, help="Cameras a clip.")
-def view_clips_command(out: Path, count: int, first_seed: int, views: int) -> None:
+@click.option(
+    "--kind",
+    "kinds",
+    type=click.Choice(VIEW_KINDS),
+    multiple=True,
+    default=VIEW_KINDS,
+    help="Scenes, in turns [default: all; all but clutter need the extra `realistic`].",
+)
+def view_clips_command(out: Path, count: int, first_seed: int, views: int, kinds: tuple[str, ...]) -> None:
     """Render clips of random scenes seen by random rigs, and expose them."""
-    write_clips(out, MultiviewClips(first_seed, count, views), _report("clips"))
+    write_clips(out, MultiviewClips(first_seed, count, views, kinds=kinds), _report("clips"))
 
 
 @main.command("network")
@@ -129,6 +138,7 @@ def own_command(recording: Path, out: Path, **settings) -> None:
 @click.option("--development", type=FOLDER, multiple=True, help="Simulated recordings of fan_and_ball to score on.")
 @_steps(6000, 500)
 @click.option("--joint/--separate", default=True, show_default=True, help="Whether geometry teaches the images, too.")
+@click.option("--pretrained/--from-scratch", default=True, show_default=True, help="The image network.")
 @click.option("--image-from", type=int, default=1500, show_default=True, help="Step from which the images learn.")
 @click.option("--pose-from", type=int, default=600, show_default=True, help="Step from which poses are judged.")
 @SEED

@@ -11,9 +11,11 @@ from acquisition.devices.open import Simulation
 from acquisition.scenes.bodies import about
 from acquisition.scenes.catalog import REALISTIC_LONG, build_scene
 from acquisition.scenes.digest import COMMITTED_REALISTIC, committed_digests
+from acquisition.scenes.random.rooms import BRIGHTEST, Room
 from acquisition.scenes.realistic.meshes import ball, box, sheet
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, Finish, Lamp, Setting, Thing
 from acquisition.session.record import simulate
+from reconstruction.networks.training.clips import VIEW_KINDS, MultiviewClips
 from rigs.toml import catalog_rig
 
 for needed in ("mitsuba", "pybullet", "skimage"):
@@ -189,3 +191,26 @@ def test_the_realistic_evaluation_scenes_are_the_committed_ones():
     for name in ("marbles-101", "banner-103", "courtyard-102"):
         scene, seed = name.split("-")
         assert setting_digest(build_scene(scene, int(seed)).setting) == found[name]
+
+
+def test_a_random_room_is_exposed_for_its_rig_and_the_same_whenever_it_is_drawn():
+    middle_s = 0.004
+    room, again = (Room(4, CAMERA, middle_s) for _ in range(2))
+    view = room.view(CAMERA, 3)
+    frames = view.frames(np.array([middle_s]))
+    assert np.quantile(frames.intensity, BRIGHTEST) == pytest.approx(room.white, rel=1e-4)
+    assert np.isfinite(frames.depth).mean() > 0.99
+    instants_s = middle_s + KEYFRAME_S / 2 * np.arange(3)
+    between = view.light(instants_s)
+    assert between[1] == pytest.approx((between[0] + between[2]) / 2, abs=1e-5)
+    assert np.abs(between[0] - frames.intensity[0]).mean() < 0.02 * room.white
+    assert np.array_equal(between, again.view(CAMERA, 3).light(instants_s))
+
+
+def test_clips_of_photographs_and_of_rooms_are_made():
+    clips = MultiviewClips(first_seed=1, count=2, views=2, width=40, height=32, kinds=VIEW_KINDS)
+    for seed in clips.seeds:
+        clip = clips.make(seed)
+        assert np.isfinite(clip.depth).mean() > 0.5
+        fired = np.mean([stream.planes(0, len(stream)).mean() for stream in clip.streams])
+        assert 0.1 * clip.white < fired < clip.white

@@ -1,7 +1,11 @@
-"""Digests the code that a result depends on; a change of benches, reports or pages alone leaves the digest as it is."""
+"""Digests the code that a run depends on: what every run goes through, and of methods and networks those it uses.
+
+A change of benches, reports, pages or trainings of networks alone leaves every digest as it is.
+"""
 
 import functools
 import hashlib
+import importlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -11,33 +15,47 @@ import acquisition
 import reconstruction
 import rigs
 from acquisition.recording.manifest import MANIFEST_FILE
-from reconstruction.bench.paper.method import Cell
+from reconstruction.bench.paper.method import Cell, Method
+from reconstruction.images import catalogue as images
+from reconstruction.methods.catalogue import METHODS, OURS
 
 SHOWN = ("bench", "stability", "report", "export", "uncertainty")  # folders of `reconstruction` that look at results
+TRAINING = ("networks/training/", "networks/train.py", "scenes/random/")  # makes networks, and is in no run
+OF_ALL_METHODS = ("__init__", "catalogue", "definition")
+NETWORK_INITIALISERS = ("msdi", "dust3r")
 SUFFIXES = {".py", ".cpp", ".h", ".npz", ".toml", ".json"}
 KEPT_DIGITS = 12
+AUTO = "auto"
+PLANNED = Method(AUTO)
 
 
 def cell_digest(cell: Cell, recording: Path) -> str:
     """Return a digest of the code, the cell's choices, and the manifest that holds the digests of the spikes."""
-    return _of([code_digest(), asdict(cell), hashlib.sha256((recording / MANIFEST_FILE).read_bytes()).hexdigest()])
+    manifest = hashlib.sha256((recording / MANIFEST_FILE).read_bytes()).hexdigest()
+    return _of([code_digest(cell.method), asdict(cell), manifest])
 
 
 def asked_digest(cell: Cell) -> str:
     """Return a digest of the code and the cell's choices, which no recording is needed for."""
-    return _of([code_digest(), asdict(cell)])
+    return _of([code_digest(cell.method), asdict(cell)])
 
 
-def this_code() -> str:
-    """Return the first digits of the code's digest, which a row keeps."""
-    return code_digest()[:KEPT_DIGITS]
+def this_code(method: Method = PLANNED) -> str:
+    """Return the first digits of the `method`'s code digest, which a row keeps."""
+    return code_digest(method)[:KEPT_DIGITS]
+
+
+def code_digest(method: Method) -> str:
+    """Return the SHA-256 over the names and contents of the sources that `method` runs."""
+    model, source, init = (method.choices.get(choice, AUTO) for choice in ("model", "images", "init"))
+    learned = source in images.names() and images.methods()[source].learned
+    return _digest_of(model, learned or init in NETWORK_INITIALISERS)
 
 
 @functools.cache
-def code_digest() -> str:
-    """Return the SHA-256 over the names and contents of the sources."""
+def _digest_of(model: str, networks: bool) -> str:
     digest = hashlib.sha256()
-    for name, path in sorted(_sources()):
+    for name, path in sorted(_sources(model, networks)):
         digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 
@@ -46,13 +64,27 @@ def _of(about: list) -> str:
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:KEPT_DIGITS]
 
 
-def _sources() -> Iterator[tuple[str, Path]]:
+def _sources(model: str, networks: bool) -> Iterator[tuple[str, Path]]:
     """Yield the name and path of every source, wherever the packages are installed."""
     packages = {m.__name__: Path(m.__path__[0]) for m in (rigs, acquisition, reconstruction)}
     folders = [("rigs", "."), ("acquisition", "spikes"), ("acquisition", "scenes")]
-    inner = sorted(f.name for f in packages["reconstruction"].iterdir() if f.is_dir() and f.name not in SHOWN)
+    apart = (*SHOWN, "methods") if networks else (*SHOWN, "methods", "networks")
+    inner = sorted(f.name for f in packages["reconstruction"].iterdir() if f.is_dir() and f.name not in apart)
     for package, folder in (*folders, *(("reconstruction", name) for name in inner)):
         root = packages[package]
         for path in (root / folder).rglob("*"):
-            if path.suffix in SUFFIXES:
-                yield f"{package}/{path.relative_to(root)}", path
+            name = path.relative_to(root).as_posix()
+            if path.suffix in SUFFIXES and not name.startswith(TRAINING):
+                yield f"{package}/{name}", path
+    yield from _method_sources(model)
+
+
+def _method_sources(model: str) -> Iterator[tuple[str, Path]]:
+    """Yield the files that define `model`, or ours where the plan chooses, and those that all methods share."""
+    folder = Path(importlib.import_module("reconstruction.methods").__path__[0])
+    wanted = OURS if model == AUTO else [method for method in METHODS.values() if method.name == model]
+    for path in folder.glob("*.py"):
+        name = f"reconstruction.methods.{path.stem}"
+        defined = [] if path.stem == "__init__" else vars(importlib.import_module(name)).values()
+        if path.stem in OF_ALL_METHODS or any(value is method for value in defined for method in wanted):
+            yield f"reconstruction/methods/{path.name}", path

@@ -52,7 +52,8 @@ class Laboratory:
         """
         found = [file.parent for file in (self.work / "cells" / cell.name).glob(f"*/{SCORES}")]
         if found and self.keep:
-            return max(found, key=lambda run: (_row(run).get("code") == this_code(), (run / SCORES).stat().st_mtime))
+            own = this_code(cell.method)
+            return max(found, key=lambda run: (_row(run).get("code") == own, (run / SCORES).stat().st_mtime))
         return self._own(cell) if found and self._own(cell) in found else None
 
     def known(self, cell: Cell) -> dict | None:
@@ -61,7 +62,7 @@ class Laboratory:
         if folder is None:
             return self.earlier.get(asked_digest(cell))
         row = _row(folder)
-        return row if row.get("code") == this_code() else row | {"kept": True}
+        return row if row.get("code") == this_code(cell.method) else row | {"kept": True}
 
     def runs(self, cells: Iterable[Cell]) -> list[tuple[KnownRecording, RunFolder]]:
         """Return each cell's recording and run, made where there is none; raises ReconstructionError if refused."""
@@ -93,8 +94,8 @@ class Laboratory:
                 raise
             found = {"refused": " ".join(str(refusal).split())}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
-        row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision(), "code": this_code()}
-        row |= {"asked": asked_digest(cell)}
+        row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision()}
+        row |= {"code": this_code(cell.method), "asked": asked_digest(cell)}
         found = row | found
         out.mkdir(parents=True, exist_ok=True)
         write_json(out / SCORES, found)

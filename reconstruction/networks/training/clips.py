@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress, silent
-from acquisition.scenes.multiview import multiview_scene, random_rig
-from acquisition.scenes.random import random_camera, random_scene
+from acquisition.scenes.own import AS_NOMINAL, Own
+from acquisition.scenes.random.clutter import random_camera, random_scene
+from acquisition.scenes.random.rooms import Room
+from acquisition.scenes.random.several_views import multiview_scene, random_own, random_rig
 from acquisition.scenes.source import SceneSource
-from acquisition.scenes.view import Scenery
+from acquisition.scenes.view import Visible
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
@@ -33,6 +35,7 @@ from rigs.rig import Rig
 SCHEMA = 1
 TICK_RATE_HZ = 20000.0
 IDEAL_EVERY = 8  # clips of one camera, of which one has the ideal sensor and the others the real one
+VIEW_KINDS = ("clutter", "photographs", "rooms")  # of scenes; all but the first need the extra `realistic`
 CLIP_RAYS, VIEW_RAYS = 4, 3  # rays a side of a pixel in the truth of a clip of one camera, of several views
 
 
@@ -122,30 +125,43 @@ class MultiviewClip:
 
 @dataclass(frozen=True)
 class MultiviewClips(ClipSet):
-    """Clips of `views` cameras of `width` x `height` px, with truth at the middle plane."""
+    """Clips of `views` cameras of `width` x `height` px, with truth at the middle plane, of the `kinds` in turns.
+
+    The truth is what each camera has at its own gain and lag.
+    """
 
     noun: ClassVar[str] = "clips of several views"
     views: int = 4
     width: int = 192
     height: int = 128
+    kinds: tuple[str, ...] = ("clutter",)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "kinds", tuple(self.kinds))  # JSON has lists
         if self.first_seed < 0 or self.count < 1 or not 2 <= self.views <= 9 or min(self.width, self.height) < 32:
             raise BadRunError(f"found the clips {asdict(self)}", "seeds from 0, 2 to 9 views of 32 px or more")
+        if not self.kinds or set(self.kinds) - set(VIEW_KINDS):
+            raise BadRunError(f"found clips of the kinds {self.kinds}", f"some of {', '.join(VIEW_KINDS)}")
 
     def make(self, seed: int) -> MultiviewClip:
-        """Render and expose the clip with `seed`."""
+        """Render and expose the clip with `seed`; raises MissingRendererError for a kind that needs the extra."""
         rig = random_rig(seed, self.views, self.width, self.height)
         middle_s = rig.clock.instant_s(REACH)
-        scene = multiview_scene(seed, rig.cameras[0].fx, middle_s)
+        scene = self._scene(seed, rig, middle_s)
         streams, light, depth = [], [], []
-        for number, camera in enumerate(rig.cameras):
+        for number, (camera, own) in enumerate(zip(rig.cameras, random_own(seed, self.views), strict=True)):
             sensor = Sensor(self.width, self.height, "real", seed, number)
-            streams.append(exposed(scene, camera, rig.clock, 2 * REACH + 1, sensor))
-            frames = scene.view(camera, VIEW_RAYS, 1).frames(np.array([middle_s]))
-            light.append(frames.intensity[0])
+            streams.append(exposed(scene, camera, rig.clock, 2 * REACH + 1, sensor, own))
+            frames = scene.view(camera, VIEW_RAYS, 1).frames(np.array([middle_s + own.lag_ticks / rig.tick_rate_hz]))
+            light.append(np.float32(own.gain) * frames.intensity[0])
             depth.append(frames.depth[0])
         return MultiviewClip(tuple(streams), REACH, np.stack(light), np.stack(depth), scene.white, rig)
+
+    def _scene(self, seed: int, rig: Rig, middle_s: float) -> Visible:
+        kind = self.kinds[seed % len(self.kinds)]
+        if kind == "rooms":
+            return Room(seed, rig.cameras[0], middle_s)
+        return multiview_scene(seed, rig.cameras[0].fx, middle_s, photographed=kind == "photographs")
 
     def arrays(self, seed: int) -> Mapping[str, NDArray]:
         """Make the clip with `seed` and return what its file holds."""
@@ -162,10 +178,12 @@ class MultiviewClips(ClipSet):
             return MultiviewClip(streams, REACH, light, archive["depth"], white, rig)
 
 
-def exposed(scene: Scenery, camera: Camera, clock: RigClock, planes: int, sensor: Sensor) -> SpikeStream:
-    """Return the first `planes` that `sensor` records where `camera` looks at `scene`."""
+def exposed(
+    scene: Visible, camera: Camera, clock: RigClock, planes: int, sensor: Sensor, own: Own = AS_NOMINAL
+) -> SpikeStream:
+    """Return the first `planes` that `sensor` records where `camera`, of its `own` gain and lag, looks at `scene`."""
     layout = PlaneLayout(camera.width, camera.height)
-    packed = SceneSource(scene, camera, clock, planes, sensor, layout).next_planes(planes)
+    packed = SceneSource(scene, camera, clock, planes, sensor, layout, own=own).next_planes(planes)
     return SpikeStream(packed, layout, clock.tick_rate_hz)
 
 

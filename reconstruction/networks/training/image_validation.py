@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from acquisition.progress import Progress, silent
 from acquisition.scenes.catalog import build_scene
-from acquisition.scenes.random import random_scene
+from acquisition.scenes.random.clutter import random_scene
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.metrics.image import psnr_db

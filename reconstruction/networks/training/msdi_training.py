@@ -1,8 +1,9 @@
 """The training of MSDI: one sample a step, jointly or with image and geometry apart.
 
-The image network starts from the weights of the small Spk2ImgNet. The geometry sees images by those first weights. From
-step `image_from` on, every `IMAGE_EVERY`th step shows it images by the network as it is now. Then geometry also teaches
-the image network if the training is `joint`, and does not otherwise (the paper's ablation).
+A `pretrained` image network starts from the weights of the small Spk2ImgNet. The geometry sees images by those first
+weights. From step `image_from` on, every `IMAGE_EVERY`th step shows it images by the network as it is now. Then the
+geometry also teaches the image network if the training is `joint`, and does not otherwise (the paper's ablation). An
+image network that is not pretrained learns from the first step, and the geometry sees its images alone.
 """
 
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ class MsdiConfig(LoopConfig):
     """
 
     joint: bool = True
+    pretrained: bool = True
     image_from: int = 1500
     pose_from: int = 600
     largest_error: float = 3.5
@@ -55,7 +57,7 @@ class MsdiTraining(Loop[Msdi]):
     ) -> None:
         torch.manual_seed(config.seed)
         network, first = _tier(config.name, backbone), small_msdi()
-        for module in (network, first):
+        for module in (network, first) if config.pretrained else (first,):
             read_weights(SHIPPED / "small.npz", module.image)
         self.wanted = config
         self.samples = Samples(clips, first.eval(), config.seed, config.largest_error, config.pose_from)
@@ -63,7 +65,7 @@ class MsdiTraining(Loop[Msdi]):
         super().__init__(folder, config, network, self._loss_of, device, described)
 
     def _loss_of(self, module: Msdi, number: int) -> Tensor:
-        raw = number >= self.wanted.image_from and number % IMAGE_EVERY == 1
+        raw = (number >= self.wanted.image_from and number % IMAGE_EVERY == 1) or not self.wanted.pretrained
         pose = number >= self.wanted.pose_from and number % POSE_EVERY == 3
         sample = self.samples.sample(number, raw=raw).to(self.device)
         with self.device:  # where what is made on the way lies

@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.scenes.multiview import DISTANCE_M, SPACING_M, multiview_scene, random_rig
+from acquisition.scenes.random.several_views import (
+    DISTANCE_M,
+    LAGS,
+    SPACING_M,
+    multiview_scene,
+    random_own,
+    random_rig,
+)
 
 SEEDS = range(6)
 
@@ -56,3 +63,15 @@ def test_a_rig_of_one_or_ten_views_is_refused():
     for views in (1, 10):
         with pytest.raises(AcquisitionError, match="2 to 9"):
             random_rig(0, views, 192, 128)
+
+
+def test_lenses_gains_and_lags_differ_from_camera_to_camera_and_come_again():
+    rigs = [random_rig(seed, 3, 192, 128) for seed in SEEDS]
+    assert len({(c.cx, c.cy) for rig in rigs for c in rig.cameras}) == 3 * len(rigs)
+    middles = np.array([(c.cx - 96, c.cy - 64) for rig in rigs for c in rig.cameras])
+    assert 1 < middles.std() < 8
+    own = [random_own(seed, 3) for seed in SEEDS]
+    assert own == [random_own(seed, 3) for seed in SEEDS]
+    gains, lags = np.array(own).reshape(-1, 2).T
+    assert 0.03 < gains.std() < 0.15
+    assert 0.1 < np.abs(lags).max() <= LAGS

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.scenes.random import BRIGHT, DIM, SPEED_M_S, random_camera, random_scene
+from acquisition.scenes.random.clutter import BRIGHT, DIM, SPEED_M_S, random_camera, random_scene
 
 SEEDS = range(14)
 

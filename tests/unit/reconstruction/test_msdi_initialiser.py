@@ -5,7 +5,7 @@ import pytest
 
 from acquisition.errors import BadRecordingError
 from acquisition.scenes.misplaced import misplaced
-from acquisition.scenes.multiview import multiview_scene, random_rig
+from acquisition.scenes.random.several_views import multiview_scene, random_rig
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError, GeometryError
@@ -113,10 +113,11 @@ def test_views_of_different_scenes_are_not_believed(clip, streams, nominal):
 def test_lenses_that_bend_each_their_own_way_cost_little():
     """Views are pinholes that cover the pictures: poses are found as well as without lenses, points lie as near."""
     plain, planes = random_rig(CLIP.first_seed, 3, 160, 104), 2 * REACH + 1
-    corner = np.hypot(plain.cameras[0].cx, plain.cameras[0].cy) / plain.cameras[0].fx
+    corner = np.hypot(80, 52) / plain.cameras[0].fx
     bends = (0.0, 0.1, 0.12)  # at the corners; one lens does not bend
     lenses = [(-bend / corner**2, 0.0, 0.0, 0.0) for bend in bends]
-    rig = replace(plain, cameras=tuple(replace(c, distortion=k) for c, k in zip(plain.cameras, lenses, strict=True)))
+    pairs = zip(plain.cameras, lenses, strict=True)
+    rig = replace(plain, cameras=tuple(replace(c, cx=80.0, cy=52.0, distortion=k) for c, k in pairs))
     instant_s = rig.clock.instant_s(REACH)
     scene = multiview_scene(CLIP.first_seed, rig.cameras[0].fx, instant_s)
     sensors = [Sensor(camera.width, camera.height, "real", 1, n) for n, camera in enumerate(rig.cameras)]

@@ -3,7 +3,7 @@ import argparse
 import pytest
 import torch
 
-from acquisition.scenes.multiview import random_rig
+from acquisition.scenes.random.several_views import random_rig
 from reconstruction.errors import BadRunError
 from reconstruction.networks.dust3r.blocks import Turns
 from reconstruction.networks.dust3r.network import Architecture, Dust3r

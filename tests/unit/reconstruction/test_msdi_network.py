@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from acquisition.scenes.multiview import random_rig
+from acquisition.scenes.random.several_views import random_rig
 from reconstruction.networks.msdi.depth import STEPS, likeliest
 from reconstruction.networks.msdi.features import channels, evened, keypoints, patch_centers
 from reconstruction.networks.msdi.inference import full_size
@@ -150,5 +150,6 @@ def test_small_maps_and_views_keep_their_places_at_full_size():
     large = full_size((columns * 2).astype(np.float32), 2, 11, 15)
     assert large.shape == (11, 15)
     assert np.allclose(large[5, 3:12], np.arange(3, 12) + 0.5, atol=1e-5)
-    views = Views.of_rig(random_rig(1, 3, 64, 48), 2)
-    assert torch.allclose(views.principal, torch.tensor([16.0, 12.0], dtype=torch.float64))
+    rig = random_rig(1, 3, 64, 48)
+    halves = [(camera.cx / 2, camera.cy / 2) for camera in rig.cameras]
+    assert torch.allclose(Views.of_rig(rig, 2).principal, torch.tensor(halves, dtype=torch.float64))

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from acquisition.scenes.misplaced import misplaced
-from acquisition.scenes.multiview import random_rig
+from acquisition.scenes.random.several_views import random_rig
 from reconstruction.errors import BadRunError
 from reconstruction.metrics.poses import pose_errors
 from reconstruction.networks.msdi.adjustment import Stage, adjust, derivatives, moved

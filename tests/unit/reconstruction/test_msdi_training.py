@@ -80,6 +80,8 @@ def test_clips_that_are_lacking_other_or_impossible_are_refused(folder, tmp_path
         read_clip_set(tmp_path, MultiviewClips)
     with pytest.raises(BadRunError, match="2 to 9 views"):
         MultiviewClips(0, 1, 10)
+    with pytest.raises(BadRunError, match="some of clutter, photographs, rooms"):
+        MultiviewClips(0, 1, kinds=("clutter", "caves"))
 
 
 def test_a_sample_is_the_same_whenever_it_is_asked_for(folder):
@@ -159,7 +161,7 @@ def test_the_depth_loss_is_least_at_the_truth():
 
 
 def read_clip_set_rig():
-    from acquisition.scenes.multiview import random_rig
+    from acquisition.scenes.random.several_views import random_rig
 
     return random_rig(1, 3, 24, 16)
 
@@ -182,6 +184,18 @@ def test_apart_the_geometry_does_not_teach_the_images_and_joint_it_does(folder):
     image_only = [p.grad for p in network.image.parameters() if p.grad is not None]
     assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(grads[False], image_only, strict=True))
     assert any(not torch.allclose(a, b, atol=1e-4) for a, b in zip(grads[True], image_only, strict=True))
+
+
+def test_an_image_network_from_scratch_learns_from_the_first_step(folder, tmp_path):
+    known = training(tmp_path / "known", folder, steps=1, image_from=9, pose_from=9)
+    fresh = training(tmp_path / "fresh", folder, steps=1, image_from=9, pose_from=9, pretrained=False)
+    for run, learns in ((known, False), (fresh, True)):
+        before = [p.clone() for p in run.module.image.parameters()]
+        run.run(no_score)
+        same = [torch.equal(a, b) for a, b in zip(before, run.module.image.parameters(), strict=True)]
+        assert all(same) != learns
+    pairs = zip(known.module.image.parameters(), fresh.module.image.parameters(), strict=True)
+    assert not all(torch.allclose(a, b, atol=0.01) for a, b in pairs)
 
 
 def test_a_killed_training_goes_on_as_if_it_had_not_been(folder, tmp_path):

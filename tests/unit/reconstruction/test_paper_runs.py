@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -92,7 +93,7 @@ def test_a_run_that_others_disturbed_is_run_again_and_the_quieter_counts(laborat
 
 def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, monkeypatch):
     before = bench_paper(PROTOCOL, laboratory.own, silent)
-    monkeypatch.setattr(digest, "code_digest", lambda: "other")
+    monkeypatch.setattr(digest, "code_digest", lambda method: "other")
     laboratory.own.keep = True
     recording_of = laboratory.own.recording_of
     laboratory.own.recording_of = lambda scene, seed: pytest.fail("simulated for nothing")
@@ -115,7 +116,7 @@ def test_a_bench_goes_on_by_its_document_where_its_folder_is_gone(laboratory, tm
     laboratory.made.clear()
     again = bench_paper(PROTOCOL, laboratory.own, silent)
     assert (again.rows, laboratory.made) == (before.rows, ["fan_and_ball-2-bad-10"])  # refusals are in no row
-    monkeypatch.setattr(digest, "code_digest", lambda: "other")
+    monkeypatch.setattr(digest, "code_digest", lambda method: "other")
     assert laboratory.own.known(Cell(GOOD, "fan_and_ball", 2, EFFORT)) is None
 
 
@@ -157,7 +158,7 @@ def test_the_digest_follows_choices_spikes_and_code(laboratory, monkeypatch):
 
 
 def test_code_is_what_makes_results_not_what_shows_them(tmp_path, monkeypatch):
-    names = {name for name, _ in digest._sources()}
+    names = {name for name, _ in digest._sources("auto", False)}
     wanted = {"rigs/rig.py", "acquisition/spikes/sensor.cpp", "acquisition/scenes/catalog.py"}
     assert wanted | {"reconstruction/training/trainer.py", "reconstruction/rendering/frame.h"} <= names
     assert not [n for n in names if n.split("/")[1] in ("bench", "stability", "report", "export", "recording")]
@@ -165,9 +166,30 @@ def test_code_is_what_makes_results_not_what_shows_them(tmp_path, monkeypatch):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.py").write_text("a = 1")
     monkeypatch.setattr(digest, "reconstruction", SimpleNamespace(__name__="reconstruction", __path__=[str(tmp_path)]))
-    code = digest.code_digest.__wrapped__
+    code = partial(digest._digest_of.__wrapped__, "auto", False)
     before = code()
     (tmp_path / "bench" / "a.py").write_text("a = 2")
     assert code() == before
     (tmp_path / "training" / "a.py").write_text("a = 2")
     assert code() != before
+
+
+@pytest.mark.parametrize(
+    ("choices", "own", "networks"),
+    [
+        ({}, {"ours"}, False),
+        ({"model": "stg", "images": "tfi"}, {"stg"}, False),
+        ({"model": "4dgs-small", "images": "clean"}, {"four_dgs"}, False),
+        ({"images": "spk2imgnet"}, {"ours"}, True),
+        ({"model": "4dgs", "init": "msdi"}, {"four_dgs"}, True),
+    ],
+)
+def test_methods_and_networks_count_where_they_are_used(choices, own, networks, monkeypatch):
+    seen = []
+    monkeypatch.setattr(digest, "_digest_of", lambda *used: seen.append(used) or "")
+    digest.code_digest(Method("any", choices))
+    names = {name for name, _ in digest._sources(*seen[0])}
+    methods = {name.split("/")[2] for name in names if name.startswith("reconstruction/methods/")}
+    assert methods == {f"{name}.py" for name in (*digest.OF_ALL_METHODS, *own)}
+    assert ("reconstruction/networks/msdi/weights/small.npz" in names) == networks
+    assert not [name for name in names if "networks/train" in name or "scenes/random/" in name]

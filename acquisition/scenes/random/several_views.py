@@ -1,7 +1,8 @@
 """Draws random scenes and rigs around them, to train networks of several views on.
 
-The scenes are those of `acquisition.scenes.random`, made as wide as a rig's field, with textures as fine as its pixels
-and often a floor. The rigs vary the lab rig's grid: spacing, distance, lens and which of its places are taken.
+The scenes are those of `clutter`, made as wide as a rig's field, with textures as fine as its pixels and often a floor.
+The rigs vary the lab rig's grid: spacing, distance, lens, which of its places are taken, and what cameras have of their
+own.
 """
 
 import math
@@ -13,7 +14,9 @@ from acquisition.errors import AcquisitionError
 from acquisition.scenes import natural
 from acquisition.scenes.bodies import UPRIGHT, Body, Finish, Shape, still
 from acquisition.scenes.motion import Motion
-from acquisition.scenes.random import FOCAL_PX, random_scene
+from acquisition.scenes.own import Own, owned
+from acquisition.scenes.random.clutter import FOCAL_PX, random_scene
+from acquisition.scenes.random.photographs import crops
 from acquisition.scenes.scene import Scene
 from rigs.camera import Camera
 from rigs.rig import Rig
@@ -22,7 +25,9 @@ from rigs.transform import Transform
 LAB_WIDTH_PX = 400  # width of the picture that FOCAL_PX belongs to
 FIELD_PX = 300  # width of the part of the lab camera's picture that the bodies are spread over
 PLACES = tuple((row, column) for row in range(-1, 2) for column in range(-1, 2))
-SPACING_M, DISTANCE_M, LENS = (0.12, 0.28), (1.4, 2.4), (0.85, 1.2)  # lens: focal length over the lab rig's
+SPACING_M, DISTANCE_M, LENS = (0.12, 0.28), (1.4, 2.4), (0.75, 1.4)  # lens: focal length over the lab rig's
+ASIDE = 0.02  # standard deviation of the principal points from the middle, as a share of the width
+GAINS, LAGS = 0.08, 0.5  # standard deviation of the cameras' gains; most ticks that one sees early or late
 FLOOR_SHARE, STILL_SHARE, NATURAL_SHARE = 0.6, 0.85, 0.5
 FLOOR_Y_M = (0.4, 0.8)
 
@@ -38,24 +43,35 @@ def random_rig(seed: int, views: int, width: int, height: int, tick_rate_hz: flo
     rng = np.random.default_rng([seed, 0x61])
     spacing, distance = rng.uniform(*SPACING_M), rng.uniform(*DISTANCE_M)
     focal = FOCAL_PX * width / LAB_WIDTH_PX * rng.uniform(*LENS)
+    aside = np.random.default_rng([seed, 0x63]).normal(0, ASIDE * width, (views, 2))
     cameras = []
-    for place in sorted(rng.choice(len(PLACES), views, replace=False)):
+    for (x, y), place in zip(aside, sorted(rng.choice(len(PLACES), views, replace=False)), strict=True):
         row, column = PLACES[place]
         center = spacing * np.array([column, row, 0]) + rng.normal(0, 0.03, 3)
         aim = np.array([0, 0, distance]) + rng.normal(0, 0.06, 3)
         roll = Transform.from_rotvec((0, 0, rng.normal(0, 0.03)))
         pose = roll @ Transform.looking_at(center, aim)
         name = f"cam{row + 1}{column + 1}"
-        cameras.append(Camera(name, width, height, focal, focal, width / 2, height / 2, pose))
+        cameras.append(Camera(name, width, height, focal, focal, width / 2 + x, height / 2 + y, pose))
     return Rig(f"random{seed}", tick_rate_hz, tuple(cameras), "calibrated")
 
 
-def multiview_scene(seed: int, focal_px: float, middle_s: float = 0.0) -> Scene:
-    """Build scene number `seed` for cameras of focal length `focal_px`, its movers in their places at `middle_s`."""
+def random_own(seed: int, views: int) -> list[Own]:
+    """Draw the gain and the lag of each camera of rig number `seed`."""
+    return owned(views, GAINS, LAGS, seed)
+
+
+def multiview_scene(seed: int, focal_px: float, middle_s: float = 0.0, *, photographed: bool = False) -> Scene:
+    """Build scene number `seed` for cameras of focal length `focal_px`, its movers in their places at `middle_s`.
+
+    Its textures are drawn, or `photographed`; raises MissingRendererError then where no photographs are installed.
+    """
     scene = random_scene(seed, middle_s, FIELD_PX)
     rng = np.random.default_rng([seed, 0x62])
     pictures = scene.textures
-    if rng.random() < NATURAL_SHARE:
+    if photographed:
+        pictures = crops(rng, len(pictures), natural.SIZE)
+    elif rng.random() < NATURAL_SHARE:
         leaves = natural.leaves(rng, square=bool(rng.integers(2)))
         pictures = np.concatenate([np.tile(pictures, (1, 2, 2)), np.stack([leaves, natural.cloth(rng)])])
     holds = rng.random() < STILL_SHARE

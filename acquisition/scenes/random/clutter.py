@@ -41,7 +41,7 @@ def random_scene(seed: int, middle_s: float = 0.0, field_px: int = 96) -> Scene:
         depth_m = rng.uniform(1.0, wall_m - 0.3)
         center = (*(depth_m * field_px / FOCAL_PX * rng.uniform(-0.5, 0.5, 2)), depth_m)
         shapes, reach_m = _clutter(rng, depth_m, depth_m * field_px / FOCAL_PX)
-        start = Transform(_turn(rng), np.array(center))
+        start = Transform(random_turn(rng), np.array(center))
         moves = not still and rng.random() < 0.7
         motion = _motion(rng, start, middle_s, reach_m) if moves else Motion(start)
         bodies.append(Body(f"body{number}", shapes, motion))
@@ -74,7 +74,7 @@ def _finish(rng: np.random.Generator, depth_m: float) -> Finish:
     return Finish(int(rng.integers(8)), texel_m, (low, high), (float(shift[0]), float(shift[1])))
 
 
-def _turn(rng: np.random.Generator) -> NDArray[np.float64]:
+def random_turn(rng: np.random.Generator) -> NDArray[np.float64]:
     """Draw a rotation [3, 3], every one equally likely."""
     q, r = np.linalg.qr(rng.standard_normal((3, 3)))
     q = q * np.sign(np.diag(r))
