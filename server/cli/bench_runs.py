@@ -218,7 +218,7 @@ def _rivals_protocol(asked: Asked) -> Protocol:
     from reconstruction.bench.rivals import rivals_protocol
 
     found = rivals_protocol(quick=asked.quick)
-    return found.of(tuple(asked.tables.split(","))) if asked.tables else found
+    return found.beginning(tuple(asked.tables.split(","))) if asked.tables else found
 
 
 def _viewpoints(asked: Asked) -> BenchDocument:

@@ -10,7 +10,7 @@ from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import name_of, summarise
 from rigs.errors import Spike4dgsError
 
-OUT_OF_TIME = "no time was left"  # the reason of runs that were not begun
+NOT_RUN = "not run yet"
 OVERRUN = 0.1  # share of the budget beyond which an omission names the run
 NOTES = (
     "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
@@ -50,11 +50,13 @@ def run_protocol(
     empty.
     """
     document, refusals = BenchDocument(name), {}
-    cells = protocol.cells()
+    cells, begins = protocol.cells(), protocol.begins()
     for number, cell in enumerate(cells):
         progress(number / len(cells), cell.name)
         try:
-            found = laboratory.known(cell) or (laboratory.result(cell) if time_left() else None)
+            found = laboratory.known(cell)
+            if found is None and cell.name in begins and time_left():
+                found = laboratory.result(cell)
         except Spike4dgsError as refusal:
             found = {"refused": " ".join(str(refusal).split())}
         if found and "refused" in found:
@@ -76,7 +78,7 @@ def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[st
             places: dict[str, list[str]] = {}
             for cell in (c for c in protocol.wanted(table, row) if c.name not in have):
                 where = f"{cell.scene}-{cell.seed} @{cell.effort.label}"
-                places.setdefault(refusals.get(cell.name, OUT_OF_TIME), []).append(where)
+                places.setdefault(refusals.get(cell.name, NOT_RUN), []).append(where)
             for reason, found in places.items():
                 document.omissions.append(f"{table.name}, {row.label}: {reason} ({', '.join(found)})")
     for row in document.rows:

@@ -134,24 +134,36 @@ class Batch:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Tables, and the batches that fill them, the most wanted first."""
+    """Tables, and the batches that fill them, the most wanted first.
+
+    Runs are begun for the tables `begun` (None: for all); the others have the runs that were made before.
+    """
 
     tables: tuple[Table, ...]
     batches: tuple[Batch, ...]
+    begun: tuple[str, ...] | None = None
 
     def of(self, names: tuple[str, ...]) -> Protocol:
         """Return the protocol of these tables alone; raises BadRunError for a name that is none."""
+        self._check(names)
+        tables = tuple(t for t in self.tables if t.name in names)
+        return Protocol(tables, tuple(b for b in self.batches if b.table in names))
+
+    def beginning(self, names: tuple[str, ...]) -> Protocol:
+        """Return the protocol with runs begun for these tables alone; raises BadRunError for a name that is none."""
+        self._check(names)
+        return replace(self, begun=names)
+
+    def _check(self, names: tuple[str, ...]) -> None:
         known = [table.name for table in self.tables]
         if not set(names) <= set(known):
             raise BadRunError(f"found the tables {', '.join(names)}", f"some of {', '.join(known)}")
-        tables = tuple(t for t in self.tables if t.name in names)
-        return Protocol(tables, tuple(b for b in self.batches if b.table in names))
 
     def on(self, scenes: tuple[str, ...]) -> Protocol:
         """Return the protocol on other scenes; raises BadRunError for one that is not there."""
         if not set(scenes) <= set(SCENES):
             raise BadRunError(f"found the scenes {', '.join(scenes)}", f"some of {', '.join(SCENES)}")
-        return Protocol(self.tables, tuple(replace(b, scenes=scenes) for b in self.batches))
+        return replace(self, batches=tuple(replace(b, scenes=scenes) for b in self.batches))
 
     def wanted(self, table: Table, row: Row) -> list[Cell]:
         """Return the cells that a row of a table is the mean of, at every length."""
@@ -163,3 +175,8 @@ class Protocol:
         rows = {table.name: table.rows for table in self.tables}
         found = [cell for b in self.batches for row in rows[b.table] for cell in b.cells(row)]
         return list({cell.name: cell for cell in found}.values())
+
+    def begins(self) -> set[str]:
+        """Return the names of the cells that are begun where they have no run."""
+        asked = self if self.begun is None else self.of(self.begun)
+        return {cell.name for cell in asked.cells()}

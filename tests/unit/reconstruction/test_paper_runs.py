@@ -13,7 +13,7 @@ from reconstruction.bench.paper import run as runs
 from reconstruction.bench.paper.bench import bench_paper, timer
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import SCORES, Laboratory
-from reconstruction.errors import StereoError
+from reconstruction.errors import BadRunError, StereoError
 from server.cli.bench_asked import Asked
 
 EFFORT = Effort(10.0)
@@ -129,7 +129,19 @@ def test_when_time_is_up_no_run_begins_and_what_is_missing_is_named(laboratory):
     seconds = iter([0.0, 0.0, 99.0, 99.0, 99.0])
     document = bench_paper(PROTOCOL, laboratory.own, silent, timer(50.0, lambda: next(seconds)))
     assert laboratory.made == ["fan_and_ball-2-good-10"]
-    assert "t, bad: no time was left (fan_and_ball-2 @10)" in document.omissions
+    assert "t, bad: not run yet (fan_and_ball-2 @10)" in document.omissions
+
+
+def test_runs_are_begun_for_the_tables_asked_for_and_kept_of_the_others(laboratory):
+    other = Table("u", "U", "", (Row("good", GOOD),))
+    both = Protocol((TABLE, other), (*PROTOCOL.batches, Batch("u", ("fan_and_ball",), (Effort(20.0),))))
+    bench_paper(PROTOCOL, laboratory.own, silent)
+    laboratory.made.clear()
+    document = bench_paper(both.beginning(("u",)), laboratory.own, silent)
+    assert laboratory.made == ["fan_and_ball-2-good-20"]
+    assert {(row["method"], row["effort"]) for row in document.rows} == {("good", "10"), ("good", "20")}
+    with pytest.raises(BadRunError, match="some of t, u"):
+        both.beginning(("v",))
 
 
 def test_no_recording_is_made_of_what_will_not_be_run(laboratory):

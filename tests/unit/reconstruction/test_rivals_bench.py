@@ -27,15 +27,20 @@ def measured(laboratory, known_of=lambda cell: True):
 def test_all_rows_are_run_in_turns_at_every_length_a_scene_at_a_time():
     assert len(ROWS) == len(METHODS) <= 8
     cells = rivals_protocol().cells()
-    lengths = {effort for _, _, efforts in GROUPS.values() for effort in efforts}
-    assert lengths == {Effort(15.0), Effort(60.0), Effort(300.0)}
+    lengths = {effort for group in GROUPS.values() for effort in group.lengths}
+    assert lengths == {Effort(15.0), Effort(60.0), Effort(300.0), Effort(1800.0)}
     for cell in cells:
         assert cell.method.config(cell.effort, cell.seed).budget_s == cell.effort.budget_s
-    for _, scenes, efforts in GROUPS.values():
-        for scene in scenes:
-            own, cells = cells[: len(METHODS) * len(efforts)], cells[len(METHODS) * len(efforts) :]
-            assert {(cell.scene, cell.effort) for cell in own} == {(scene, effort) for effort in efforts}
+    for group in GROUPS.values():
+        for scene in group.scenes:
+            count = len(group.rows) * len(group.lengths)
+            own, cells = cells[:count], cells[count:]
+            assert {(cell.scene, cell.effort) for cell in own} == {(scene, effort) for effort in group.lengths}
     assert cells == []
+    assert [row.label.split(",")[0] for row in GROUPS["half-hour"].rows] == [
+        "TFI + 4DGS",
+        "the paper's chain as we read it",
+    ]
 
 
 def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, told_laboratory):
