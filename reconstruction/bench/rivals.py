@@ -109,7 +109,8 @@ def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     about = " ".join((__doc__ or "").split())
     parts = ["# Ours and its rivals", made_by(document), about, *whole]
     parts += [f"Tables that still lack runs, and are not printed: {', '.join(lacking)}."] if lacking else []
-    parts += ["## Omissions\n\n" + "\n".join(f"- {line}" for line in document["omissions"])]
+    omissions = [f"- {line}" for line in document["omissions"] if NOT_RUN not in line]
+    parts += ["## Omissions\n\n" + "\n".join(omissions)]
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
 
 

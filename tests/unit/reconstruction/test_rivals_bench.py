@@ -65,5 +65,6 @@ def test_a_table_that_lacks_a_run_is_not_printed(tmp_path, told_laboratory):
     write_page(tmp_path / "rivals.md", document, protocol)
     text = (tmp_path / "rivals.md").read_text()
     assert "not printed: new, new-long." in text
+    assert "not run yet" not in text
     assert "(`old`)" in text
     assert "(`new`)" not in text
