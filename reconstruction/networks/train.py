@@ -19,7 +19,7 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, infer, loss
 from reconstruction.networks.training import msdi_validation, processes
-from reconstruction.networks.training.clips import VIEW_KINDS, CameraClips, MultiviewClips, write_clips
+from reconstruction.networks.training.clips import VIEW_KINDS, CameraClips, MultiviewClips, read_clip_set, write_clips
 from reconstruction.networks.training.curve import plot_curves
 from reconstruction.networks.training.image_training import (
     Batches,
@@ -152,9 +152,10 @@ def msdi_command(
     own = processes.start(device)
     try:
         config = MsdiConfig(**settings)
-        notes = {"validation": msdi_validation.validation_set(development)}
+        random = msdi_validation.random_clips(read_clip_set(folder, MultiviewClips).kinds)
+        notes = {"validation": msdi_validation.validation_set(random, development)}
         training = MsdiTraining(out, config, folder, own, notes, backbone=backbone)
-        scored = msdi_validation.scored_views(development) if processes.first() else []
+        scored = msdi_validation.scored_views(random, development) if processes.first() else []
         training.run(lambda module: msdi_validation.scores(module, scored), _report(config.name))
     finally:
         processes.stop()

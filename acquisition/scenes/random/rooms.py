@@ -1,7 +1,7 @@
 """Draws random rooms by the path tracer, to train networks on: soft shadows, plain walls, photographs, gloss.
 
 A view draws what it is asked for and keeps it as long as it lives; nothing goes to the disk, since each room is seen by
-one rig and once. Letters: K keyframes, n instants, H rows, W columns.
+one rig and once. Letters: n instants, H rows, W columns.
 """
 
 from __future__ import annotations

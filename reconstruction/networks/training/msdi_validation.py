@@ -1,7 +1,7 @@
 """Scores MSDI while it learns: on random rigs and scenes of other seeds, and on simulated recordings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
 from rigs.similarity import align
 
-RANDOM = MultiviewClips(first_seed=900_000, count=4)
+FIRST_SEED, CLIPS = 900_000, 6  # of the random clips, which no training is of
 RANDOM_ERROR = 2.0  # degrees, cm and percent of the nominal rigs of the random clips
 HELD_OUT = "cam11"  # no initialiser sees it
 
@@ -33,15 +33,20 @@ class ScoredViews:
     nominal: Rig
 
 
-def validation_set(development: Sequence[Path]) -> dict[str, object]:
+def random_clips(kinds: tuple[str, ...]) -> MultiviewClips:
+    """Return the random clips to score on, of the kinds that are learnt from."""
+    return MultiviewClips(FIRST_SEED, CLIPS, kinds=kinds)
+
+
+def validation_set(random: MultiviewClips, development: Sequence[Path]) -> dict[str, object]:
     """Return what the validation consists of, for the document of a training."""
     names = [folder.name for folder in development]
-    return {"random_seeds": list(RANDOM.seeds), "random_error": RANDOM_ERROR, "development": names}
+    return {"random": asdict(random), "random_error": RANDOM_ERROR, "development": names}
 
 
-def scored_views(development: Sequence[Path]) -> list[ScoredViews]:
+def scored_views(random_set: MultiviewClips, development: Sequence[Path]) -> list[ScoredViews]:
     """Return the random clips, with nominal rigs off by RANDOM_ERROR, then the recordings in `development`."""
-    clips = [(RANDOM.make(seed), seed) for seed in RANDOM.seeds]
+    clips = [(random_set.make(seed), seed) for seed in random_set.seeds]
     random = [ScoredViews("random", clip, misplaced(clip.rig, RANDOM_ERROR, seed)) for clip, seed in clips]
     return [*random, *map(recorded_views, development)]
 
