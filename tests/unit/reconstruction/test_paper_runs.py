@@ -43,6 +43,7 @@ def laboratory(tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "reconstruct", reconstruct)
     monkeypatch.setattr(runs, "score_run", lambda run, recording, floors: SCORED)
     monkeypatch.setattr(runs.Recording, "open", lambda path: path)
+    monkeypatch.setattr(runs, "Stolen", lambda: SimpleNamespace(share=lambda: 0.0))  # whatever else this machine does
     found = Laboratory(tmp_path / "work", lambda scene, seed: tmp_path / f"{scene}-{seed}", lambda name: silent)
     found.warm = True
     return SimpleNamespace(own=found, made=made, recording=recording)
