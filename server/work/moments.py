@@ -23,7 +23,7 @@ MISSED = "record again: the moment has passed"
 class Beginning:
     """The begin of one capture, which its entry's folder notes.
 
-    `control` has the orders that lie there; `earlier` says that `is_now` found it begun before.
+    `control` has the orders that lie there; `here` says that `is_now` began it.
     """
 
     def __init__(self, store: Store, entry: Entry) -> None:
@@ -33,15 +33,14 @@ class Beginning:
         self._asked = entry.created
         self._begun = store.folder.begun(entry.id)
         self._partial = partial_of(store.folder.recording(entry.id))
-        self.earlier = False
+        self.here = False
 
     def is_now(self) -> bool:
         """Return whether the capture begins now, and note it; False where an earlier worker has begun it.
 
         Raises StoppedStageError where it was stopped before, StageError where it was asked for too long ago.
         """
-        self.earlier = self._begun.exists() or self._partial.exists()  # workers of old left no mark
-        if self.earlier:
+        if self._begun.exists() or self._partial.exists():  # workers of old left no mark
             return False
         if self.control.stop.exists():
             raise StoppedStageError(NEVER_BEGUN)
@@ -51,6 +50,7 @@ class Beginning:
             found = f"found that no worker took it up for {late_s:.0f} s"
             raise StageError(found, f"one within {PATIENCE_S:.0f} s", MISSED)
         write_durably(self._begun, "")
+        self.here = True
         return True
 
 
@@ -77,7 +77,7 @@ class Moments:
                 is_due=beginning.is_now,
                 ends_in_order=True,
             )
-            if not beginning.earlier:
+            if beginning.here:
                 return
         except StoppedStageError as stopped:
             self._say(entry, stage, stopped.found)

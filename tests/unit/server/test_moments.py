@@ -1,6 +1,7 @@
 """Tests when a capture may begin."""
 
 import asyncio
+import json
 import signal
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.devices.open import Simulation
+from acquisition.recording.manifest import MANIFEST_FILE
 from acquisition.recording.writer import partial_of
 from acquisition.session.record import simulate
 from rigs.toml import catalog_rig
@@ -115,6 +117,31 @@ def test_what_was_killed_when_it_had_a_name_is_kept(tmp_path, last):
     asyncio.run(Moments(store, processes).record(entry, "record", "r", "usb:", tmp_path))
     (kept,) = store.entries.find(["c1"])
     assert (kept.progress["message"], kept.progress["error"]) == ("kept, complete", None)
+    store.close()
+
+
+class Orphaned:
+    """Processes that find what they are asked for finished by one that outlived its worker."""
+
+    def __init__(self, recording: Path) -> None:
+        self.recording = recording
+
+    async def run(self, *arguments: object, **options: object) -> None:
+        simulate(Simulation("fan_and_ball", samples=1), catalog_rig("ci3x3").scaled(20, 12), 20, self.recording)
+        manifest = self.recording / MANIFEST_FILE
+        told = {"status": "incomplete", "reason": "the recorder was killed"}
+        manifest.write_text(json.dumps(json.loads(manifest.read_text()) | told))
+
+
+def test_what_an_earlier_worker_left_incomplete_is_called_so_by_the_next(tmp_path):
+    store = Store(ServiceSettings(data=tmp_path))
+    entry = Entry("c1", "capture", "record", store.entries.now(), {"ticks": 20})
+    store.entries.add(entry)
+    assert Beginning(store, entry).is_now()
+    processes = Orphaned(store.folder.recording("c1"))
+    asyncio.run(Moments(store, processes).record(entry, "record", "r", "usb:", tmp_path))
+    (kept,) = store.entries.find(["c1"])
+    assert kept.progress["message"] == "kept, incomplete: the recorder was killed"
     store.close()
 
 
