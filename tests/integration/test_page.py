@@ -262,6 +262,25 @@ def test_it_fits_and_can_be_read(width: int, scheme: str, done: str, open_page: 
     assert seen.faults == []
 
 
+def test_what_is_drawn_anew_right_after_a_click_is_as_the_click_left_it(open_page: Callable[..., Any]) -> None:
+    found = open_page().evaluate("""async () => {
+        const { element, fold } = await import('/operator/dom.js');
+        let drawn = fold('any', 'Any', element('p'));
+        document.body.append(drawn);
+        const clicked = () => {
+            drawn.querySelector('summary').click();
+            const anew = fold('any', 'Any', element('p'));
+            drawn.replaceWith(anew);
+            drawn = anew;
+            return drawn.open;
+        };
+        const first = clicked();
+        await new Promise((done) => setTimeout(done, 100));
+        return [first, drawn.open, clicked()];
+    }""")
+    assert found == [True, True, False]
+
+
 def test_a_token_is_asked_for_and_used(done: str, open_page: Callable[..., Any]) -> None:
     def guarded(page: Any) -> None:
         def answer(route: Any) -> None:

@@ -73,10 +73,12 @@ export const failure = (text) => text && element('p', { className: 'failed' }, t
 const opened = new Set(); // ids of folds that a person opened, kept while they are not on the page
 
 export function fold(id, summary, content, onopen) {
-  const made = element('details', { id, open: opened.has(id) }, element('summary', {}, summary), content);
+  const keep = (open) => (open ? opened.add(id) : opened.delete(id));
+  const head = element('summary', {}, summary);
+  const made = element('details', { id, open: opened.has(id) }, head, content);
+  head.onclick = () => keep(!made.open); // a toggle is told later, and the list may be drawn anew before
   made.ontoggle = ({ currentTarget: { open } }) => {
-    if (open) opened.add(id);
-    else opened.delete(id);
+    keep(open);
     onopen?.(open);
   };
   return made;
