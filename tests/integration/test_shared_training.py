@@ -3,8 +3,11 @@
 import json
 import os
 import signal
+import sqlite3
+import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import httpx
@@ -260,6 +263,29 @@ def test_a_restart_learns_all_parts_again(both, deployment, client, capture, sta
     assert set(job.begun().values()) == {2}
 
 
+def put_to_sleep(processes: list[int], data: Path) -> None:
+    """Stop processes, at a moment when none holds a lock on SQLite: it would keep all others from writing."""
+    for _ in range(50):
+        for pid in processes:
+            os.kill(pid, signal.SIGSTOP)
+        if all(map(is_writable, data.glob("*.sqlite"))):
+            return
+        for pid in processes:
+            os.kill(pid, signal.SIGCONT)
+        time.sleep(0.05)
+    raise AssertionError("a database was locked whenever the processes were stopped")
+
+
+def is_writable(database: Path) -> bool:
+    with closing(sqlite3.connect(database, timeout=1.0)) as connection:
+        try:
+            connection.execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError:
+            return False
+        connection.rollback()
+        return True
+
+
 def test_a_result_that_comes_late_is_dropped(both, deployment, client, capture) -> None:
     job = Watched(deployment, client, capture, 1, "hold-000000")
     wait_for(lambda: "000000" in job.processes().values())
@@ -267,8 +293,7 @@ def test_a_result_that_comes_late_is_dropped(both, deployment, client, capture) 
     name = deployment.worker_of(late)
     assert name is not None
     asleep = [deployment.processes[name].pid, late]
-    for pid in asleep:
-        os.kill(pid, signal.SIGSTOP)
+    put_to_sleep(asleep, deployment.data)
     job.unmark("hold-000000")
     job.ends()
     kept = (job.folder / "run" / "spans" / "000000.pt").read_text()
