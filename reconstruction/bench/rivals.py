@@ -107,7 +107,8 @@ def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     lacking = [table.name for table in protocol.tables if _lacks(table, document["omissions"])]
     whole = [measured_table(t, protocol, document["rows"]) for t in protocol.tables if t.name not in lacking]
     about = " ".join((__doc__ or "").split())
-    parts = ["# Ours and its rivals", made_by(document), about, *whole]
+    revisions = ", ".join(sorted({row["revision"] for row in document["rows"] if "revision" in row}))
+    parts = ["# Ours and its rivals", made_by(document), f"{about} The runs are of the revisions {revisions}.", *whole]
     parts += [f"Tables that still lack runs, and are not printed: {', '.join(lacking)}."] if lacking else []
     omissions = [f"- {line}" for line in document["omissions"] if NOT_RUN not in line]
     parts += ["## Omissions\n\n" + "\n".join(omissions)]
