@@ -23,13 +23,16 @@ from rigs.camera import Camera
 
 # Each term's factor in the square of the error, both relative to white.
 WEIGHTS = {
-    "misfit": 1200.0,  # misfit of the Gaussians, times their breadth and the angle to the nearest who saw them
-    "edges": 0.14,  # the root of their misfit where the depth jumps: there little shifts show
-    "aside": 0.033,  # the square of the light, times the square of the angle to the nearest camera that saw it
-    "holes": 0.13,  # what shows in holes, where light passes through everything
-    "holes aside": 0.2,  # holes, times that angle: what is behind them nobody may have seen
+    "misfit": 0.48,  # misfit of the Gaussians
+    "edges": 5.2,  # the same where the depth jumps: there little shifts show
+    "holes": 0.0011,  # what shows in holes, where light passes through everything
+    "misfit outside": 42.0,  # misfit of the Gaussians, times their breadth and how far outside the viewer is
+    "light outside": 0.00014,  # the square of the light, times how far outside the viewer is
+    "holes outside": 0.56,  # what shows in holes, times the same
 }
-WIDEST_RAD = 1.0  # largest angle that counts, and that to a camera where none has seen a Gaussian
+WIDEST_RAD = 1.0  # largest breadth of a Gaussian that counts
+FARTHEST = 20.0  # bound of how far outside a viewer is, and where the viewer is of what no camera has seen
+NARROWEST_RAD = 0.02  # least spread of the cameras' directions
 JUMP = 0.02  # change of the depth from pixel to pixel, relative to it, that is an edge
 TINY = 1e-12  # what keeps a quotient finite
 
@@ -58,22 +61,39 @@ class Uncertainty:
         now, known = part.at(instant_s), self.evidence.at(number)
         away = torch.tensor(camera.center, dtype=torch.float32) - now.means
         breadth = (now.log_scales.exp().amax(dim=1) / away.norm(dim=1).clamp_min(TINY)).clamp(max=WIDEST_RAD)
-        own_light = now.intensities[:, 0] / self.evidence.white
-        channels = torch.stack([known.misfit, self._aside(now, away, known), breadth, own_light], dim=1)
+        own_light, outside = now.intensities[:, 0] / self.evidence.white, self._outside(now, away, known)
+        channels = torch.stack([known.misfit, own_light, outside, known.misfit * breadth * outside], dim=1)
         seen = render(now._replace(intensities=channels), camera, dilation_px2=part.dilation_px2)
-        misfit, aside, broad, light = seen.intensity.clamp_min(0).unbind(-1)
-        hole, edges = (1 - seen.alpha).clamp(0, 1), _edges(seen) * misfit.sqrt()
-        holes = hole * self.evidence.void
-        return torch.stack([misfit * broad * aside, edges, (aside * light).square(), holes, hole * aside])
+        misfit, light, out, misfit_out = seen.intensity.clamp_min(0).unbind(-1)
+        holes = (1 - seen.alpha).clamp(0, 1) * self.evidence.void
+        return torch.stack([misfit, _edges(seen) * misfit, holes, misfit_out, light.square() * out, holes * out])
 
-    def _aside(self, now: Instantaneous, away: Tensor, known: Evidence) -> Tensor:
-        """Return the angle [N] at each Gaussian from the viewer, who is `away` [N, 3] m, to the nearest that saw it."""
-        nearest = torch.full((len(away),), -1.0)
-        sight = torch.nn.functional.normalize(away, dim=1)
-        for centre, saw in zip(self.evidence.centres, known.seen.T, strict=True):
-            cosine = (torch.nn.functional.normalize(centre - now.means, dim=1) * sight).sum(dim=1)
-            nearest = torch.where(saw, torch.maximum(nearest, cosine), nearest)
-        return nearest.clamp(-1, 1).arccos().clamp(max=WIDEST_RAD)
+    def _outside(self, now: Instantaneous, away: Tensor, known: Evidence) -> Tensor:
+        """Return how far outside its cameras each Gaussian [N] is looked at by a viewer who is `away` [N, 3] m.
+
+        It is the leverage of the viewer's direction among those of the cameras that saw the Gaussian: the factor by
+        which a straight line through their samples is less certain there, as in linear regression.
+        """
+        seen = known.seen[..., None].float()
+        ways = torch.nn.functional.normalize(self.evidence.centres - now.means[:, None], dim=2)
+        middle = (seen * ways).sum(dim=1) / seen.sum(dim=1).clamp_min(1)
+        apart = seen * (ways - middle[:, None])
+        spread = apart.transpose(1, 2) @ apart + NARROWEST_RAD**2 * torch.eye(3)
+        off = torch.nn.functional.normalize(away, dim=1) - middle
+        leverage = _quadratic_inverse(spread, off).clamp_min(0)
+        bounded = leverage / (1 + leverage / FARTHEST)
+        return torch.where(known.seen.any(dim=1), bounded, torch.full_like(bounded, FARTHEST))
+
+
+def _quadratic_inverse(matrices: Tensor, vectors: Tensor) -> Tensor:
+    """Return v^T A^-1 v [N] of symmetric A [N, 3, 3] and v [N, 3].
+
+    It is done by adjugates: solvers of many small systems take a hundred times as long.
+    """
+    a, b, c = matrices.unbind(dim=1)
+    adjugate = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], dim=1)
+    determinant = (a * adjugate[:, 0]).sum(dim=1)
+    return ((adjugate @ vectors[..., None])[..., 0] * vectors).sum(dim=1) / determinant
 
 
 def _edges(seen: Rendering) -> Tensor:

@@ -19,7 +19,7 @@ from reconstruction.report.video import trusted_share
 from reconstruction.run.spans import Span
 from reconstruction.scene_model import TimeSpan
 from reconstruction.uncertainty.evidence import Evidence, SceneEvidence, gather
-from reconstruction.uncertainty.expected_error import WEIGHTS, Uncertainty
+from reconstruction.uncertainty.expected_error import FARTHEST, NARROWEST_RAD, WEIGHTS, Uncertainty
 from rigs.clock import RigClock
 from rigs.transform import Transform
 
@@ -148,21 +148,45 @@ def test_the_expected_error_is_the_root_of_weighted_terms(scene_with):
     assert len(terms) == len(WEIGHTS)
 
 
-def test_the_terms_of_a_lone_gaussian_are_those_of_its_misfit_breadth_and_angle(one_scene):
+def test_the_terms_of_a_lone_gaussian_are_those_of_its_misfit_breadth_and_leverage(one_scene):
     uncertainty = told(replace(one_scene, holdout="cam01"), error=0.1)
     camera = one_scene.rig.camera("cam01")
     now = one_scene.cloud.at(0.007)
-    misfit, _, aside, holes, holes_aside = uncertainty.terms(camera, 0.007)
+    misfit, _, holes, misfit_out, light_out, holes_out = uncertainty.terms(camera, 0.007)
     alpha = render(now, camera).alpha
-    ways = [c.center - now.means[0].numpy() for c in (camera, *one_scene.rig.cameras)]
-    ways = [way / np.linalg.norm(way) for way in ways]
-    angle = min(math.acos(ways[0] @ ways[i]) for i in (1, 3))  # cam01 itself is held out
-    breadth = 0.06 / float(np.linalg.norm(camera.center - now.means[0].numpy()))
-    square = (0.1 / one_scene.white) ** 2
-    torch.testing.assert_close(misfit, alpha**3 * square * breadth * angle, rtol=1e-3, atol=1e-7)
-    torch.testing.assert_close(aside, (alpha**2 * angle).square(), rtol=1e-3, atol=1e-7)
-    torch.testing.assert_close(holes, (1 - alpha) * uncertainty.evidence.void, rtol=1e-3, atol=1e-6)
-    torch.testing.assert_close(holes_aside, (1 - alpha) * alpha * angle, rtol=1e-3, atol=1e-6)
+    own, *seers = [c.center - now.means[0].numpy() for c in (camera, *uncertainty_cameras(one_scene, "cam01"))]
+    breadth, square = 0.06 / float(np.linalg.norm(own)), (0.1 / one_scene.white) ** 2
+    out, void = alpha * leverage_of(own, seers), uncertainty.evidence.void
+    torch.testing.assert_close(misfit, alpha * square, rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(holes, (1 - alpha) * void, rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(misfit_out, out * square * breadth, rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(light_out, alpha**2 * out, rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(holes_out, (1 - alpha) * out * void, rtol=1e-3, atol=1e-6)
+
+
+def uncertainty_cameras(scene, holdout):
+    return [camera for camera in scene.rig.cameras if camera.id != holdout]
+
+
+def leverage_of(own, seers) -> float:
+    """Return the leverage of one way among others in float64, solved as it is written."""
+    own, *seers = (way.astype(float) / np.linalg.norm(way) for way in (own, *seers))
+    apart = np.array(seers) - np.mean(seers, axis=0)
+    off = own - np.mean(seers, axis=0)
+    leverage = off @ np.linalg.solve(apart.T @ apart + NARROWEST_RAD**2 * np.eye(3), off)
+    return float(leverage / (1 + leverage / FARTHEST))
+
+
+def test_the_leverage_is_that_of_the_solved_equations(scene_with):
+    scene = scene_with("linear", still=200, moving=0)
+    uncertainty, camera = told(scene), scene.rig.camera("cam01")
+    now, known = scene.cloud.at(0.007), uncertainty.evidence.at(0)
+    away = torch.tensor(camera.center).float() - now.means
+    found = uncertainty._outside(now, away, known)
+    for number, seen in enumerate(known.seen):
+        seers = (uncertainty.evidence.centres[seen] - now.means[number]).numpy()
+        wanted = leverage_of(away[number].numpy(), seers) if len(seers) else FARTHEST
+        assert float(found[number]) == pytest.approx(wanted, rel=1e-3, abs=1e-5)
 
 
 def test_holes_that_the_views_have_seen_are_no_errors(scene_with):
