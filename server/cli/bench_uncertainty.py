@@ -22,7 +22,7 @@ def uncertainty(asked: Asked) -> BenchDocument:
     from reconstruction.bench.conventions import KnownRecording
     from reconstruction.bench.uncertainty import bench_uncertainty
 
-    named = asked.named((*DEVELOPMENT, *LONG_DEVELOPMENT, *BACKGROUNDS))
+    named = asked.named((*DEVELOPMENT, *LONG_DEVELOPMENT, *BACKGROUNDS, *REALISTIC))
     scenes = dict.fromkeys((*named, LONG_DEVELOPMENT[0])) if asked.quick else named  # a scene is judged by others
     ticks, rig = (QUICK_TICKS, QUICK_RIG) if asked.quick else (TICKS, None)
     seed, progress, runs = DEVELOPMENT_SEEDS[0], asked.progress_of("uncertainty"), []
