@@ -31,7 +31,7 @@ WEIGHTS = {
     "holes outside": 0.53,  # what shows in holes, times the same
 }
 WIDEST_RAD = 1.0  # largest breadth of a Gaussian that counts
-FARTHEST = 20.0  # bound of how far outside a viewer is, and where the viewer is of what no camera has seen
+FARTHEST = 20.0  # bound of how far outside a viewer is; a Gaussian that no camera has seen is looked at from there
 NARROWEST_RAD = 0.02  # least spread of the cameras' directions
 JUMP = 0.02  # change of the depth from pixel to pixel, relative to it, that is an edge
 TINY = 1e-12  # what keeps a quotient finite
