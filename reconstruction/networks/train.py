@@ -3,8 +3,9 @@
 Everything is resumed by giving the same command again; a killed training loses what came after its last score.
 `clips` takes 1 s a clip, `view-clips` 2 s, 10 s where a path tracer draws it. `network small` takes 1 to 2 hours on two
 cores; `network published --device cuda --batch 16` wants a GPU. `own REC` trains the blind-spot network on a recording
-of one's own, whose true light nobody knows. `msdi` takes 1 s a step on one core; on several GPUs: `torchrun
---nproc-per-node N -m ... msdi`.
+of one's own, whose true light nobody knows. `msdi` takes 1 s a step on one core; on several cores or GPUs: `torchrun
+--nproc-per-node N -m ... msdi`. With `--after` it goes on from weights that were trained elsewhere, by other samples if
+the seed is another.
 """
 
 import sys
@@ -135,6 +136,7 @@ def own_command(recording: Path, out: Path, **settings) -> None:
 @OUT
 @click.option("--tier", "name", type=click.Choice(TIERS), default="small", show_default=True)
 @click.option("--backbone", type=FOLDER, help="DUSt3R checkpoint the large tier starts from.")
+@click.option("--after", type=FOLDER, help="Document of an earlier training; its weights beside it are the first.")
 @click.option("--development", type=FOLDER, multiple=True, help="Simulated recordings of fan_and_ball to score on.")
 @_steps(6000, 500)
 @click.option("--joint/--separate", default=True, show_default=True, help="Whether geometry teaches the images, too.")
@@ -145,7 +147,14 @@ def own_command(recording: Path, out: Path, **settings) -> None:
 @THREADS
 @DEVICE
 def msdi_command(
-    folder: Path, out: Path, development: tuple[Path, ...], backbone: Path | None, threads: int, device: str, **settings
+    folder: Path,
+    out: Path,
+    development: tuple[Path, ...],
+    backbone: Path | None,
+    after: Path | None,
+    threads: int,
+    device: str,
+    **settings,
 ) -> None:
     """Train a tier of MSDI on clips of several views."""
     torch.set_num_threads(threads or torch.get_num_threads())
@@ -154,7 +163,7 @@ def msdi_command(
         config = MsdiConfig(**settings)
         random = msdi_validation.random_clips(read_clip_set(folder, MultiviewClips).kinds)
         notes = {"validation": msdi_validation.validation_set(random, development)}
-        training = MsdiTraining(out, config, folder, own, notes, backbone=backbone)
+        training = MsdiTraining(out, config, folder, own, notes, backbone=backbone, after=after)
         scored = msdi_validation.scored_views(random, development) if processes.first() else []
         training.run(lambda module: msdi_validation.scores(module, scored), _report(config.name))
     finally:

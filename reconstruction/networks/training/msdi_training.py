@@ -6,6 +6,7 @@ geometry also teaches the image network if the training is `joint`, and does not
 image network that is not pretrained learns from the first step, and the geometry sees its images alone.
 """
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,19 +50,30 @@ class MsdiConfig(LoopConfig):
 class MsdiTraining(Loop[Msdi]):
     """MSDI on its way; see `Loop`. The clips are in `clips`; `config.name` is the tier, `backbone` the large one's.
 
-    Raises BadRunError for an unknown tier, or a backbone for the small one.
+    It begins with the weights beside the document `after` of an earlier training, if there is one, and tells in its
+    own document what those have learnt. Raises BadRunError for an unknown tier, or a backbone for the small one.
     """
 
     def __init__(
-        self, folder: Path, config: MsdiConfig, clips: Path, device: str, notes: dict, *, backbone: Path | None = None
+        self,
+        folder: Path,
+        config: MsdiConfig,
+        clips: Path,
+        device: str,
+        notes: dict,
+        *,
+        backbone: Path | None = None,
+        after: Path | None = None,
     ) -> None:
         torch.manual_seed(config.seed)
         network, first = _tier(config.name, backbone), small_msdi()
         for module in (network, first) if config.pretrained else (first,):
             read_weights(SHIPPED / "small.npz", module.image)
+        if after:
+            read_weights(after.parent / f"{config.name}.npz", network)
         self.wanted = config
         self.samples = Samples(clips, first.eval(), config.seed, config.largest_error, config.pose_from)
-        described = {"pictures": self.samples.description, **notes}
+        described = {"pictures": self.samples.description, **notes, "after": _history(after) if after else []}
         super().__init__(folder, config, network, self._loss_of, device, described)
 
     def _loss_of(self, module: Msdi, number: int) -> Tensor:
@@ -70,6 +82,16 @@ class MsdiTraining(Loop[Msdi]):
         sample = self.samples.sample(number, raw=raw).to(self.device)
         with self.device:  # where what is made on the way lies
             return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)
+
+
+def _history(document: Path) -> list[dict]:
+    """Return the documents of the trainings that led to this one's, the oldest first and this one last."""
+    try:
+        known = json.loads(document.read_text())
+        return [*known.pop("after", []), known]
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        expected = "the document of a training, beside its weights"
+        raise BadRunError("found none that can be read", expected, where=document) from error
 
 
 def _tier(name: str, backbone: Path | None) -> Msdi:

@@ -25,6 +25,7 @@ from reconstruction.networks.training.msdi_losses import (
 )
 from reconstruction.networks.training.msdi_samples import Samples
 from reconstruction.networks.training.msdi_training import MsdiConfig, MsdiTraining, sample_loss
+from reconstruction.tensors import read_weights
 
 TINY = MultiviewClips(first_seed=5, count=2, views=3, width=56, height=40)
 
@@ -44,9 +45,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-def training(out, folder, **settings):
+def training(out, folder, after=None, **settings):
     wanted = {"name": "small", "steps": 4, "score_every": 2, "image_from": 0, "pose_from": 0} | settings
-    return MsdiTraining(out, MsdiConfig(**wanted), folder, "cpu", {})
+    return MsdiTraining(out, MsdiConfig(**wanted), folder, "cpu", {}, after=after)
 
 
 def sampled(maps, pixels):
@@ -223,6 +224,29 @@ def test_a_killed_training_goes_on_as_if_it_had_not_been(folder, tmp_path):
     assert document["config"]["joint"] is True
     with pytest.raises(BadRunError, match="give a new folder"):
         training(tmp_path / "cut", folder, joint=False)
+
+
+def test_a_training_begins_with_the_weights_of_an_earlier_one_and_tells_of_it(folder, tmp_path):
+    training(tmp_path / "first", folder, steps=2).run(no_score)
+    second = training(tmp_path / "second", folder, tmp_path / "first" / "training.json", steps=1, seed=1)
+    learnt = small_msdi()
+    read_weights(tmp_path / "first" / "small.npz", learnt)
+    assert all(torch.equal(a, b) for a, b in zip(learnt.parameters(), second.module.parameters(), strict=True))
+    second.run(no_score)
+    third = training(tmp_path / "third", folder, tmp_path / "second" / "training.json", steps=1, seed=2)
+    third.run(no_score)
+    told = json.loads((tmp_path / "third" / "training.json").read_text())["after"]
+    assert [(known["config"]["seed"], known["curve"][-1]["step"]) for known in told] == [(0, 2), (1, 1)]
+    assert not any("after" in known for known in told)
+
+
+@pytest.mark.parametrize("content", [None, "{", "[]"])
+def test_a_document_that_tells_nothing_is_no_beginning(folder, tmp_path, content):
+    training(tmp_path / "first", folder, steps=1).run(no_score)
+    document = tmp_path / "first" / "training.json"
+    document.unlink() if content is None else document.write_text(content)
+    with pytest.raises(BadRunError, match="the document of a training, beside its weights"):
+        training(tmp_path / "second", folder, document)
 
 
 def test_the_curve_is_drawn_from_a_training_with_scores_only(tmp_path):
