@@ -1,9 +1,9 @@
-"""Writes EVIDENCE.md, its tables and its figures anew from the committed documents: `make evidence`.
+"""Writes EVIDENCE.md, the index of measurements, their tables and their diagrams anew: `make evidence`.
 
-`EVIDENCE.md.in` beside this file is the text; each `{{NAME FIGURE FORMAT}}` in it becomes a figure of
-`tests/benchmarks/NAME.json`: `revision`, `rows`, a name of the summary, or one of `derived`. `FIGURE minus FIGURE`
-stands for a difference. The tables of a document go into
-`NAME.md` beside it. The sheet of the training bench needs its runs and is made by the bench itself.
+`EVIDENCE.md.in` and `benchmarks.md.in` beside this file are the texts. Each `{{NAME FIGURE FORMAT}}` in them becomes a
+figure of `tests/benchmarks/NAME.json`: `revision`, `rows`, a name of the summary, or one of `derived`. `FIGURE minus
+FIGURE` stands for a difference. The tables of a document go into `NAME.md` beside it. The sheet of the training bench
+needs its runs and is made by the bench itself.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from reconstruction.networks.training.curve import plot_curves
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "tests" / "benchmarks"
 NETWORKS = ROOT / "reconstruction" / "networks"
-TEMPLATE = Path(__file__).with_name("EVIDENCE.md.in")
+CLAIMS, INDEX = (Path(__file__).with_name(name) for name in ("EVIDENCE.md.in", "benchmarks.md.in"))
 FIGURE = re.compile(r"\{\{([\w-]+) (\S+)(?: minus (\S+))?(?: (\S+))?\}\}")
 
 
@@ -48,14 +48,14 @@ def read_documents(folder: Path = BENCHMARKS) -> dict[str, dict]:
     return {file.stem: json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))}
 
 
-def filled(template: str, documents: Mapping[str, dict]) -> str:
-    """Return the text with every figure put in; raises BadRunError for a figure that no document has."""
+def filled(template: Path, documents: Mapping[str, dict]) -> str:
+    """Return the text of a file with every figure put in; raises BadRunError for a figure that no document has."""
 
     known = {name: figures(name, document) for name, document in documents.items()}
 
     def value(name: str, key: str) -> float | str:
         if key not in known.get(name, {}):
-            raise BadRunError(f"found the figure {key}", f"one of {name}.json", where=TEMPLATE.name)
+            raise BadRunError(f"found the figure {key}", f"one of {name}.json", where=template.name)
         return known[name][key]
 
     def figure(found: re.Match[str]) -> str:
@@ -65,7 +65,7 @@ def filled(template: str, documents: Mapping[str, dict]) -> str:
             shown = float(shown) - float(value(name, less))
         return format(shown, form or "")
 
-    return FIGURE.sub(figure, template)
+    return FIGURE.sub(figure, template.read_text())
 
 
 def figures(name: str, document: dict) -> dict[str, float | str]:
@@ -152,7 +152,8 @@ def main(folder: Path, text: Path) -> None:
     write_durably(folder / "looks.md", looks_page(read_looks(folder / LOOKS)).encode())
     plot_curves([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
     plot_curves([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
-    write_durably(text, filled(TEMPLATE.read_text(), documents).encode())
+    for target, template in ((text, CLAIMS), (folder / "README.md", INDEX)):
+        write_durably(target, filled(template, documents).encode())
     protocol = sum(cell.effort.budget_s or 0.0 for cell in PROTOCOL.cells()) / 3600
     whole = hours({name: found for name, found in documents.items() if name != "paper"}) + protocol
     click.echo(f"{text} stands on {hours(documents):.1f} hours of measured runs; all of `make bench` is {whole:.0f}")
