@@ -22,7 +22,7 @@ from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import gaps, lengths, name_of, summarise
-from reconstruction.bench.paper.tables import measured_table
+from reconstruction.bench.paper.tables import measured_table, sittings
 
 SHORTEST, SHORT, LONG, HALF_HOUR = (Effort(seconds) for seconds in (15.0, 60.0, 300.0, 1800.0))
 QUICK_EFFORT = Effort(steps=40)
@@ -107,11 +107,10 @@ def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     lacking = [table.name for table in protocol.tables if _lacks(table, document["omissions"])]
     whole = [measured_table(t, protocol, document["rows"]) for t in protocol.tables if t.name not in lacking]
     about = " ".join((__doc__ or "").split())
-    revisions = ", ".join(sorted({row["revision"] for row in document["rows"] if "revision" in row}))
-    parts = ["# Ours and its rivals", made_by(document), f"{about} The runs are of the revisions {revisions}.", *whole]
+    parts = ["# Ours and its rivals", made_by(document), about, *whole]
     parts += [f"Tables that still lack runs, and are not printed: {', '.join(lacking)}."] if lacking else []
     omissions = [f"- {line}" for line in document["omissions"] if NOT_RUN not in line]
-    parts += ["## Omissions\n\n" + "\n".join(omissions)]
+    parts += ["## Omissions\n\n" + "\n".join(omissions), "## Sittings\n\n" + sittings(document["rows"])]
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
 
 

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 from acquisition.bench_document import Stolen, device
@@ -94,7 +95,8 @@ class Laboratory:
                 raise
             found = {"refused": " ".join(str(refusal).split())}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
-        row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision()}
+        day = datetime.now(UTC).date().isoformat()
+        row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision(), "day": day}
         row |= {"code": this_code(cell.method), "asked": asked_digest(cell)}
         found = row | found
         out.mkdir(parents=True, exist_ok=True)

@@ -99,6 +99,17 @@ def markdown(columns: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in [columns, ["---"] * len(columns), *lines])
 
 
+def sittings(rows: Iterable[dict]) -> str:
+    """Return a table of what was run when and on what: the runs of one day, revision and machine in a line."""
+    lines: dict[tuple[str, ...], list[float]] = {}
+    for row in rows:
+        if "revision" in row:
+            day, machine = row.get("day", "not kept"), f"{row['processor']}, {row['threads']} threads"
+            lines.setdefault((day, row["revision"], machine), []).append(float(row.get("seconds") or 0.0))
+    shown = [(*key, f"{len(own)}", f"{sum(own) / 3600:.1f}") for key, own in sorted(lines.items())]
+    return markdown(("day", "revision", "machine", "runs", "hours"), shown)
+
+
 def _of(cells: Sequence[Cell], rows: Sequence[dict]) -> list[dict]:
     names = {cell.name for cell in cells}
     return [row for row in rows if name_of(row) in names]

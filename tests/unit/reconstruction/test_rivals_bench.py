@@ -7,6 +7,7 @@ import pytest
 
 from acquisition.scenes.catalog import EVALUATION, REALISTIC_EVALUATION
 from reconstruction.bench.paper.method import Effort
+from reconstruction.bench.paper.tables import sittings
 from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, plot_rivals, rivals_protocol, write_page
 
 ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
@@ -68,3 +69,10 @@ def test_a_table_that_lacks_a_run_is_not_printed(tmp_path, told_laboratory):
     assert "not run yet" not in text
     assert "(`old`)" in text
     assert "(`new`)" not in text
+
+
+def test_the_page_says_what_was_run_when_and_on_what():
+    own = {"processor": "p", "threads": 2, "revision": "a"}
+    rows = [own | {"day": "2026-01-02", "seconds": 1800.0}, own | {"day": "2026-01-02", "seconds": 3600.0}, own, {}]
+    lines = sittings(rows).splitlines()[2:]
+    assert lines == ["| 2026-01-02 | a | p, 2 threads | 2 | 1.5 |", "| not kept | a | p, 2 threads | 1 | 0.0 |"]
