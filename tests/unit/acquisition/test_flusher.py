@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from acquisition.recording.finalise import finalise
-from acquisition.recording.flusher import Flusher
+from acquisition.recording.flusher import EVERY_S, Flusher
 from acquisition.recording.writer import RecordingWriter
 from acquisition.spikes.layout import PlaneLayout
 from rigs.toml import catalog_rig
 
 LAYOUT = PlaneLayout(40, 25)
 RIG = catalog_rig("ci3x3").scaled(40, 25)
+ROUNDS = 3  # of flushing, before the lights go out
 
 
 @pytest.fixture
@@ -36,24 +37,27 @@ def platter(tmp_path, monkeypatch):
     return kept
 
 
-def test_a_power_cut_costs_the_last_second(platter, tmp_path) -> None:
+def test_a_power_cut_costs_what_came_after_the_last_whole_round_began(platter, tmp_path) -> None:
     block = np.full((200, LAYOUT.plane_bytes), 0x55, np.uint8)
-    taken = []
+    taken = {}
     with RecordingWriter(tmp_path / "rec", RIG) as recording:
         streams = [recording.stream(camera_id, LAYOUT) for camera_id in RIG.ids]
         recording.mark("recording", "software")
-        began = time.monotonic()
-        while time.monotonic() - began < 3.5:
+        while (rounds := recording._flusher.rounds) < ROUNDS:
             for stream in streams:
                 stream.append(block)
-            taken.append((time.monotonic(), streams[0].planes))
             time.sleep(0.01)
-        lights_out = time.monotonic()
+            taken[recording._flusher.rounds] = streams[0].planes
         shutil.copytree(platter, tmp_path / "after.partial")
+    assert rounds == ROUNDS
     found = finalise(tmp_path / "after")
-    a_second_and_some = max(planes for at, planes in taken if at < lights_out - 1.5)
-    assert all(camera.planes >= a_second_and_some - streams[0].block_planes for camera in found.manifest.cameras)
+    flushed = taken[ROUNDS - 2]  # before the last but one round ended, so before the last began
+    assert all(camera.planes >= flushed - streams[0].block_planes for camera in found.manifest.cameras)
     assert found.manifest.status == "incomplete"
+
+
+def test_there_is_a_round_every_second() -> None:
+    assert EVERY_S == 1.0
 
 
 def test_a_disk_that_refuses_to_flush_is_told(tmp_path, monkeypatch) -> None:
