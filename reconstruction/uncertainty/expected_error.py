@@ -71,8 +71,9 @@ class Uncertainty:
     def _outside(self, now: Instantaneous, away: Tensor, known: Evidence) -> Tensor:
         """Return how far outside its cameras each Gaussian [N] is looked at by a viewer who is `away` [N, 3] m.
 
-        It is the leverage of the viewer's direction among those of the cameras that saw the Gaussian: the factor by
-        which a straight line through their samples is less certain there, as in linear regression.
+        It is the leverage of the viewer's direction among those of the cameras that saw the Gaussian: how much less
+        certain a plane through their samples is there than in their middle. It is bounded by FARTHEST.
+        Source: Hoaglin & Welsch, "The hat matrix in regression and ANOVA", The American Statistician 1978.
         """
         seen = known.seen[..., None].float()
         ways = torch.nn.functional.normalize(self.evidence.centres - now.means[:, None], dim=2)
