@@ -17,7 +17,13 @@ from reconstruction.scene_model import TimeSpan
 from reconstruction.stability.case import Case, Observation
 from reconstruction.stability.probe import CAMERA, apart, gaussians_of, natives, running
 from reconstruction.uncertainty.evidence import Evidence, SceneEvidence
-from reconstruction.uncertainty.expected_error import WEIGHTS, Uncertainty
+from reconstruction.uncertainty.expected_error import (
+    FARTHEST,
+    NARROWEST_RAD,
+    WEIGHTS,
+    Uncertainty,
+    quadratic_inverse,
+)
 
 
 def _spiking(_: str) -> Observation:
@@ -56,7 +62,7 @@ def _by_intensity(cloud: Instantaneous, maps: Tensor) -> Tensor:
 
 
 def _expected_error(_: str) -> Observation:
-    """Show one Gaussian with misfits from 0 to 1e6, whose breadth and angle are known; all is finite."""
+    """Show one Gaussian that nobody saw, with misfits from 0 to 1e6 and a known breadth; all is finite."""
     now, error = gaussians_of(1), 0.0
     still = GaussianCloud(now.means, now.quats_wxyz, now.log_scales, now.opacities.logit(), now.intensities)
     cloud = DynamicCloud(still, nothing(), PolynomialMotion.at_rest(torch.zeros(0), 1.0), TimeSpan(0.0, 1.0))
@@ -66,15 +72,32 @@ def _expected_error(_: str) -> Observation:
         none = Evidence(torch.zeros(0), torch.zeros(0, 1, dtype=torch.bool))
         told = Uncertainty(cloud, SceneEvidence(known, [none], now.means, 1.0, 0.5))
         terms = dict(zip(WEIGHTS, told.terms(CAMERA, 0.5), strict=True))
-        product = misfit * breadth * alpha**3  # the angle to a camera that nobody is, is 1
-        error = max(error, apart(terms["misfit"], product), apart(terms["holes"], 0.5 * (1 - alpha)))
+        outside = misfit * breadth * FARTHEST * alpha
+        error = max(error, apart(terms["misfit"], misfit * alpha), apart(terms["misfit outside"], outside))
+        error = max(error, apart(terms["holes"], 0.5 * (1 - alpha)))
         if not all(bool(torch.isfinite(term).all()) for term in terms.values()):
             error = math.inf
+    return Observation(f"off by {error:.0e}", error)
+
+
+def _leverage(_: str) -> Observation:
+    """Hold leverages against solved equations in float64: cameras in one place, in a row, apart, near and far."""
+    rng, error = torch.Generator().manual_seed(3), 0.0
+    for spread_m in ((0.0, 0.0, 0.0), (1e-6, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1, 0.1, 0.0), (3.0, 3.0, 3.0)):
+        for depth_m in (0.02, 1.0, 1e6):
+            ways = torch.randn(50, 8, 3, generator=rng) * torch.tensor(spread_m) + torch.tensor([0.0, 0.0, depth_m])
+            directions = torch.nn.functional.normalize(ways, dim=2)
+            gaps = directions - directions.mean(dim=1, keepdim=True)
+            spread = gaps.transpose(1, 2) @ gaps + NARROWEST_RAD**2 * torch.eye(3)
+            off = torch.randn(50, 3, generator=rng)
+            wanted = (off.double() * torch.linalg.solve(spread.double(), off.double())).sum(dim=1)
+            error = max(error, apart(quadratic_inverse(spread, off), wanted))
     return Observation(f"off by {error:.0e}", error)
 
 
 CASES = (
     Case(None, "light that spikes, 0 to 1,000 a window", "as in float64, finite gradients", 1e-3, _spiking),
     Case(None, "sums of weights over maps", "the gradient by intensity", 1e-5, _attributed, natives),
+    Case(None, "leverage, cameras from one place to metres apart", "as solved in float64", 1e-5, _leverage),
     Case(None, "expected errors, misfits 0 to 1e6", "known where it is", 1e-5, _expected_error),
 )

@@ -81,12 +81,12 @@ class Uncertainty:
         apart = seen * (ways - middle[:, None])
         spread = apart.transpose(1, 2) @ apart + NARROWEST_RAD**2 * torch.eye(3)
         off = torch.nn.functional.normalize(away, dim=1) - middle
-        leverage = _quadratic_inverse(spread, off).clamp_min(0)
+        leverage = quadratic_inverse(spread, off).clamp_min(0)
         bounded = leverage / (1 + leverage / FARTHEST)
         return torch.where(known.seen.any(dim=1), bounded, torch.full_like(bounded, FARTHEST))
 
 
-def _quadratic_inverse(matrices: Tensor, vectors: Tensor) -> Tensor:
+def quadratic_inverse(matrices: Tensor, vectors: Tensor) -> Tensor:
     """Return v^T A^-1 v [N] of symmetric A [N, 3, 3] and v [N, 3].
 
     It is done by adjugates: solvers of many small systems take a hundred times as long.
