@@ -100,7 +100,7 @@ def markdown(columns: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 
 def sittings(rows: Iterable[dict]) -> str:
-    """Return a table of what was run when and on what: the runs of one day, revision and machine in a line."""
+    """Return a table of days, revisions and machines, with the runs and hours of each."""
     lines: dict[tuple[str, ...], list[float]] = {}
     for row in rows:
         if "revision" in row:
