@@ -26,7 +26,7 @@ MOST_WORDS = 1250  # of two pages
 
 @pytest.mark.parametrize(("text", "template"), [(TEXT, CLAIMS), (MEASUREMENTS, INDEX)])
 def test_the_texts_say_what_the_documents_say(text, template):
-    assert filled(template, DOCUMENTS) == text, "edit the template and run `make evidence`"
+    assert filled(template.read_text(), DOCUMENTS) == text, "edit the template and run `make evidence`"
 
 
 def test_the_text_is_two_pages_with_ten_claims():

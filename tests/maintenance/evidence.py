@@ -48,14 +48,16 @@ def read_documents(folder: Path = BENCHMARKS) -> dict[str, dict]:
     return {file.stem: json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))}
 
 
-def filled(template: Path, documents: Mapping[str, dict]) -> str:
-    """Return the text of a file with every figure put in; raises BadRunError for a figure that no document has."""
+def filled(template: str, documents: Mapping[str, dict]) -> str:
+    """Return the text with every figure put in; raises BadRunError for a figure that no document has."""
 
     known = {name: figures(name, document) for name, document in documents.items()}
 
     def value(name: str, key: str) -> float | str:
         if key not in known.get(name, {}):
-            raise BadRunError(f"found the figure {key}", f"one of {name}.json", where=template.name)
+            raise BadRunError(
+                f"found the figure {key}", f"one of {name}.json", do="edit the text of EVIDENCE.md or of the index"
+            )
         return known[name][key]
 
     def figure(found: re.Match[str]) -> str:
@@ -65,7 +67,7 @@ def filled(template: Path, documents: Mapping[str, dict]) -> str:
             shown = float(shown) - float(value(name, less))
         return format(shown, form or "")
 
-    return FIGURE.sub(figure, template.read_text())
+    return FIGURE.sub(figure, template)
 
 
 def figures(name: str, document: dict) -> dict[str, float | str]:
@@ -153,7 +155,7 @@ def main(folder: Path, text: Path) -> None:
     plot_curves([NETWORKS / "weights" / name for name in ("small.json", "blindspot.json")], folder / "learned.png")
     plot_curves([NETWORKS / "msdi" / "weights" / "small.json"], folder / "msdi.png")
     for target, template in ((text, CLAIMS), (folder / "README.md", INDEX)):
-        write_durably(target, filled(template, documents).encode())
+        write_durably(target, filled(template.read_text(), documents).encode())
     protocol = sum(cell.effort.budget_s or 0.0 for cell in PROTOCOL.cells()) / 3600
     whole = hours({name: found for name, found in documents.items() if name != "paper"}) + protocol
     click.echo(f"{text} stands on {hours(documents):.1f} hours of measured runs; all of `make bench` is {whole:.0f}")
