@@ -4,6 +4,7 @@ from dataclasses import asdict
 
 import pytest
 
+from reconstruction.bench.paper.bench import NOT_RUN
 from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.spss import BASES, EFFORTS, SCENES, WEIGHTS, bench_spss, spss_protocol, weighted, write_page
 
@@ -34,10 +35,20 @@ def test_gains_are_over_the_scenes_that_both_rows_have(tmp_path, told_laboratory
     assert document.summary["auto+spss@0.1.scenes@60"] == len(SCENES) - 1
     assert "auto.gain.psnr_db@60" not in document.summary
     about = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
+    document.omissions = [line.replace(NOT_RUN, "refused") for line in document.omissions]
     write_page(tmp_path / "spss.md", asdict(document) | about)
     text = (tmp_path / "spss.md").read_text()
     assert "| auto+spss@0.1 | 60 | 30.00 | 30.00 | +0.50 | +0.50 | 0.0100 | 20 | 2 |" in text
     assert "| auto | 1000steps | 30.00 | 30.00 |  |  | 0.0100 | 20 | 3 |" in text
+
+
+def test_a_table_that_lacks_runs_is_not_printed(tmp_path, told_laboratory):
+    document = asdict(found_by(told_laboratory, _level))
+    document["omissions"].append(f"spss, auto: {NOT_RUN} (fan_and_ball-1 @60)")
+    write_page(tmp_path / "spss.md", document | {"revision": "abc", "device": {"processor": "p", "threads": 2}})
+    text = (tmp_path / "spss.md").read_text()
+    assert "still lacks runs" in text
+    assert "| auto" not in text
 
 
 def _level(cell):
