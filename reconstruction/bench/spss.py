@@ -29,7 +29,7 @@ SHOWN = {
     **{"abs_rel": ".4f", "steps_per_s": ".0f", "scenes": ".0f"},
 }
 COLUMNS = ("row", "at", "PSNR / dB", "movers / dB", "to the same without", "movers", "Abs Rel", "steps / s", "scenes")
-ABOUT = """Development scenes, the first seed of each. With a weight, every second step has the spike loss (SPSS as we
+ABOUT = """Development scenes, the second seed of each. With a weight, every second step has the spike loss (SPSS as we
 read it, decision 151) beside the loss on images. Differences are means over the scenes that both rows have."""
 
 
