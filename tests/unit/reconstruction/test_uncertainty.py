@@ -154,7 +154,8 @@ def test_the_terms_of_a_lone_gaussian_are_those_of_its_misfit_breadth_and_levera
     now = one_scene.cloud.at(0.007)
     misfit, _, holes, misfit_out, light_out, holes_out = uncertainty.terms(camera, 0.007)
     alpha = render(now, camera).alpha
-    own, *seers = [c.center - now.means[0].numpy() for c in (camera, *uncertainty_cameras(one_scene, "cam01"))]
+    seers = [one_scene.rig.camera(name) for name in ("cam00", "cam02")]  # cam01 itself is held out
+    own, *seers = [c.center - now.means[0].numpy() for c in (camera, *seers)]
     breadth, square = 0.06 / float(np.linalg.norm(own)), (0.1 / one_scene.white) ** 2
     out, void = alpha * leverage_of(own, seers), uncertainty.evidence.void
     torch.testing.assert_close(misfit, alpha * square, rtol=1e-3, atol=1e-7)
@@ -162,10 +163,6 @@ def test_the_terms_of_a_lone_gaussian_are_those_of_its_misfit_breadth_and_levera
     torch.testing.assert_close(misfit_out, out * square * breadth, rtol=1e-3, atol=1e-7)
     torch.testing.assert_close(light_out, alpha**2 * out, rtol=1e-3, atol=1e-6)
     torch.testing.assert_close(holes_out, (1 - alpha) * out * void, rtol=1e-3, atol=1e-6)
-
-
-def uncertainty_cameras(scene, holdout):
-    return [camera for camera in scene.rig.cameras if camera.id != holdout]
 
 
 def leverage_of(own, seers) -> float:
