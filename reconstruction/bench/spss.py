@@ -19,7 +19,7 @@ from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, R
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.tables import markdown
 
-WEIGHTS = (0.1, 0.01, 1.0)  # the middle one first
+WEIGHTS = (0.1, 0.01, 1.0, 10.0)
 BASES = (m.AUTO, m.TFI["4dgs-small"])
 SCENES = (*DEVELOPMENT, *REALISTIC[1:])  # with things that move
 EFFORTS, QUICK_EFFORTS = (Effort(steps=1000), Effort(60.0)), (Effort(steps=20),)
