@@ -18,6 +18,8 @@ from reconstruction.bench.paper.bench import NOT_RUN, run_protocol
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.tables import markdown
+from reconstruction.bench.variance_shares import variance_shares
+from rigs.rig import Rig
 
 WEIGHTS = (0.1, 0.01, 1.0, 10.0)
 BASES = (m.AUTO, m.TFI["4dgs-small"])
@@ -28,9 +30,14 @@ SHOWN = {
     **{"psnr_db": ".2f", "dynamic_psnr_db": ".2f", "gain.psnr_db": "+.2f", "gain.dynamic_psnr_db": "+.2f"},
     **{"abs_rel": ".4f", "steps_per_s": ".0f", "scenes": ".0f"},
 }
+PARTS = {"spikes2": ".2f", "motion": ".0%", "counting": ".0%", "noise": ".0%"}
 COLUMNS = ("row", "at", "PSNR / dB", "movers / dB", "to the same without", "movers", "Abs Rel", "steps / s", "scenes")
 ABOUT = """Development scenes, the second seed of each. With a weight, every second step has the spike loss (SPSS as we
 read it, decision 151) beside the loss on images. Differences are means over the scenes that both rows have."""
+
+
+SHARES = """What the loss sees, by a clip of `fan_and_ball`: the variance of the differences of counts of successive
+windows. *Motion* is that of true charges, *counting* what whole spikes of an unknown phase add, *noise* the rest."""
 
 
 def spss_protocol(scenes: tuple[str, ...] = SCENES, *, quick: bool = False) -> Protocol:
@@ -48,9 +55,12 @@ def weighted(base: Method, weight: float) -> Method:
 
 
 def bench_spss(
-    protocol: Protocol, laboratory: Laboratory, progress: Progress, time_left: Callable[[], bool]
+    protocol: Protocol, laboratory: Laboratory, rig: Rig, progress: Progress, time_left: Callable[[], bool]
 ) -> BenchDocument:
-    """Run the protocol and return its rows; the summary has means, and differences to the base over shared scenes."""
+    """Run the protocol and return its rows; the summary has means, and differences to the base over shared scenes.
+
+    It also has what the recorded variance is made of, by a clip of cameras like `rig`.
+    """
     document = run_protocol("spss", protocol, laboratory, progress, time_left)
     for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in document.rows):
         own = {row["scene"]: row for row in document.rows if (row["method"], row["effort"]) == (name, effort)}
@@ -63,6 +73,7 @@ def bench_spss(
                 np.mean([own[scene][score] - beside[scene][score] for scene in sorted(both)])
             )
         document.summary |= named(name, found, f"@{effort}")
+    document.summary |= variance_shares(rig)
     document.omissions.append("one seed a scene; the window's length and stride as in decision 151")
     return document
 
@@ -78,5 +89,14 @@ def write_page(path: Path, document: dict) -> None:
         lines.append([name, effort, *shown])
     lacking = any(NOT_RUN in line for line in document["omissions"])
     table = "The table still lacks runs, and is not printed." if lacking else markdown(COLUMNS, lines)
-    parts = ("# SPSS", made_by(document), ABOUT.replace("\n", " "), table)
+    parts = ("# SPSS", made_by(document), ABOUT.replace("\n", " "), table, SHARES.replace("\n", " "), _shares(summary))
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
+
+
+def _shares(summary: dict) -> str:
+    """Return the table of what the recorded variance is made of."""
+    told = (
+        [part, *(format(summary[f"variance.{part}.{name}"], form) for name, form in PARTS.items())]
+        for part in ("movers", "still")
+    )
+    return markdown(("pixels", "variance / spikes^2", "motion", "counting", "noise"), list(told))

@@ -12,6 +12,7 @@ from acquisition.recording.compact_bench import bench_compact
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, EVALUATION, REALISTIC, scenes_named
 from acquisition.spikes.sensor import SensorKind
+from rigs.toml import catalog_rig
 from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, TICKS, Asked, Bench, recording
 from server.cli.bench_long import draw_long, long_recordings
 from server.cli.bench_speed import draw_large, draw_speed, large, speed
@@ -132,7 +133,8 @@ def _spss(asked: Asked) -> BenchDocument:
     from reconstruction.bench.spss import SCENES, bench_spss, spss_protocol
 
     protocol = spss_protocol(asked.named(SCENES), quick=asked.quick)
-    return bench_spss(protocol, _laboratory(asked, "spss"), asked.progress_of("spss"), timer(asked.limit_s))
+    rig = catalog_rig(QUICK_RIG if asked.quick else "lab3x3")
+    return bench_spss(protocol, _laboratory(asked, "spss"), rig, asked.progress_of("spss"), timer(asked.limit_s))
 
 
 def _draw_spss(asked: Asked, out: Path, found: dict) -> None:

@@ -7,6 +7,9 @@ import pytest
 from reconstruction.bench.paper.bench import NOT_RUN
 from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.spss import BASES, EFFORTS, SCENES, WEIGHTS, bench_spss, spss_protocol, weighted, write_page
+from rigs.toml import catalog_rig
+
+RIG = catalog_rig("ci3x3").scaled(40, 25)
 
 
 def found_by(laboratory, level):
@@ -15,7 +18,7 @@ def found_by(laboratory, level):
         known = {"psnr_db": db, "dynamic_psnr_db": db, "abs_rel": 0.01, "steps_per_s": 20.0}
         return None if db is None else known
 
-    return bench_spss(spss_protocol(), laboratory(scores_of), lambda done, message: None, lambda: False)
+    return bench_spss(spss_protocol(), laboratory(scores_of), RIG, lambda done, message: None, lambda: False)
 
 
 def test_every_base_has_every_weight_at_equal_steps_and_equal_time():
