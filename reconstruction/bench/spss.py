@@ -59,7 +59,7 @@ def bench_spss(
 ) -> BenchDocument:
     """Run the protocol and return its rows; the summary has means, and differences to the base over shared scenes.
 
-    It also has what the recorded variance is made of, by a clip of cameras like `rig`.
+    It also has the shares of motion, counting and noise in the recorded variance, by a clip of cameras like `rig`.
     """
     document = run_protocol("spss", protocol, laboratory, progress, time_left)
     for name, effort in dict.fromkeys((row["method"], row["effort"]) for row in document.rows):
@@ -94,7 +94,7 @@ def write_page(path: Path, document: dict) -> None:
 
 
 def _shares(summary: dict) -> str:
-    """Return the table of what the recorded variance is made of."""
+    """Return the table of the shares of the recorded variance."""
     told = (
         [part, *(format(summary[f"variance.{part}.{name}"], form) for name, form in PARTS.items())]
         for part in ("movers", "still")

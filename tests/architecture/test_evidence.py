@@ -66,9 +66,9 @@ def test_no_row_is_without_a_measurement():
 
 
 def test_rows_have_their_true_names():
-    told = TEXT + (BENCHMARKS / "paper.md").read_text() + json.dumps(DOCUMENTS["paper"]["rows"])
-    assert "+ SPSS (the paper" not in told
-    assert "spss" not in told
+    paper = (BENCHMARKS / "paper.md").read_text() + json.dumps(DOCUMENTS["paper"]["rows"])
+    assert "+ SPSS (the paper" not in TEXT + paper
+    assert "spss" not in paper
     rows = [line for line in (BENCHMARKS / "paper.md").read_text().splitlines() if line.startswith("| ")]
     ours = [line.split(" | ")[0] for line in rows]
     rows = [row for table in PROTOCOL.tables for row in table.rows if row.method]

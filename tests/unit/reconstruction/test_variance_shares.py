@@ -1,4 +1,4 @@
-"""What the recorded variance of SPSS is made of: motion, counting, and noise."""
+"""Tests of the shares of motion, of counting and of noise in the variance that SPSS sees."""
 
 import numpy as np
 import pytest
