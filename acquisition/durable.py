@@ -1,7 +1,6 @@
 """Writes files that are whole or absent: written aside, flushed to disk, renamed."""
 
 import errno
-import io
 import json
 import os
 import secrets
@@ -9,9 +8,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.errors import DiskError
 
@@ -81,13 +77,6 @@ def _linked(folder: int, aside: str, name: str) -> bool:
 def write_json(path: Path, document: object) -> None:
     """Write `document` to `path` as indented JSON."""
     write_durably(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
-
-
-def write_array(path: Path, array: NDArray) -> None:
-    """Write `array` to `path` as .npy."""
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    write_durably(path, buffer.getvalue())
 
 
 @contextmanager

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from acquisition.arrays import read_arrays
 from acquisition.durable import write_durably
 from reconstruction.errors import BadRunError
 
@@ -73,8 +74,7 @@ def write_weights(path: Path, state: dict[str, Tensor]) -> None:
 def read_weights(path: Path, module: nn.Module) -> None:
     """Fill `module` from what `write_weights` wrote; raises BadRunError for a missing, damaged or other file."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            state = {name: torch.from_numpy(archive[name].astype(np.float32)) for name in archive.files}
+        state = {name: torch.from_numpy(array.astype(np.float32)) for name, array in read_arrays(path).items()}
         module.load_state_dict(state)
     except OSError as error:
         raise BadRunError(f"found no weights ({error.strerror})", do="train this network first", where=path) from error

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import read_array
 from acquisition.scenes.own import OWN_FILE
 from reconstruction.errors import BadRunError
 from rigs.exchange.cameras import load_cameras
@@ -95,7 +96,7 @@ class Truth:
         """Return the truth of one camera at one plane; raises BadRunError where it cannot be read."""
         folder, tick = self.path / camera_id, plane + self._first_tick
         try:
-            intensity, depth, ids = (np.load(folder / f"{kind}{tick:06d}.npy") for kind in ("", "depth_", "id_"))
+            intensity, depth, ids = (read_array(folder / f"{kind}{tick:06d}.npy") for kind in ("", "depth_", "id_"))
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError(f"found no readable truth at plane {tick}", "it whole", where=folder) from error
         intensity = intensity if self.gain == 1 else intensity * np.float32(self.gain)
@@ -126,7 +127,7 @@ class Truth:
     def _image(self, camera_id: str, prefix: str, plane: int, kind: str) -> NDArray[np.float32]:
         file = self.path / camera_id / f"{prefix}{plane + self._first_tick:06d}.npy"
         try:
-            return np.load(file)
+            return read_array(file)
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError("found no readable image", kind, where=file) from error
 

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durable import write_array, write_json
+from acquisition.arrays import write_array
+from acquisition.durable import write_json
 from acquisition.errors import BadRecordingError
 from rigs.camera import Camera
 from rigs.lens import LEAST_NUMBERS, Lens

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.durable import write_array, write_json
+from acquisition.arrays import write_array
+from acquisition.durable import write_json
 from acquisition.spikes.sensor import Sensor
 
 OWN_FILE = "own.json"  # gain and lag of each camera in a truth folder

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durable import write_array, write_durably, write_json
+from acquisition.arrays import write_array
+from acquisition.durable import write_durably, write_json
 from acquisition.errors import BadRecordingError
 from acquisition.progress import Progress, silent
 from acquisition.scenes.ordinary import Exposure, OrdinaryCamera

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import read_array
 from acquisition.durable import write_durably
 from reconstruction.bench.contact_sheet import Picture, write_sheet
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording
@@ -57,7 +58,7 @@ def _strips(clip: KnownRecording, images: dict[str, Path]) -> list[list[tuple[st
             missing = np.zeros_like(above[0][1])
             above, below = [*above, (f"{title}: none", missing)], [*below, ("", missing)]
             continue
-        image = np.load(file)
+        image = read_array(file)
         above.append((title, _enlarged(grey(image, white), crop)))
         below.append((f"difference x{GAIN}", _enlarged(grey(GAIN * np.abs(image - frame.intensity), white), crop)))
     return [above, below]

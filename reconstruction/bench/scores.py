@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import read_arrays
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.stream import SpikeStream
@@ -88,8 +89,7 @@ def open_recording(path: Path) -> SpikeStream:
     """
     if path.suffix != ".npz":
         return SpikeStream.open(path, VIDAR, RATE_HZ)
-    with np.load(path, allow_pickle=False) as stored:
-        planes = stored["spk"]
+    planes = read_arrays(path)["spk"]
     layout = PlaneLayout(planes.shape[2], planes.shape[1])
     return SpikeStream(pack(planes, layout), layout, RATE_HZ)
 

@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import read_arrays
 from acquisition.durable import write_durably
 from acquisition.errors import BadRecordingError
 from acquisition.spikes.stream import SpikeStream
@@ -90,13 +91,11 @@ def write_pixels(path: Path, calibration: PixelCalibration) -> None:
 def read_pixels(path: Path) -> PixelCalibration:
     """Read what `write_pixels` wrote; raises BadRecordingError naming the file for anything else."""
     try:
-        data = path.read_bytes()
+        arrays = read_arrays(path)
+        gain, offset, hot, dead = (arrays[name] for name in _ARRAYS)
+        return PixelCalibration(gain.astype(np.float32), offset.astype(np.float32), hot.astype(bool), dead.astype(bool))
     except OSError as error:
         raise BadRecordingError(f"cannot be read ({error.strerror})", do="calibrate again", where=path) from error
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            gain, offset, hot, dead = (np.asarray(archive[name]) for name in _ARRAYS)
-        return PixelCalibration(gain.astype(np.float32), offset.astype(np.float32), hot.astype(bool), dead.astype(bool))
     except (*_NO_ARCHIVE, BadRecordingError) as error:
         raise BadRecordingError(f"found no pixel calibration ({error})", do="calibrate again", where=path) from error
 

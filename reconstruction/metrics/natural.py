@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import read_arrays
 from reconstruction.errors import BadRunError
 
 PATCH = 96
@@ -40,9 +41,9 @@ class Niqe:
 
     def __init__(self, parameters: Path):
         try:
-            with np.load(parameters, allow_pickle=False) as stored:
-                self._mean = np.asarray(stored["mu_pris_param"], dtype=np.float64).ravel()
-                self._spread = np.asarray(stored["cov_pris_param"], dtype=np.float64)
+            stored = read_arrays(parameters)
+            self._mean = np.asarray(stored["mu_pris_param"], dtype=np.float64).ravel()
+            self._spread = np.asarray(stored["cov_pris_param"], dtype=np.float64)
             if self._mean.shape != (36,) or self._spread.shape != (36, 36):
                 raise ValueError(f"{self._mean.shape}, {self._spread.shape}")
         except (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile) as error:

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durable import write_array, write_json
+from acquisition.arrays import read_array, write_array
+from acquisition.durable import write_json
 from reconstruction.errors import BadRunError
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Decision, Plan
@@ -143,7 +143,7 @@ class RunFolder:
         file = self.path / f"{name}.npy"
         if not self.has_array(name):
             raise BadRunError("not found", "the artefact of an earlier stage", "run that stage first", where=file)
-        return np.load(file)
+        return read_array(file)
 
     @contextmanager
     def locked(self) -> Iterator[None]:

@@ -6,7 +6,7 @@ from typing import Any
 import click
 import numpy as np
 
-from acquisition.durable import write_array
+from acquisition.arrays import write_array
 from acquisition.errors import BadRecordingError
 from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout

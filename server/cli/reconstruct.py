@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from acquisition.durable import write_array
+from acquisition.arrays import write_array
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.stages import reconstruct, reconstruct_part
 from reconstruction.rendering.limits import frames_to_render

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durable import write_array
+from acquisition.arrays import map_array, write_array
 from rigs.camera import Camera
 
 FOLDER = "SPIKE4DGS_CACHE"  # names the folder; without it, that of the XDG base directories
@@ -44,7 +44,7 @@ class LightCache:
 
     def read(self, name: str) -> NDArray:
         """Return the array, mapped into memory."""
-        return np.load(self._path(name), mmap_mode="r", allow_pickle=False)
+        return map_array(self._path(name))
 
     def write(self, name: str, array: NDArray) -> None:
         """Store the array."""

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from acquisition.durable import write_array
+from acquisition.arrays import write_array
 from acquisition.progress import Progress
 from reconstruction.export.scene import TICKS, Choices, Format, Scene
 from reconstruction.report.display import depth_span_m

@@ -15,6 +15,7 @@ from typing import ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.arrays import read_arrays
 from acquisition.durable import write_durably, write_json
 from acquisition.progress import Progress, silent
 from acquisition.scenes.own import AS_NOMINAL, Own
@@ -102,9 +103,9 @@ class CameraClips(ClipSet):
 
     def read(self, folder: Path, seed: int) -> CameraClip:
         """Read the clip with `seed` out of `folder`."""
-        with np.load(self.path(folder, seed), allow_pickle=False) as archive:
-            stream = SpikeStream(archive["packed"], PlaneLayout(self.size, self.size), TICK_RATE_HZ)
-            return CameraClip(stream, self.instants, archive["truth"].astype(np.float32))
+        arrays = read_arrays(self.path(folder, seed))
+        stream = SpikeStream(arrays["packed"], PlaneLayout(self.size, self.size), TICK_RATE_HZ)
+        return CameraClip(stream, self.instants, arrays["truth"].astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,10 +173,10 @@ class MultiviewClips(ClipSet):
     def read(self, folder: Path, seed: int) -> MultiviewClip:
         """Read the clip with `seed` out of `folder`."""
         rig, layout = random_rig(seed, self.views, self.width, self.height), PlaneLayout(self.width, self.height)
-        with np.load(self.path(folder, seed), allow_pickle=False) as archive:
-            streams = tuple(SpikeStream(packed, layout, rig.tick_rate_hz) for packed in archive["packed"])
-            light, white = archive["light"].astype(np.float32), float(archive["white"])
-            return MultiviewClip(streams, REACH, light, archive["depth"], white, rig)
+        arrays = read_arrays(self.path(folder, seed))
+        streams = tuple(SpikeStream(packed, layout, rig.tick_rate_hz) for packed in arrays["packed"])
+        light, white = arrays["light"].astype(np.float32), float(arrays["white"])
+        return MultiviewClip(streams, REACH, light, arrays["depth"], white, rig)
 
 
 def exposed(
