@@ -4,7 +4,7 @@ The new scenes are drawn by a path tracer, and nothing was chosen on them. The o
 developed on those of the first table.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC, REALI
 from reconstruction.bench.conventions import made_by, named
 from reconstruction.bench.figures import bars, caption, chart, errors
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.bench import NOT_RUN, run_protocol
+from reconstruction.bench.paper.bench import NOT_RUN, lacks_runs, run_protocol
 from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
@@ -104,7 +104,7 @@ def bench_rivals(
 
 def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     """Write the tables of which no run is left to be made, and name the others."""
-    lacking = [table.name for table in protocol.tables if _lacks(table, document["omissions"])]
+    lacking = [table.name for table in protocol.tables if lacks_runs(document["omissions"], table.name)]
     whole = [measured_table(t, protocol, document["rows"]) for t in protocol.tables if t.name not in lacking]
     about = " ".join((__doc__ or "").split())
     parts = ["# Ours and its rivals", made_by(document), about, *whole]
@@ -134,7 +134,3 @@ def plot_rivals(path: Path, document: dict) -> None:
         least, most = axes.get_xlim()
         reach = max(1.0, TIME_RATIO * least / most) ** 0.5
         axes.set_xlim(least / reach, most * reach)
-
-
-def _lacks(table: Table, omissions: Sequence[str]) -> bool:
-    return any(line.startswith(f"{table.name}, ") and NOT_RUN in line for line in omissions)

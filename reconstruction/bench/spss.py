@@ -14,7 +14,7 @@ from acquisition.progress import Progress
 from acquisition.scenes.catalog import DEVELOPMENT, REALISTIC
 from reconstruction.bench.conventions import made_by, means, named
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.bench import NOT_RUN, run_protocol
+from reconstruction.bench.paper.bench import UNPRINTED, lacks_runs, run_protocol
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.tables import markdown
@@ -87,8 +87,7 @@ def write_page(path: Path, document: dict) -> None:
             "" if value is None else format(value, form) for value, form in zip(found, SHOWN.values(), strict=True)
         )
         lines.append([name, effort, *shown])
-    lacking = any(NOT_RUN in line for line in document["omissions"])
-    table = "The table still lacks runs, and is not printed." if lacking else markdown(COLUMNS, lines)
+    table = UNPRINTED if lacks_runs(document["omissions"]) else markdown(COLUMNS, lines)
     parts = ("# SPSS", made_by(document), ABOUT.replace("\n", " "), table, SHARES.replace("\n", " "), _shares(summary))
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
 

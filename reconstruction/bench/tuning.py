@@ -16,7 +16,7 @@ from acquisition.progress import Progress
 from acquisition.scenes.catalog import DEVELOPMENT, REALISTIC
 from reconstruction.bench.conventions import made_by, named
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.bench import run_protocol
+from reconstruction.bench.paper.bench import UNPRINTED, lacks_runs, run_protocol
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.tables import markdown
@@ -31,8 +31,8 @@ LENGTH, QUICK_LENGTH = Effort(60.0), Effort(steps=20)
 BETWEEN = "#"  # between the name of a method and the number of its trial
 ABOUT = """Each method has the same trials: factors of its learning rates, drawn at random, evenly in the logarithm,
 from 1/{reach:g} to {reach:g}. The first is the method as it is. The best has the highest mean PSNR over {scenes}, which
-are development scenes. A best that is hardly above the first is chance as much as gain. Only methods with all
-{trials} trials are shown."""
+are development scenes. A best that is hardly above the first is chance as much as gain. Methods of which a trial
+was refused are not shown."""
 
 
 def trials() -> tuple[RateFactors, ...]:
@@ -65,7 +65,7 @@ def bench_tuning(
 
 
 def write_page(path: Path, document: dict) -> None:
-    """Write the page of a document of this bench."""
+    """Write the page of a document of this bench; its table only where no run is left to be made."""
     scenes = " and ".join(dict.fromkeys(f"`{row['scene']}`" for row in document["rows"]))
     counts = {name: value for name, value in document["summary"].items() if name.endswith(".trials")}
     whole = [name.removesuffix(".trials") for name, value in counts.items() if value == max(counts.values())]
@@ -74,9 +74,10 @@ def write_page(path: Path, document: dict) -> None:
         own = {key.removeprefix(f"{name}."): v for key, v in document["summary"].items() if key.startswith(f"{name}.")}
         rates = (f"{own[f'best.{part}']:.2f}" for part in RateFactors._fields)
         lines.append([name, f"{own['first.psnr_db']:.2f}", f"{own['best.psnr_db']:.2f}", *rates])
-    about = ABOUT.format(reach=REACH, scenes=scenes, trials=int(max(counts.values())))
+    about = ABOUT.format(reach=REACH, scenes=scenes)
     columns = ("method", "first / dB", "best / dB", "still", "moving", "motion")
-    write_durably(path, f"# Learning rates\n\n{made_by(document)}\n\n{about}\n\n{markdown(columns, lines)}\n".encode())
+    table = UNPRINTED if lacks_runs(document["omissions"]) else markdown(columns, lines)
+    write_durably(path, f"# Learning rates\n\n{made_by(document)}\n\n{about}\n\n{table}\n".encode())
 
 
 def _tried(method: Method, number: int, factors: RateFactors) -> Method:

@@ -1,7 +1,7 @@
 """Runs every cell of a protocol by priority, for as long as there is time."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
@@ -11,6 +11,7 @@ from reconstruction.bench.paper.summary import name_of, summarise
 from rigs.errors import Spike4dgsError
 
 NOT_RUN = "not run yet"
+UNPRINTED = "The table still lacks runs, and is not printed."
 OVERRUN = 0.1  # share of the budget beyond which an omission names the run
 NOTES = (
     "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
@@ -19,6 +20,11 @@ NOTES = (
     "rows marked † used the held-out camera to find the poses",
     "COLMAP is given long-window images in every row; on TFI images of one instant it is in `bench poses`",
 )
+
+
+def lacks_runs(omissions: Iterable[str], table: str = "") -> bool:
+    """Tell whether runs are left to be made, of one table or of any."""
+    return any(NOT_RUN in line and (not table or line.startswith(f"{table}, ")) for line in omissions)
 
 
 def timer(limit_s: float | None, now: Callable[[], float] = time.monotonic) -> Callable[[], bool]:

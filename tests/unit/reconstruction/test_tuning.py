@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from reconstruction.bench import tuning
+from reconstruction.bench.paper.bench import NOT_RUN, UNPRINTED
 from reconstruction.bench.tuning import BETWEEN, METHODS, REACH, TRIALS, bench_tuning, trials, tuning_protocol
 from reconstruction.errors import BadRunError
 from reconstruction.methods.catalogue import METHODS as ALL
@@ -84,8 +85,14 @@ def test_a_method_that_lacks_trials_is_not_shown_and_a_trial_that_lacks_a_scene_
     document = bench_tuning(tuning_protocol(scenes), Some(None), lambda done, message: None, lambda: False)
     assert document.summary["tfi+stg.trials"] == TRIALS - 1
     assert document.summary["tfi+stg.best.psnr_db"] == 30 + TRIALS - 2
-    tuning.write_page(tmp_path / "tuning.md", asdict(document) | ABOUT)
-    assert "| tfi+stg |" not in (tmp_path / "tuning.md").read_text()
+    page = tmp_path / "tuning.md"
+    tuning.write_page(page, asdict(document) | ABOUT)
+    assert UNPRINTED in page.read_text()
+    assert "| tfi" not in page.read_text()
+    document.omissions = [line.replace(NOT_RUN, "refused") for line in document.omissions]
+    tuning.write_page(page, asdict(document) | ABOUT)
+    assert "| tfi+d3dgs |" in page.read_text()
+    assert "| tfi+stg |" not in page.read_text()
 
 
 @pytest.mark.parametrize("kind", ["bases", "4dgs"])
