@@ -1,6 +1,6 @@
 """Measures SPSS, the loss of Spike4DGS, on recorded spikes: beside the pixel loss, by weight, at equal steps and time.
 
-In a row with a weight every second step compares an image and, by that weight, how rendered and recorded spikes change.
+In a row with a weight, images take turns with the loss, which compares how rendered and recorded spikes change.
 """
 
 from collections.abc import Callable
@@ -32,12 +32,12 @@ SHOWN = {
 }
 PARTS = {"spikes2": ".2f", "motion": ".0%", "counting": ".0%", "noise": ".0%"}
 COLUMNS = ("row", "at", "PSNR / dB", "movers / dB", "to the same without", "movers", "Abs Rel", "steps / s", "scenes")
-ABOUT = """Development scenes, the second seed of each. With a weight, every second step has the spike loss (SPSS as we
-read it, decision 151) beside the loss on images. Differences are means over the scenes that both rows have."""
-
-
-SHARES = """What the loss sees, by a clip of `fan_and_ball`: the variance of the differences of counts of successive
-windows. *Motion* is that of true charges, *counting* what whole spikes of an unknown phase add, *noise* the rest."""
+ABOUT = """Development scenes, the second seed of each. With a weight, every second step has the spike loss alone (SPSS
+as we read it, decision 151), and the others the loss on images. Differences are means over the scenes that both rows
+have."""
+SHARES = """The loss sees the variance of how counts differ from window to window; here it is that of a clip of
+`fan_and_ball`. *Motion* is that of true charges, *counting* what whole spikes of an unknown phase add, *noise* the
+rest."""
 
 
 def spss_protocol(scenes: tuple[str, ...] = SCENES, *, quick: bool = False) -> Protocol:

@@ -31,8 +31,8 @@ LENGTH, QUICK_LENGTH = Effort(60.0), Effort(steps=20)
 BETWEEN = "#"  # between the name of a method and the number of its trial
 ABOUT = """Each method has the same trials: factors of its learning rates, drawn at random, evenly in the logarithm,
 from 1/{reach:g} to {reach:g}. The first is the method as it is. The best has the highest mean PSNR over {scenes}, which
-are development scenes. A best that is hardly above the first is chance as much as gain. Methods of which a trial
-was refused are not shown."""
+are development scenes, by the second seed of each. A best that is hardly above the first is chance as much as gain.
+Methods of which a trial was refused are not shown."""
 
 
 def trials() -> tuple[RateFactors, ...]:
