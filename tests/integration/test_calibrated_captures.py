@@ -4,13 +4,13 @@ import json
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.waiting import wait_for
 
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
@@ -27,14 +27,7 @@ from server.settings import RigSource, ServiceSettings
 
 pytestmark = pytest.mark.slow
 DEVICES = "mock:fan_and_ball?seed=3&rig_error=2&truth_every=60"
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(6000):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("waited for ten minutes in vain")
+patiently = partial(wait_for, limit_s=600.0)
 
 
 def rotation_error_deg(recording: Recording) -> float:
@@ -54,13 +47,13 @@ def test_a_calibration_serves_the_captures_after_it(tmp_path: Path) -> None:
         worker = subprocess.Popen([*command, "--devices", DEVICES], env=os.environ)
         try:
             calibrating = client.calibrate("lab3x3", CalibrationRequest(ticks=120))
-            wait_for(lambda: client.job(calibrating.id).status in ("done", "failed"))
+            patiently(lambda: client.job(calibrating.id).status in ("done", "failed"))
             assert client.job(calibrating.id).error is None
             (first,) = client.captures()
             second = client.start_capture("lab3x3", CaptureRequest(ticks=120))
-            wait_for(lambda: client.capture(second.id).status in ("done", "failed"))
+            patiently(lambda: client.capture(second.id).status in ("done", "failed"))
             check = client.check_calibration("lab3x3", second.id)
-            wait_for(lambda: client.job(check.id).status in ("done", "failed"))
+            patiently(lambda: client.job(check.id).status in ("done", "failed"))
         finally:
             worker.terminate()
             worker.wait(30)

@@ -2,14 +2,14 @@
 
 import json
 import sys
-import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import httpx
 import pytest
 from maintenance.deployment import Deployment
 from maintenance.postgresql import PostgresqlMissingError
+from maintenance.waiting import wait_for
 
 from server.client import RefusedError, ServiceClient
 from server.schemas.captures import CaptureRequest
@@ -20,14 +20,7 @@ STAGE = (sys.executable, "-P", "-m", "server.cli")
 ENVIRONMENT = {"SPIKE4DGS_RIGS": json.dumps({"ci3x3": {"rig": "ci3x3", "devices": "mock:static?seed=3"}})}
 SAME = ("metrics.json", "viewer.json", "viewer.bin")
 RUN = {"type": "reconstruct", "holdout": "cam11", "steps": 60}
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    for _ in range(2400):
-        if condition():
-            return
-        time.sleep(0.25)
-    raise AssertionError("waited for ten minutes in vain")
+patiently = partial(wait_for, limit_s=600.0)
 
 
 def ready(client: ServiceClient) -> bool:
@@ -48,16 +41,16 @@ def results(deployment: Deployment) -> dict[str, str]:
     for name in ("api", "a", "b"):
         deployment.start(name)
     with ServiceClient.at(deployment.address) as client:
-        wait_for(lambda: ready(client))
+        patiently(lambda: ready(client))
         capture = client.start_capture("ci3x3", CaptureRequest(ticks=64)).id
-        wait_for(lambda: client.capture(capture).status == "done")
+        patiently(lambda: client.capture(capture).status == "done")
         jobs = [RUN | {"capture": capture, "seed": seed, "name": f"seed {seed}"} for seed in range(3)]
         jobs.append({"type": "verify", "capture": capture, "name": "verify"})
         queued = client.submit_all(BatchRequest.model_validate({"jobs": jobs}).jobs)
-        wait_for(lambda: all(ended(client, job.id) for job in queued))
+        patiently(lambda: all(ended(client, job.id) for job in queued))
         export = ExportRequest(type="export", job=queued[0].id, format="ply", name="export")
         queued.append(client.submit(export))
-        wait_for(lambda: ended(client, queued[-1].id))
+        patiently(lambda: ended(client, queued[-1].id))
         assert deployment.dead() == []
         assert json.loads(client.artefact(queued[3].id, "result.json"))["sound"] is True
         found = {(job.name, one.name): one.sha256 for job in queued for one in client.artefacts(job.id)}

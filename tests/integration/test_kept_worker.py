@@ -9,17 +9,9 @@ from pathlib import Path
 import httpx
 import psutil
 import pytest
+from maintenance.waiting import wait_for
 
 from server.work.keeper import Keeper
-
-
-def wait_for(condition, seconds=60.0):
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        if condition():
-            return
-        time.sleep(0.02)
-    raise AssertionError(f"waited for {seconds:g} s in vain")
 
 
 def keeper_of(tmp_path: Path, program: str, pause_s: float = 0.01) -> Keeper:
