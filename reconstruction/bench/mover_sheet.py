@@ -1,7 +1,7 @@
-"""Draws what revisions make of movers, enlarged: the part of the held-out view in which most pixels move."""
+"""Draws what runs make of movers, enlarged: the part of the held-out view in which most pixels move."""
 
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -45,20 +45,26 @@ def write_mover_sheet(path: Path, clips: Sequence[tuple[KnownRecording, dict[str
 
     A clip has the files of its images by their titles, the same titles in all clips. One that is not there is black.
     """
-    write_sheet(path, [strip for clip, images in clips for strip in _strips(clip, images)])
+    shown = [(clip, {t: read_array(f) if f.exists() else None for t, f in files.items()}) for clip, files in clips]
+    write_sheet(path, [strip for clip, images in shown for strip in mover_strips(clip, images)])
 
 
-def _strips(clip: KnownRecording, images: dict[str, Path]) -> list[list[tuple[str, Picture]]]:
+def mover_strips(
+    clip: KnownRecording, images: Mapping[str, NDArray[np.float32] | None]
+) -> list[list[tuple[str, Picture]]]:
+    """Return two strips of a clip: the truth and `images` [H, W] of the held-out view, below them the differences.
+
+    `images` have titles; one that is None is black.
+    """
     frame, white = clip.middle, clip.truth.white
     crop, truth = most_moving(frame.moving), grey(frame.intensity, white)
     above = [(f"{clip.scene}: truth", _enlarged(truth, crop))]
     below = [("what is enlarged", _framed(truth, crop))]
-    for title, file in images.items():
-        if not file.exists():
+    for title, image in images.items():
+        if image is None:
             missing = np.zeros_like(above[0][1])
             above, below = [*above, (f"{title}: none", missing)], [*below, ("", missing)]
             continue
-        image = read_array(file)
         above.append((title, _enlarged(grey(image, white), crop)))
         below.append((f"difference x{GAIN}", _enlarged(grey(GAIN * np.abs(image - frame.intensity), white), crop)))
     return [above, below]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,11 @@ def _draw(_: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.diagrams import PLOTS
 
     PLOTS[found["bench"]](out / f"{found['bench']}.png", found)
+
+
+def _draw_page(_: Asked, out: Path, found: dict) -> None:
+    bench = import_module(f"reconstruction.bench.{found['bench']}")
+    bench.write_page(out / f"{found['bench']}.md", found)
 
 
 def _images(asked: Asked) -> BenchDocument:
@@ -122,12 +128,6 @@ def _tuning(asked: Asked) -> BenchDocument:
     return bench_tuning(protocol, _laboratory(asked, "tuning"), progress, timer(asked.limit_s))
 
 
-def _draw_tuning(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.tuning import write_page
-
-    write_page(out / "tuning.md", found)
-
-
 def _spss(asked: Asked) -> BenchDocument:
     from reconstruction.bench.paper.bench import timer
     from reconstruction.bench.spss import SCENES, bench_spss, spss_protocol
@@ -135,12 +135,6 @@ def _spss(asked: Asked) -> BenchDocument:
     protocol = spss_protocol(asked.named(SCENES), quick=asked.quick)
     rig = catalog_rig(QUICK_RIG if asked.quick else "lab3x3")
     return bench_spss(protocol, _laboratory(asked, "spss"), rig, asked.progress_of("spss"), timer(asked.limit_s))
-
-
-def _draw_spss(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.spss import write_page
-
-    write_page(out / "spss.md", found)
 
 
 def _longer(asked: Asked) -> BenchDocument:
@@ -151,12 +145,6 @@ def _longer(asked: Asked) -> BenchDocument:
     laboratories: dict[SensorKind, Laboratory] = {kind: _laboratory(asked, "longer", kind) for kind in kinds}
     scenes, progress = asked.named(SCENES), asked.progress_of("longer")
     return bench_longer(laboratories, scenes, progress, timer(asked.limit_s), quick=asked.quick)
-
-
-def _draw_longer(_: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.longer import write_page
-
-    write_page(out / "longer.md", found)
 
 
 def _leave_out(asked: Asked) -> BenchDocument:
@@ -210,10 +198,12 @@ def _rivals(asked: Asked) -> BenchDocument:
 
 
 def _draw_rivals(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.rivals import write_page
+    from reconstruction.bench.rivals import GROUPS, write_page
+    from reconstruction.bench.rivals_sheet import write_rivals_sheet
 
     _draw(asked, out, found)
     write_page(out / "rivals.md", found, _rivals_protocol(asked))
+    write_rivals_sheet(out / "rivals-sheet.jpg", _laboratory(asked, "rivals"), GROUPS["new"].scenes)
 
 
 def _rivals_protocol(asked: Asked) -> Protocol:
@@ -257,9 +247,9 @@ BENCHES: dict[str, Bench] = {
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
     "rivals": Bench("ours and its rivals at equal lengths, on new scenes and old", _rivals, _draw_rivals, trains=True),
-    "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_tuning, trains=True),
-    "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_spss, trains=True),
-    "longer": Bench("why longer training may end worse", _longer, _draw_longer, trains=True),
+    "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_page, trains=True),
+    "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_page, trains=True),
+    "longer": Bench("why longer training may end worse", _longer, _draw_page, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 
 from acquisition.devices.open import Simulation
 from acquisition.session.record import simulate
+from reconstruction.bench import rivals_sheet
 from reconstruction.bench.contact_sheet import TITLE_PX
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording
 from reconstruction.bench.mover_sheet import SHARE, ZOOM, most_moving, shoot, write_mover_sheet
+from reconstruction.bench.rivals import SHORT
+from reconstruction.bench.rivals_sheet import write_rivals_sheet
 from reconstruction.bench.speed_run import OLD, Contender
 from reconstruction.errors import ReconstructionError
 from rigs.exchange.nerfstudio import load_frames
@@ -92,3 +96,34 @@ def test_differences_are_of_the_truth_and_a_missing_run_is_black(clip, tmp_path)
     assert below[2].any()
     for black in (above[2], above[3], below[1], below[3]):
         assert not black.any()
+
+
+def test_the_sheet_of_rivals_has_the_scenes_of_which_all_runs_were_kept(clip, tmp_path, monkeypatch):
+    asked = []
+
+    def run_of(cell):
+        return SimpleNamespace(snapshots=lambda: [Path("old.pt"), Path(f"{cell.method.name}.pt")])
+
+    class Kept:
+        def kept(self, cell):
+            return None if cell.scene == "robot_arm" and cell.method.name == "stg" else tmp_path
+
+        def runs(self, cells):
+            asked.extend(cells)
+            return [(clip, run_of(cell)) for cell in asked]
+
+    def load_cloud(snapshot):
+        share = 1.0 if snapshot.stem == "auto" else 0.0
+        return SimpleNamespace(look=lambda camera, instant_s: SimpleNamespace(intensity=share * clip.middle.intensity))
+
+    monkeypatch.setattr(rivals_sheet, "load_cloud", load_cloud)
+    write_rivals_sheet(tmp_path / "none.png", Kept(), ("robot_arm",))
+    assert not (tmp_path / "none.png").exists()
+    write_rivals_sheet(tmp_path / "sheet.png", Kept(), ("robot_arm", "fan_and_ball"))
+    assert {(cell.scene, cell.effort) for cell in asked} == {("fan_and_ball", SHORT)}
+    assert [cell.method.name for cell in asked] == ["auto", "stg", "tfi+stg", "tfi+4dgs"]
+    sheet = cv2.imread(str(tmp_path / "sheet.png"), cv2.IMREAD_GRAYSCALE)
+    strips = [np.array_split(strip[TITLE_PX:], 5, axis=1) for strip in np.split(sheet, 2)]
+    above, below = ([bool(part.any()) for part in strip] for strip in strips)
+    assert above == [True, True, False, False, False]  # truth, ours as it is, rivals that are black
+    assert below == [True, False, True, True, True]  # the view, no difference, all of it
