@@ -10,6 +10,8 @@ interpolated (published: one image a timestep); movers from the sweep at the fir
 densification; our rates and kernels.
 """
 
-from reconstruction.methods.definition import Method, Training, seeded
+from reconstruction.methods.definition import Method, RateFactors, Training, seeded
 
-D3DGS = Method("d3dgs", seeded("seed_timesteps"), canonical=0.0, training=Training(ends_early=False))
+SEARCHED = RateFactors(still=2.253, moving=1.565, motion=2.166)  # the best of twelve trials (171)
+TRAINING = Training(ends_early=False, rates=SEARCHED)
+D3DGS = Method("d3dgs", seeded("seed_timesteps"), canonical=0.0, training=TRAINING)

@@ -9,7 +9,8 @@ grey light; a cap in place of densification; our rates and kernels.
 opacity and light not deformed.
 """
 
-from reconstruction.methods.definition import Method, seeded
+from reconstruction.methods.definition import Method, RateFactors, Training, seeded
 
-FOUR_DGS = Method("4dgs", seeded("seed_field"), canonical=0.5, watched=True)
+SEARCHED = Training(rates=RateFactors(still=0.879, moving=0.915, motion=3.272))  # the best of twelve trials (171)
+FOUR_DGS = Method("4dgs", seeded("seed_field"), canonical=0.5, watched=True, training=SEARCHED)
 SMALL_FOUR_DGS = Method("4dgs-small", seeded("seed_field", kind="4dgs-small"), canonical=0.5, watched=True)
