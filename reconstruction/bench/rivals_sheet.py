@@ -10,7 +10,6 @@ from reconstruction.bench.contact_sheet import write_sheet
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording
 from reconstruction.bench.mover_sheet import mover_strips
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.rivals import OURS_STG, ROWS, SHORT
 from reconstruction.run.folder import RunFolder
@@ -19,11 +18,11 @@ from reconstruction.training.checkpoint import load_cloud
 SHOWN = (m.AUTO, OURS_STG, m.TFI["stg"], m.TFI["4dgs"])
 
 
-def write_rivals_sheet(path: Path, laboratory: Laboratory, scenes: Iterable[str], effort: Effort = SHORT) -> None:
-    """Write two strips for each scene of which the laboratory has kept all runs; nothing where there is none."""
+def write_rivals_sheet(path: Path, laboratory: Laboratory, scenes: Iterable[str]) -> None:
+    """Write two strips for each scene of which the laboratory has kept all runs of a minute; no file for no scene."""
     strips = []
     for scene in scenes:
-        cells = {row.label: row.method.on(scene, effort) for row in ROWS if row.method in SHOWN}
+        cells = {row.label: row.method.on(scene, SHORT) for row in ROWS if row.method in SHOWN}
         if all(laboratory.kept(cell) for cell in cells.values()):
             runs = laboratory.runs(cells.values())
             images = {label: _held_out(*found) for label, found in zip(cells, runs, strict=True)}

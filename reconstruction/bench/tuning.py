@@ -1,4 +1,4 @@
-"""Searches the learning rates of ours and of every baseline: as many trials each, on the same development scenes.
+"""Searches the learning rates of ours and of each baseline that knows motion: as many trials each, on the same scenes.
 
 Trials are drawn at random, evenly in the logarithm. The first is the method as it is.
 Source: Bergstra & Bengio, "Random search for hyper-parameter optimization", JMLR 2012.
@@ -30,8 +30,9 @@ SCENES = (DEVELOPMENT[0], REALISTIC[-1])
 LENGTH, QUICK_LENGTH = Effort(60.0), Effort(steps=20)
 BETWEEN = "#"  # between the name of a method and the number of its trial
 ABOUT = """Each method has the same trials: factors of its learning rates, drawn at random, evenly in the logarithm,
-from 1/{reach:g} to {reach:g}. The first is the method as it is. The best has the highest mean PSNR over {scenes}, which
-are development scenes, by the second seed of each. A best that is hardly above the first is chance as much as gain.
+from 1/{reach:g} to {reach:g}. `auto` is ours. The first trial is the method as it was. The best has the highest mean
+PSNR over {scenes}, which are development scenes, by the second seed of each. A best that is hardly above
+the first is chance as much as gain.
 Methods of which a trial was refused are not shown."""
 
 

@@ -28,5 +28,6 @@ def _start(seeds: Seeds) -> RadianceField:
 
 
 SPIKENERF = Method("spikenerf", _start, moves=False, supervision="rays", rays=True)
-SEARCHED = Training(rates=RateFactors(still=2.253, moving=1.565, motion=2.166))  # the best of twelve trials (171)
-DY_SPIKENERF = Method("dy-spikenerf", _start, canonical=0.5, supervision="rays", rays=True, training=SEARCHED)
+SEARCHED = RateFactors(still=2.253, moving=1.565, motion=2.166)  # of Dy-SpikeNeRF, the best of twelve trials (171)
+TRAINING = Training(rates=SEARCHED)
+DY_SPIKENERF = Method("dy-spikenerf", _start, canonical=0.5, supervision="rays", rays=True, training=TRAINING)

@@ -247,7 +247,7 @@ BENCHES: dict[str, Bench] = {
     "training": Bench("whole reconstructions, one choice changed at a time", _training, _draw_training, trains=True),
     "paper": Bench("the paper's protocol, its tables and diagrams", _paper, _draw_paper, trains=True),
     "rivals": Bench("ours and its rivals at equal lengths, on new scenes and old", _rivals, _draw_rivals, trains=True),
-    "tuning": Bench("learning rates of every method, as many trials each", _tuning, _draw_page, trains=True),
+    "tuning": Bench("learning rates of ours and of its rivals, as many trials each", _tuning, _draw_page, trains=True),
     "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_page, trains=True),
     "longer": Bench("why longer training may end worse", _longer, _draw_page, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
