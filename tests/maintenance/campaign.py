@@ -71,7 +71,7 @@ class Campaign:
             if self._act(disturbs=disturbs) and settled and not disturbs:
                 return self._killer.close()
             time.sleep(self._rng.uniform(0.0, _PAUSE_S))
-        raise ServiceError(f"found work unfinished after {limit_s:g} s", "all done", where=self._deployment.data)
+        raise ServiceError(f"found after {limit_s:g} s {self._unfinished()}", "all done", where=self._deployment.data)
 
     def _submit(self) -> None:
         spans = self._rng.choice((0, 2, 4))  # which the stand-in takes from the seed
@@ -92,6 +92,16 @@ class Campaign:
             elif job["status"] == "done":
                 self._told("restart", job["id"], {"stage": self._rng.choice(STAGES)})
         return len(jobs) == self._plan.jobs and all(job["status"] == "done" for job in jobs)
+
+    def _unfinished(self) -> str:
+        """Say what is not done, and the last words of it."""
+        jobs = self._client.ask("GET", "/jobs?limit=1000").json()["items"]
+        captures = self._client.ask("GET", "/captures?limit=1000").json()["items"]
+        left = [one for one in jobs if one["status"] != "done"]
+        left += [one for one in captures if one["status"] in ("queued", "running") or one["partial_planes"]]
+        words = [f"{one['id']} {one['status']} ({one['stage']}: {one['message']})" for one in left]
+        counts = f"{len(jobs)} jobs, {len(captures)} captures, kills {self._killer.kills}"
+        return f"{counts}, unfinished: {', '.join(words) or 'none'}"
 
     def _told(self, word: str, job_id: str, body: object = None) -> None:
         self.acts[word] += self._client.told(f"/jobs/{job_id}/{word}", body)
