@@ -7,6 +7,7 @@ Ours: still Gaussians beside them (published: all have a window); grey light in 
 cap in place of densification and of sampling along rays; our rates and kernels.
 """
 
-from reconstruction.methods.definition import Method, seeded
+from reconstruction.methods.definition import Method, RateFactors, Training, seeded
 
-STG = Method("stg", seeded("seed_spacetime"), watched=True)
+SEARCHED = RateFactors(moving=0.5, motion=0.5)  # as it was (171), with half the rates of movers and of motion (172)
+STG = Method("stg", seeded("seed_spacetime"), watched=True, training=Training(rates=SEARCHED))
