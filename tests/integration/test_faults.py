@@ -8,7 +8,6 @@ from maintenance.faults import faults_of, run_campaign
 from maintenance.postgresql import PostgresqlMissingError
 
 pytestmark = pytest.mark.slow
-PLAN = Plan(kills=5, jobs=2, captures=5)  # `make faults` has rounds of 50, 15 and 30
 
 
 @pytest.mark.parametrize(
@@ -16,11 +15,11 @@ PLAN = Plan(kills=5, jobs=2, captures=5)  # `make faults` has rounds of 50, 15 a
 )
 def test_a_campaign_loses_doubles_and_overstates_nothing(tmp_path: Path, database: str) -> None:
     try:
-        row = run_campaign(tmp_path, PLAN, database, seed=5, limit_s=400)
+        row = run_campaign(tmp_path, Plan(kills=8, jobs=3, captures=8), database, seed=5, limit_s=400)
     except PostgresqlMissingError as error:
         pytest.skip(str(error))
     counts = row["counts"]
     assert (faults_of(counts), row["at_fault"]) == ({}, [])
-    assert counts["kills"] >= PLAN.kills  # two may fall together
-    assert (counts["jobs"], counts["captures.captures"]) == (PLAN.jobs, PLAN.captures)
+    assert counts["kills"] >= 8  # two may fall together
+    assert (counts["jobs"], counts["captures.captures"]) == (3, 8)
     assert counts["kills.recorder"] + counts["kills.worker_at_capture"] > 0

@@ -100,8 +100,8 @@ class Campaign:
         left = [one for one in jobs if one["status"] != "done"]
         left += [one for one in captures if one["status"] in ("queued", "running") or one["partial_planes"]]
         words = [f"{one['id']} {one['status']} ({one['stage']}: {one['message']})" for one in left]
-        counts = f"{len(jobs)} jobs, {len(captures)} captures, kills {self._killer.kills}"
-        return f"{counts}, unfinished: {', '.join(words) or 'none'}"
+        made = f"{len(jobs)} jobs, {len(captures)} captures, kills {self._killer.kills}"
+        return f"{made}, unfinished: {', '.join(words) or 'none'}"
 
     def _told(self, word: str, job_id: str, body: object = None) -> None:
         self.acts[word] += self._client.told(f"/jobs/{job_id}/{word}", body)
