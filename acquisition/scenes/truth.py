@@ -62,7 +62,8 @@ def write_truth(
         raise BadRecordingError(f"found {ticks} ticks and truth every {every} planes", "at least 1 of each")
     if folder.exists():
         raise BadRecordingError("exists already", "a new folder", "move it away", where=folder)
-    planes, exposures = list(range(0, ticks, every)), exposures_of(rig.tick_rate_hz, ticks)
+    planes = list(range(0, ticks, every))
+    exposures = exposures_of(rig.tick_rate_hz, ticks, len(planes))
     cameras = (*rig.cameras, *novel_cameras(scene, rig))
     for number, camera in enumerate(cameras):
         (folder / camera.id).mkdir(parents=True)
@@ -120,10 +121,13 @@ def frame_file(tick: int) -> str:
     return f"frame_{tick:06d}.npy"
 
 
-def exposures_of(tick_rate_hz: float, ticks: int) -> list[Exposure]:
-    """Return the exposures of the ordinary camera that are kept: all, or evenly so many that MOST_INSTANTS are."""
-    every = ORDINARY.exposures(tick_rate_hz, ticks)
-    return every[:: max(1, -(-len(every) // MOST_INSTANTS))]
+def exposures_of(tick_rate_hz: float, ticks: int, instants: int) -> list[Exposure]:
+    """Return the exposures of the ordinary camera that are kept beside so many true instants.
+
+    All are kept where they are no more than the instants and MOST_INSTANTS; otherwise as many as these, evenly.
+    """
+    every, most = ORDINARY.exposures(tick_rate_hz, ticks), max(1, min(instants, MOST_INSTANTS))
+    return every[:: max(1, -(-len(every) // most))]
 
 
 def _mean_light(view: View, rig: Rig, middle: int, count: int) -> NDArray[np.float32]:

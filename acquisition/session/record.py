@@ -124,7 +124,7 @@ def _disk_use(rig: Rig, devices: Devices, take: Take) -> DiskUse:
     truth = 0
     if isinstance(devices, Simulation):
         instants = -(-planes // (devices.truth_every or stride_of(planes)))
-        a_pixel = instants * _TRUTH_BYTES + len(exposures_of(rig.tick_rate_hz, planes)) * _FRAME_BYTES
+        a_pixel = instants * _TRUTH_BYTES + len(exposures_of(rig.tick_rate_hz, planes, instants)) * _FRAME_BYTES
         truth = a_pixel * sum(camera.width * camera.height for camera in rig.cameras)
     ring = max(_MIN_RING_BYTES, round(_RING_S * rig.tick_rate_hz * max(plane_bytes)))
     notes = sum(note_bytes(planes, PlaneLayout(camera.width, camera.height)) for camera in rig.cameras)

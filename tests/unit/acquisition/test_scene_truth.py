@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.errors import BadRecordingError
 from acquisition.scenes.catalog import build_scene
-from acquisition.scenes.truth import EVERY, MOST_INSTANTS, novel_cameras, stride_of, write_truth
+from acquisition.scenes.truth import EVERY, MOST_INSTANTS, exposures_of, novel_cameras, stride_of, write_truth
 from rigs.exchange.nerfstudio import load_transforms
 from rigs.toml import catalog_rig
 
@@ -103,6 +103,18 @@ def test_the_description_says_when_what_is_not_always_there_appears(tmp_path):
     movers = json.loads((tmp_path / "truth/scene.json").read_text())["movers"]
     assert len(movers) == 8
     assert all(mover["from_s"] == 0.008 and mover["to_s"] is None for mover in movers)
+
+
+def frames_of(instants: int, ticks: int = 40_000) -> list[int]:
+    return [exposure.first for exposure in exposures_of(20_000, ticks, instants)]
+
+
+def test_frames_of_an_ordinary_camera_are_no_more_than_the_true_instants():
+    assert frames_of(20, 400) == [0, 100, 200, 300]
+    assert frames_of(1) == [0]
+    assert frames_of(3) == [0, 13_400, 26_800]
+    assert frames_of(10_000) == list(range(0, 40_000, 200))  # no more than MOST_INSTANTS
+    assert frames_of(0, 0) == []
 
 
 def test_one_camera_still_gets_viewpoints_of_its_own():
