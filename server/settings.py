@@ -101,7 +101,8 @@ class ServiceSettings(BaseSettings):
     `body_s` seconds; a client may send `read_burst` reads at once and `read_rate` a second, and writes alike.
     Webhooks reach public addresses only, but any address of a host that `webhook_hosts` names. Jobs that ended more
     than `keep_days` ago are deleted, uploads that nothing at work uses after `keep_upload_days`.
-    `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
+    `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so,
+    with 10 more for the worker and the service the time that systemd and Compose are told to give.
     A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
 
@@ -121,7 +122,7 @@ class ServiceSettings(BaseSettings):
     write_burst: int = Field(default=100, ge=1)
     rigs: Annotated[dict[str, RigSource], *_DECODED] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
     stage_command: Annotated[tuple[str, ...], *_DECODED] = STAGE_COMMAND
-    grace_s: float = 8.0
+    grace_s: float = 20.0
     max_upload_bytes: int = 64 * 2**30
     keep_free_bytes: int = 256_000_000
     dead_s: float = Field(15.0, ge=1.0)

@@ -40,8 +40,7 @@ def client(tmp_path: Path, rigs: dict[str, RigSource]) -> Iterator[ServiceClient
 @pytest.fixture
 def start_worker(tmp_path: Path, rigs: dict[str, RigSource]) -> Iterator[Callable[[], psutil.Process]]:
     workers: list[subprocess.Popen[bytes]] = []
-    sources = json.dumps({name: rig.model_dump() for name, rig in rigs.items()})
-    environment = os.environ | {"SPIKE4DGS_RIGS": sources, "SPIKE4DGS_GRACE_S": "25"}  # slow machines end slowly
+    environment = os.environ | {"SPIKE4DGS_RIGS": json.dumps({name: rig.model_dump() for name, rig in rigs.items()})}
 
     def start() -> psutil.Process:
         command = [sys.executable, "-m", "server.cli", "worker", "--data", str(tmp_path / "data")]
