@@ -101,8 +101,8 @@ class ServiceSettings(BaseSettings):
     `body_s` seconds; a client may send `read_burst` reads at once and `read_rate` a second, and writes alike.
     Webhooks reach public addresses only, but any address of a host that `webhook_hosts` names. Jobs that ended more
     than `keep_days` ago are deleted, uploads that nothing at work uses after `keep_upload_days`.
-    `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so,
-    with 10 more for the worker and the service the time that systemd and Compose are told to give.
+    `stage_command` is put before the arguments of every stage; a stage told to stop has `grace_s` seconds to do so.
+    systemd and Compose kill a service that has not ended after 30 s, so `grace_s` is well below.
     A worker that has not beaten for `dead_s` seconds is taken for dead.
     """
 

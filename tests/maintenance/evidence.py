@@ -71,8 +71,13 @@ def filled(template: str, documents: Mapping[str, dict]) -> str:
 
 
 def figures(name: str, document: dict) -> dict[str, float | str]:
-    """Return every figure of a document by its name: the summary's, what `derived` adds, and the revision."""
+    """Return every figure of a document by its name: the summary's, the revision, and those of rows.
+
+    Those are `derived` of the paper bench, and the steps of the runs of rivals by `CELL.steps`.
+    """
     found = dict(document["summary"]) | {"revision": document["revision"], "rows": len(document["rows"])}
+    if name == "rivals":
+        return found | {f"{name_of(row)}.steps": row["steps"] for row in document["rows"]}
     return found | derived(document["rows"]) if name == "paper" else found
 
 
