@@ -124,7 +124,7 @@ def frame_file(tick: int) -> str:
 def exposures_of(tick_rate_hz: float, ticks: int, instants: int) -> list[Exposure]:
     """Return the exposures of the ordinary camera that are kept beside so many true instants.
 
-    All are kept where they are no more than the instants and MOST_INSTANTS; otherwise as many as these, evenly.
+    All are kept where they are no more than the instants and MOST_INSTANTS; otherwise no more than these, evenly.
     """
     every, most = ORDINARY.exposures(tick_rate_hz, ticks), max(1, min(instants, MOST_INSTANTS))
     return every[:: max(1, -(-len(every) // most))]

@@ -1,10 +1,11 @@
 """Cuts rigid bodies into parts that learn a motion each, and joins the parts that turned out to move as one.
 
 Noisy points at a few instants may put two things on one body; pictures tell them apart, once their parts have followed
-those for a while. What bends stays in parts. Letters: K bodies or parts, A Gaussians that ride on them, P knots.
+those for a while. What bends stays in parts.
+Letters: K bodies or parts, A Gaussians that ride on them, P knots, B groups of parts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,15 +25,26 @@ MOST_PARTS = 64
 THICK = 0.1  # least extent of a part along any axis, over its largest: a thin rod shows how it rolls by its quaternion
 NEAR = 1.5  # sizes apart at which neighbours touch
 TINY_M = 1e-6
-Joint = tuple[Tensor, Tensor]  # quaternions [P, 4], no turn at the middle knot, and centres [P, 3] in m
+Pair = tuple[int, int]
 
 
-class _Part(NamedTuple):
-    """The places of a part: six points on its ellipsoid [P, 6, 3] in m at the knots, its Gaussians, its size in m."""
+class _Parts(NamedTuple):
+    """The places of K parts: six points on the ellipsoid of each [K, P, 6, 3] in m, its Gaussians [K], its size [K]."""
 
     points: Tensor
-    riders: int
-    size: float
+    riders: Tensor
+    sizes: Tensor  # m
+
+
+class _Fits(NamedTuple):
+    """Several parts as one body, for each of B groups.
+
+    Turns [B, P, 3, 3] and centres [B, P, 3] in m at the knots, and how far they take the worst part aside [B] in m.
+    """
+
+    turns: Tensor
+    centers: Tensor
+    gaps: Tensor
 
 
 @torch.no_grad()
@@ -69,19 +81,21 @@ def joined(cloud: DynamicCloud, gap_m: float) -> DynamicCloud:
     """
     motion = cloud.motion
     assert isinstance(motion, RigidMotion)
-    parts = [_part(cloud.moving, motion, body) for body in range(len(motion.knot_quats))]
-    groups = _grouped(parts, gap_m)
-    if len(groups) == len(parts):
+    if not len(motion.knot_quats):
         return cloud
-    found = [_joint([parts[k] for k in group]) for group in groups]
-    numbers = motion.bodies.new_zeros(len(parts))
+    parts = _parts(cloud.moving, motion)
+    groups = _grouped(parts, gap_m)
+    if len(groups) == len(parts.riders):
+        return cloud
+    quats, centers = _joint(parts, groups)
+    numbers = motion.bodies.new_zeros(len(parts.riders))
     for number, group in enumerate(groups):
         numbers[group] = number
     joint = replace(
         motion,
         bodies=numbers[motion.bodies],
-        knot_quats=torch.stack([quats for quats, _ in found]).to(motion.knot_quats),
-        knot_centers=torch.stack([centers for _, centers in found]).to(motion.knot_centers),
+        knot_quats=quats.to(motion.knot_quats),
+        knot_centers=centers.to(motion.knot_centers),
     )
     return replace(cloud, moving=_carried_over(cloud.moving, motion, joint), motion=joint)
 
@@ -112,49 +126,61 @@ def _halves(places: Tensor, which: Tensor, most: int) -> list[Tensor]:
     return [*_halves(places, order[:half], most), *_halves(places, order[half:], most)]
 
 
-def _part(moving: GaussianCloud, motion: RigidMotion, body: int) -> _Part:
-    """Return where a body of `motion` is at the knots, in float64."""
-    own = moving.means[: len(motion.bodies)][motion.bodies == body].double()
-    knots = motion.knot_quats.shape[1]
+def _parts(moving: GaussianCloud, motion: RigidMotion) -> _Parts:
+    """Return where the bodies of `motion` are at the knots, in float64."""
+    means = moving.means[: len(motion.bodies)].double()
+    found = [_on_ellipsoid(means[motion.bodies == body]) for body in range(len(motion.knot_quats))]
+    points, sizes = (torch.stack(kind) for kind in zip(*found, strict=True))
+    turns = matrices(motion.knot_quats.double())
+    places = points[:, None] @ turns.mT + motion.knot_centers.double()[:, :, None]
+    return _Parts(places, torch.bincount(motion.bodies, minlength=len(found)), sizes)
+
+
+def _on_ellipsoid(own: Tensor) -> tuple[Tensor, Tensor]:
+    """Return six points [6, 3] that are spread as the points [n, 3] are, and their size; zeros where there are none.
+
+    The means of squares over the six points are those over all.
+    """
     if not len(own):
-        return _Part(own.new_zeros(knots, 6, 3), 0, 0.0)
+        return own.new_zeros(6, 3), own.new_zeros(())
     center = own.mean(dim=0)
     squares, axes = torch.linalg.eigh((own - center).T @ (own - center) / len(own))
-    extents = (3 * squares).clamp_min(0).sqrt()  # so that means of squares over the six points are those of the part
+    extents = (3 * squares).clamp_min(0).sqrt()
     extents = extents.clamp_min(max(THICK * float(extents[-1]), TINY_M))
-    points = torch.cat([center + (extents * axes).T, center - (extents * axes).T])
-    turns = matrices(motion.knot_quats[body].double())
-    places = points @ turns.mT + motion.knot_centers[body].double()[:, None]
-    return _Part(places, len(own), float(extents[-1]))
+    return torch.cat([center + (extents * axes).T, center - (extents * axes).T]), extents[-1]
 
 
-def _joint(parts: Sequence[_Part]) -> Joint:
-    """Return the rigid motion that follows the parts best, each by its Gaussians: a fit by Kabsch at every knot."""
-    turns, centers, _ = _fit(parts)
-    quats = [Transform(turn, np.zeros(3)).quat_wxyz for turn in turns.numpy()]
-    return _in_one_hemisphere(torch.from_numpy(np.stack(quats))), centers
+def _joint(parts: _Parts, groups: Sequence[Sequence[int]]) -> tuple[Tensor, Tensor]:
+    """Return quaternions [B, P, 4], no turn at the middle knot, and centres [B, P, 3] in m that follow groups best."""
+    fits = _fits(parts, groups)
+    quats = [[Transform(turn, np.zeros(3)).quat_wxyz for turn in turns] for turns in fits.turns.numpy()]
+    return torch.stack([_in_one_hemisphere(torch.from_numpy(np.stack(own))) for own in quats]), fits.centers
 
 
-def _fit(parts: Sequence[_Part]) -> tuple[Tensor, Tensor, float]:
-    """Return turns [P, 3, 3] and centres [P, 3] of all parts as one body, and how far it takes the worst part aside."""
-    points = torch.cat([part.points for part in parts], dim=1)
-    weights = points.new_tensor([part.riders for part in parts]).repeat_interleave(6)[:, None]
-    weights = weights / weights.sum()
-    centers = (weights * points).sum(dim=1)
-    apart = points - centers[:, None]
-    rest = apart[len(apart) // 2]
+def _fits(parts: _Parts, groups: Sequence[Sequence[int]]) -> _Fits:
+    """Return each group of parts as one body, its parts weighted by their Gaussians: a fit by Kabsch at every knot."""
+    most = max(map(len, groups))
+    members = torch.tensor([[*group, *[group[0]] * (most - len(group))] for group in groups])
+    counts = torch.tensor(list(map(len, groups)))[:, None]
+    weights = torch.where(torch.arange(most) < counts, parts.riders[members], 0).to(parts.points)
+    weights = weights / (6 * weights.sum(dim=1, keepdim=True).clamp_min(1))  # six points a part
+    weights = weights.repeat_interleave(6, dim=1)[:, None, :, None]
+    points = parts.points[members].transpose(1, 2).flatten(2, 3)  # [B, P, 6 most, 3]
+    centers = (weights * points).sum(dim=2)
+    apart = points - centers[:, :, None]
+    rest = apart[:, apart.shape[1] // 2, None]
     left, _, right = torch.linalg.svd(apart.mT @ (weights * rest))
-    signs = points.new_ones(len(left), 3)
-    signs[:, 2] = torch.linalg.det(left @ right).sign()
-    turns = (left * signs[:, None]) @ right
-    aside = (rest @ turns.mT - apart).square().sum(dim=2).unflatten(1, (len(parts), 6))
-    return turns, centers, float(aside.mean(dim=2).amax().sqrt())
+    signs = points.new_ones(*left.shape[:2], 3)
+    signs[..., 2] = torch.linalg.det(left @ right).sign()
+    turns = (left * signs[..., None, :]) @ right
+    aside = (rest @ turns.mT - apart).square().sum(dim=3).unflatten(2, (most, 6))
+    return _Fits(turns, centers, aside.mean(dim=3).amax(dim=(1, 2)).sqrt())
 
 
-def _grouped(parts: Sequence[_Part], gap_m: float) -> list[list[int]]:
+def _grouped(parts: _Parts, gap_m: float) -> list[list[int]]:
     """Return the numbers of the parts that one body takes nowhere farther than `gap_m` aside, by the first of them."""
-    groups = {k: [k] for k in range(len(parts))}
-    gaps = {(a, b): _gap(parts, [a, b]) for a in groups for b in range(a) if _touch(parts[a], parts[b])}
+    groups = {k: [k] for k in range(len(parts.riders))}
+    gaps = _gaps(parts, groups, _neighbours(parts))
     while gaps:
         (a, b), gap = min(gaps.items(), key=lambda pair: pair[1])
         if not gap <= gap_m:
@@ -162,18 +188,24 @@ def _grouped(parts: Sequence[_Part], gap_m: float) -> list[list[int]]:
         others = {c for pair in gaps for c in pair if {a, b} & set(pair)} - {a, b}
         gaps = {pair: gap for pair, gap in gaps.items() if not {a, b} & set(pair)}
         groups[b] = sorted(groups[b] + groups.pop(a))
-        gaps |= {(b, c): _gap(parts, groups[b] + groups[c]) for c in others}
+        gaps |= _gaps(parts, groups, [(b, c) for c in others])
     return sorted(groups.values())
 
 
-def _gap(parts: Sequence[_Part], group: Sequence[int]) -> float:
-    return _fit([parts[k] for k in group])[2]
+def _gaps(parts: _Parts, groups: Mapping[int, list[int]], pairs: Sequence[Pair]) -> dict[Pair, float]:
+    """Return how far one body for both groups of a pair would take the worst of their parts aside, in m."""
+    if not pairs:
+        return {}
+    return dict(zip(pairs, _fits(parts, [groups[a] + groups[b] for a, b in pairs]).gaps.tolist(), strict=True))
 
 
-def _touch(a: _Part, b: _Part) -> bool:
-    """Return whether two parts that have Gaussians are neighbours at some knot."""
-    apart = (a.points.mean(dim=1) - b.points.mean(dim=1)).norm(dim=1).amin()
-    return min(a.riders, b.riders) > 0 and float(apart) <= NEAR * (a.size + b.size)
+def _neighbours(parts: _Parts) -> list[Pair]:
+    """Return the pairs of parts that have Gaussians and are neighbours at some knot, the later part first."""
+    middles = parts.points.mean(dim=2)
+    apart = torch.cdist(middles.transpose(0, 1), middles.transpose(0, 1)).amin(dim=0)
+    there = parts.riders > 0
+    near = (apart <= NEAR * (parts.sizes[:, None] + parts.sizes)) & there[:, None] & there
+    return [(a, b) for a, b in near.tril(-1).nonzero().tolist()]
 
 
 def _in_one_hemisphere(quats: Tensor) -> Tensor:

@@ -1,45 +1,41 @@
-// Connected points: those within a distance of each other, directly or through others; twin of `linked_reference` in
-// stereo.py.
-#include <cstddef>
+// Clusters of points that chains of neighbours join; twin of `linked_reference` in stereo.py.
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <vector>
 
 #include "native.h"
 
-// Writes for each of n points [n, 3] the number of its cluster, from 0, in the order of their first points.
+namespace {
+
+// The first point of the cluster that a point is in, by the `earlier` point of each; the way there is shortened.
+int32_t first_of(int32_t point, std::vector<int32_t> &earlier) {
+    while (earlier[point] != point) point = earlier[point] = earlier[earlier[point]];
+    return point;
+}
+
+}  // namespace
+
+// `clusters`: for each of the `count` points (three numbers each, in m) the number of its cluster, from 0 in the order of
+// their first points. Points within `gap` metres are of one cluster. In the order of their first coordinate only few can
+// be near a point.
 S4_API void link_points(const double *points, int32_t count, double gap, int32_t *clusters) {
-    std::vector<double> left[3];  // by column: the points that are in no cluster yet
-    std::vector<int32_t> names(count), edge;
-    for (int k = 0; k < 3; ++k) {
-        left[k].resize(count);
-        for (int i = 0; i < count; ++i) left[k][i] = points[3 * i + k];
-    }
-    for (int i = 0; i < count; ++i) names[i] = i;
-    std::vector<uint8_t> near(count);
-    int remaining = count, cluster = 0;
-    const double most = gap * gap;
-    while (remaining) {
-        edge.assign(1, names[0]);
-        for (std::size_t next = 0; next < edge.size(); ++next) {
-            const double *at = points + 3 * edge[next], x = at[0], y = at[1], z = at[2];
-            clusters[edge[next]] = cluster;
-            const double *px = left[0].data(), *py = left[1].data(), *pz = left[2].data();
-            uint8_t *linked = near.data();
-#pragma omp simd
-            for (int i = 0; i < remaining; ++i) {
-                const double dx = px[i] - x, dy = py[i] - y, dz = pz[i] - z;
-                linked[i] = dx * dx + dy * dy + dz * dz <= most;
-            }
-            int kept = 0;
-            for (int i = 0; i < remaining; ++i) {
-                const bool own = names[i] == edge[next];
-                if (linked[i] && !own) clusters[names[i]] = cluster, edge.push_back(names[i]);
-                if (linked[i] || own) continue;
-                for (auto &column : left) column[kept] = column[i];
-                names[kept++] = names[i];
-            }
-            remaining = kept;
+    std::vector<int32_t> order(count), earlier(count);
+    std::iota(order.begin(), order.end(), 0);
+    earlier = order;
+    const auto across = [&](int32_t i) { return std::isnan(points[3 * i]) ? HUGE_VAL : points[3 * i]; };
+    std::sort(order.begin(), order.end(), [&](int32_t a, int32_t b) { return across(a) < across(b); });
+    for (int32_t i = 0; i < count; ++i) {
+        const double *p = points + 3 * order[i];
+        for (int32_t j = i + 1; j < count; ++j) {
+            const double *q = points + 3 * order[j], dx = q[0] - p[0], dy = q[1] - p[1], dz = q[2] - p[2];
+            if (!(dx <= gap)) break;
+            if (!(dx * dx + dy * dy + dz * dz <= gap * gap)) continue;  // nor where one is nowhere
+            const int32_t a = first_of(order[i], earlier), b = first_of(order[j], earlier);
+            earlier[std::max(a, b)] = std::min(a, b);
         }
-        ++cluster;
     }
+    int32_t found = 0;
+    for (int32_t i = 0; i < count; ++i) clusters[i] = earlier[i] == i ? found++ : clusters[first_of(i, earlier)];
 }

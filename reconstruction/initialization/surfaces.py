@@ -8,7 +8,7 @@ Source: Fischler & Bolles, "Random sample consensus", 1981; Sinha, Steedly and S
 image-based rendering", ICCV 2009.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import cv2
@@ -25,7 +25,7 @@ CLOSED_PX = (10, 7, 5, 4, 3, 2)  # half the widths of gaps in borders that are c
 GROWTH_PX = 6  # by which regions grow from one width to the next
 LEAST_PIXELS = 40  # of a region, away from its border
 REACH_PX = 5  # how far outside a region its border's depths are taken from
-LEAST_BORDER = 12  # depths at the border of a region that a plane is laid through
+LEAST_BORDER, MOST_BORDER = 12, 400  # depths at the border of a region that a plane is laid through
 LEAST_SUPPORT = 0.2  # least share of the border on the plane, less what lies behind it
 TRIES = 256  # planes tried a region
 ON_PLANE = 1.0  # inverse-depth steps that a border's depth may be off the plane
@@ -61,15 +61,14 @@ def inferred(found: DepthMap, image: Image, noise: Image, options: SweepOptions,
     labels = regions(spread_of(soft, 1) < EDGE * noise)
     depth, known = found.depth.copy(), np.isfinite(found.depth)
     step = ON_PLANE * float(np.diff(options.inverse_depths[:2])[0])
-    for label in range(1, int(labels.max(initial=0)) + 1):
-        rows, columns = _around(labels == label)
-        region = labels[rows, columns] == label
-        plane = _plane_of(region, found.depth[rows, columns], step, rng)
-        open_ = region & ~known[rows, columns]
-        if plane is not None and open_.any():
-            inverse = _places(region.shape) @ plane
-            seen = open_ & (inverse.reshape(region.shape) > 1 / (2 * options.far_m))
-            depth[rows, columns][seen] = 1 / inverse.reshape(region.shape)[seen]
+    for label, box in _boxes(labels):
+        region = labels[box] == label
+        down, across = np.nonzero(region & ~known[box])
+        plane = _plane_of(region, found.depth[box], step, rng) if len(down) else None
+        if plane is not None:
+            inverse = _places(down, across) @ plane
+            seen = inverse > 1 / (2 * options.far_m)
+            depth[box][down[seen], across[seen]] = 1 / inverse[seen]
     return replace(found, depth=depth)
 
 
@@ -100,29 +99,33 @@ def _grown(labels: Image, where: Mask, steps: int) -> Image:
     return labels
 
 
-def _around(region: Mask) -> tuple[slice, slice]:
-    """Return the rows and columns of a region [H, W] and of its reach around it."""
-    rows, columns = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
-    return (
-        slice(max(int(rows[0]) - REACH_PX, 0), int(rows[-1]) + 1 + REACH_PX),
-        slice(max(int(columns[0]) - REACH_PX, 0), int(columns[-1]) + 1 + REACH_PX),
-    )
+def _boxes(labels: NDArray[np.int32]) -> Iterator[tuple[int, tuple[slice, slice]]]:
+    """Yield the number of each region [H, W], with the rows and columns of it and of its reach around it."""
+    rows, columns = np.nonzero(labels)
+    numbers = labels[rows, columns]
+    order = np.argsort(numbers, kind="stable")
+    found, first = np.unique(numbers[order], return_index=True)
+    ends = [f.reduceat(a[order], first) for a in (rows, columns) for f in (np.minimum, np.maximum)]
+    for label, top, bottom, left, right in zip(found.tolist(), *(end.tolist() for end in ends), strict=True):
+        down = slice(max(top - REACH_PX, 0), bottom + 1 + REACH_PX)
+        yield label, (down, slice(max(left - REACH_PX, 0), right + 1 + REACH_PX))
 
 
-def _places(shape: tuple[int, ...]) -> Floats:
-    """Return column, row and 1 of every pixel [H * W, 3], in pixels over 100: numbers about 1."""
-    rows, columns = np.indices(shape) / 100.0
-    return np.stack([columns.ravel(), rows.ravel(), np.ones(rows.size)], axis=1)
+def _places(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Floats:
+    """Return column, row and 1 of n pixels [n, 3], in pixels over 100: numbers about 1."""
+    return np.stack([columns / 100, rows / 100, np.ones(len(rows))], axis=1)
 
 
 def _plane_of(region: Mask, depth: Image, step: float, rng: np.random.Generator) -> Floats | None:
     """Return the plane [3] of a region as inverse depth over `_places`, None where the border does not tell."""
     size = 2 * REACH_PX + 1
     near = cv2.dilate(region.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
-    border = (near & np.isfinite(depth)).ravel()
-    if border.sum() < LEAST_BORDER:
+    rows, columns = np.nonzero(near & np.isfinite(depth))
+    every = max(1, -(-len(rows) // MOST_BORDER))
+    rows, columns = rows[::every], columns[::every]
+    if len(rows) < LEAST_BORDER:
         return None
-    places, inverse = _places(region.shape)[border], 1 / depth.ravel()[border].astype(np.float64)
+    places, inverse = _places(rows, columns), 1 / depth[rows, columns].astype(np.float64)
     picked = rng.integers(len(places), size=(TRIES, 3))
     corners = places[picked]
     picked = picked[np.abs(np.linalg.det(corners)) > FLAT]

@@ -23,6 +23,7 @@ from reconstruction.training.view import TrainingView
 from rigs.clock import RigClock
 
 LOOKS = (0.25, 0.5, 0.75)  # shares of the training; the later ones only where the first has found lags
+LEAST_STEPS = 75  # before the first look: in a shorter training a look takes too much of the time
 INSTANTS = 4  # of a view that a look compares
 STEP = 4.0  # ticks to either side at which a look renders
 ALIKE_PX = 25  # pixels in which a model errs alike
@@ -55,9 +56,15 @@ class Lags:
         """Return the cloud as a view has it at an instant (s) of the rig's clock."""
         return cloud.at(instant_s + float(self.ticks[view]) / self.clock.tick_rate_hz)
 
-    def look(self, cloud: SceneModel, views: Sequence[TrainingView], done: float) -> None:
-        """Measure the lags where `done` of the training says that it is time, and take them up where they are sure."""
+    def look(self, cloud: SceneModel, views: Sequence[TrainingView], done: float, made: int) -> None:
+        """Measure the lags where `done` of the training says that it is time, and take them up where they are sure.
+
+        `made`: steps of the training so far.
+        """
         if self.ended or self.looks >= len(LOOKS) or done < LOOKS[self.looks]:
+            return
+        if made < LEAST_STEPS:
+            self.ended = True
             return
         self.looks += 1
         assert isinstance(cloud, DynamicCloud)  # the only models that such views are shown

@@ -117,7 +117,7 @@ class Trainer:
         if self.exposure:
             self.exposure.look(self.cloud, [view.camera for view in self.views], done)
         if self.lags:
-            self.lags.look(self.cloud, self.views, done)
+            self.lags.look(self.cloud, self.views, done, self.steps)
         due = self.spikes if self.steps % way.spikes.every == way.spikes.every - 1 else None
         view = self.draws.view()
         self.optimizer.zero_grad(set_to_none=True)

@@ -34,8 +34,9 @@ def test_joined_points_are_those_of_the_twin(count, gap_m):
 
 
 def test_points_that_are_nowhere_are_joined_to_none():
-    positions = np.array([[0, 0, 0], [np.nan, 0, 0], [0.1, 0, 0], [np.inf, 0, 0], [np.inf, 0, 0]])
-    assert linked(positions, 0.2).tolist() == [0, 1, 0, 2, 3]
+    nan, inf = np.nan, np.inf
+    positions = np.array([[0, 0, 0], [nan, 0, 0], [0.1, 0, 0], [inf, 0, 0], [inf, 0, 0], [0, nan, 0], [-inf, 0, 0]])
+    assert linked(positions, 0.2).tolist() == [0, 1, 0, 2, 3, 4, 5]
 
 
 def seen(parts: list[tuple[np.ndarray, np.ndarray]], instant: int) -> Points:
@@ -98,7 +99,7 @@ def test_soft_matches_are_those_of_the_twin(width):
     guess = Transform(turn(0.2, "x"), np.array([2.01, 1.99, 2.0]))
     found, twin = (f(model, target, guess, width, 0.3) for f in (soft_matches, soft_matches_reference))
     for name in ("total", "squared", "model", "target", "cross"):
-        np.testing.assert_allclose(getattr(found, name), getattr(twin, name), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(getattr(found, name), getattr(twin, name), rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 2e3])

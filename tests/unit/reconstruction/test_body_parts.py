@@ -140,6 +140,22 @@ def test_those_that_do_not_touch_stay_apart_however_alike():
     assert len(found.motion.knot_quats) == 2
 
 
+def test_where_there_is_no_body_nothing_is_joined():
+    cloud = body(bars(1)[:0])
+    none = replace(cloud.motion, **{k: getattr(cloud.motion, k)[:0] for k in ("knot_quats", "knot_centers")})
+    cloud = replace(cloud, motion=none)
+    assert joined(cloud, GAP_M) is cloud
+
+
+def test_a_part_that_nothing_rides_on_stays_and_harms_none():
+    cloud = parted(body(bars(3)))
+    knots = {name: getattr(cloud.motion, name) for name in ("knot_quats", "knot_centers")}
+    spare = replace(cloud.motion, **{name: torch.cat([own, own[:1]]) for name, own in knots.items()})
+    found = joined(replace(cloud, motion=spare), GAP_M)
+    assert len(found.motion.knot_quats) == 2
+    assert all(tensor.isfinite().all() for _, tensor in found.tensors())
+
+
 @pytest.mark.parametrize("gap_m", [0.0, -1.0, math.nan])
 def test_nothing_is_joined_within_no_gap(gap_m):
     cloud = learnt(parted(body(bars(2))), [0.3, 0.0], seed=1)

@@ -22,7 +22,7 @@ from reconstruction.initialization.gains import Gains, camera_gains
 from reconstruction.initialization.sweep import DepthMap
 from reconstruction.rendering.render import render
 from reconstruction.scene_model import TimeSpan
-from reconstruction.training.lags import LOOKS, Lags
+from reconstruction.training.lags import LEAST_STEPS, LOOKS, Lags
 from reconstruction.training.view import TrainingView
 from reconstruction.truth import Truth
 from rigs.camera import Camera
@@ -134,11 +134,11 @@ def lagging(cloud: DynamicCloud, lags: list[float], noise: float = 0.0) -> list[
     return [view(camera, lag) for camera, lag in zip(cameras(len(lags)), lags, strict=True)]
 
 
-def looked(cloud: DynamicCloud, views: list[TrainingView]) -> Lags:
+def looked(cloud: DynamicCloud, views: list[TrainingView], steps: int = LEAST_STEPS) -> Lags:
     found = Lags(len(views), CLOCK)
     seen = [replace(v, corrected=lambda c, instant_s, i=i: found.seen(c, instant_s, i)) for i, v in enumerate(views)]
     for done in (0.0, *LOOKS, 0.99):
-        found.look(cloud, seen, done)
+        found.look(cloud, seen, done, steps)
     return found
 
 
@@ -158,6 +158,13 @@ def test_cameras_in_step_are_left_alone_and_looked_at_once():
     found = looked(cloud, lagging(cloud, [0.0, 0.05, -0.05, 0.0], 0.01))
     assert (found.ticks == 0).all()
     assert (found.looks, found.ended) == (1, True)
+
+
+def test_a_short_training_does_not_look():
+    cloud = scene()
+    found = looked(cloud, lagging(cloud, [3.0, -3.0, 0.0, 0.0], 0.01), LEAST_STEPS - 1)
+    assert (found.ticks == 0).all()
+    assert (found.looks, found.ended) == (0, True)
 
 
 def test_where_nothing_moves_no_lag_is_told():
