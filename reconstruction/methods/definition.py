@@ -37,6 +37,7 @@ class RateFactors(NamedTuple):
 
 
 AS_KIND = RateFactors()
+SWEEPS = 8  # usual instants at which movers are swept
 
 
 @dataclass(frozen=True)
@@ -64,17 +65,18 @@ class Method:
     """A way to reconstruct a scene; `start` makes the model that is trained.
 
     `moves`: whether it knows motion; without, it takes the whole clip for one still scene. `canonical`: the share of
-    the clip at which movers are swept (None: at several instants). `supervision`: the one it is published with, used
-    where the operator leaves it open. `watched`: whether still Gaussians that turn out to move are let go. `rays`:
-    whether it is a radiance field, which learns from spikes of single rays, by no other supervision and without
-    refinement. `ours`: whether it is a method of this project; the others are baselines. `gaussians`: the number of
-    them where the operator gives none. `training`: how it is trained.
+    the clip at which movers are swept (None: at several instants, `sweeps` of them in a recording of one piece).
+    `supervision`: the one it is published with, used where the operator leaves it open. `watched`: whether still
+    Gaussians that turn out to move are let go. `rays`: whether it is a radiance field, which learns from spikes of
+    single rays, by no other supervision and without refinement. `ours`: whether it is a method of this project; the
+    others are baselines. `gaussians`: the number of them where the operator gives none. `training`: how it is trained.
     """
 
     name: str
     start: Callable[[Seeds], SceneModel]
     moves: bool = True
     canonical: float | None = None
+    sweeps: int = SWEEPS
     supervision: str = "pixels"
     watched: bool = False
     rays: bool = False

@@ -11,7 +11,6 @@ from reconstruction.pipeline import artefacts
 from reconstruction.run.decisions import Decision
 from reconstruction.run.document import BodyCounts
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.prices import INSTANTS
 from reconstruction.scene_model import TimeSpan
 
 
@@ -24,7 +23,7 @@ def keep_bodies(run: RunFolder, recording: Recording, moving: Points, planes: Se
     clip, still = TimeSpan.of_planes(clock, 0, recording.planes), artefacts.read(run, artefacts.STILL, Points)
     cameras = [camera for camera, _ in views]
     judged = lambda found: judge(  # noqa: E731
-        Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, lambda: found), views, clock
+        Seeds(still, moving, clip, run.plan.sweeps, run.config.seed, cameras, lambda: found), views, clock
     )
     ways = ways_within(run.config.budget_s, WHOLE_S)
     bodies, found, ratio = choose_bodies(moving, [clock.instant_s(plane) for plane in planes], judged, ways)

@@ -25,7 +25,6 @@ from reconstruction.pipeline.gains import even_cameras
 from reconstruction.pipeline.other_points import Views, leave_unswept, other_points
 from reconstruction.run.decisions import Decision
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.prices import INSTANTS
 from rigs.camera import Camera
 
 LEAST_POINTS = 200  # points of the still scene, where so many were asked for
@@ -41,7 +40,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     plan, views = run.plan, artefacts.read_views(run, recording, gained=False)
     rng = np.random.default_rng(run.config.seed)
     others = other_points(run, rng)
-    planes = moving_planes(recording.planes, plan.model)
+    planes = moving_planes(recording.planes, plan.model, plan.sweeps)
     swept = planes if plan.moving_gaussians and not plan.spans else []
     rounds = 1 + len(swept)
     if others:
@@ -68,12 +67,12 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
         progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
 
 
-def moving_planes(planes: int, model: str) -> list[int]:
+def moving_planes(planes: int, model: str, instants: int) -> list[int]:
     """Return the planes at which movers are swept: the middles of equal parts of the clip, or the canonical one."""
     canonical = METHODS[model].canonical
     if canonical is not None:
         return [min(int(canonical * planes), planes - 1)]
-    return [int((i + 0.5) * planes / INSTANTS) for i in range(INSTANTS)]
+    return [int((i + 0.5) * planes / instants) for i in range(instants)]
 
 
 def parted(views: Views) -> tuple[dict[str, CompositeSource], list[Camera]]:

@@ -31,7 +31,6 @@ from reconstruction.pipeline.points_stage import moving_planes, moving_points
 from reconstruction.pipeline.span_artefacts import SpanView, read_span_views, read_still_views
 from reconstruction.pipeline.train_stage import settings_of
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import OVERLAP, STILL_SHARE
 from reconstruction.scene_model import TimeSpan
 from reconstruction.training.changed_pixels import look_again, unsettled
@@ -122,7 +121,7 @@ def _started(
     """Return the start of a span of so many planes, and which still Gaussians [C] it may change."""
     rng, cameras = np.random.default_rng(run.config.seed), [one.camera for one in seen]
     clock = RigClock(recording.rig.tick_rate_hz)  # of the span alone, while it is learnt
-    instants = {plane: clock.instant_s(plane) for plane in moving_planes(planes, run.plan.model)}
+    instants = {plane: clock.instant_s(plane) for plane in moving_planes(planes, run.plan.model, run.plan.sweeps)}
     moving, resting = _moving(run, seen, instants, rng), _resting(run, seen, rng)
     clip = TimeSpan.of_planes(clock, 0, planes)
 
@@ -136,7 +135,7 @@ def _started(
 
     views = [(one.camera, one.source) for one in seen]
     points = Points.joined([moving, resting])
-    seeds = Seeds(Points.none(), points, clip, INSTANTS, run.config.seed, cameras, bodies)
+    seeds = Seeds(Points.none(), points, clip, run.plan.sweeps, run.config.seed, cameras, bodies)
     begun = METHODS[run.plan.model].start(seeds)
     assert isinstance(begun, DynamicCloud)
     near = unsettled(still.means, cameras, {i: one.shown for i, one in enumerate(seen)})
@@ -150,7 +149,7 @@ def _moving(
     """Return the points of movers at `instants` (s) of planes: as many as the plan has for so many pixels."""
     share = float(np.mean([one.source.moving.mean() for one in seen]))
     usual = float(next(d.facts for d in run.plan.decisions if d.about == "spans")["moving_share"])
-    count = round(run.plan.moving_gaussians * min(MOST_MOVING, share / max(usual, 1e-9))) // INSTANTS
+    count = round(run.plan.moving_gaussians * min(MOST_MOVING, share / max(usual, 1e-9))) // run.plan.sweeps
     if not count:
         return Points.none()
     sources, cameras = {one.camera.id: one.source for one in seen}, [one.camera for one in seen]

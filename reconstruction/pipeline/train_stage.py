@@ -26,7 +26,7 @@ from reconstruction.run.configuration import CUDA
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.document import EarlyEnd, Elements
 from reconstruction.run.folder import RunFolder
-from reconstruction.run.prices import INSTANTS, Work
+from reconstruction.run.prices import Work
 from reconstruction.scene_model import TimeSpan
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
@@ -52,7 +52,7 @@ def _beginning(run: RunFolder, recording: Recording) -> tuple[list[TrainingView]
     still, moving = (artefacts.read(run, name, Points) for name in (artefacts.STILL, artefacts.MOVERS))
     clip, cameras = TimeSpan.of_planes(recording.rig.clock, 0, recording.planes), [view.camera for view in views]
     bodies = lambda: artefacts.read(run, artefacts.BODIES, Bodies)  # noqa: E731
-    return views, Seeds(still, moving, clip, INSTANTS, run.config.seed, cameras, bodies)
+    return views, Seeds(still, moving, clip, run.plan.sweeps, run.config.seed, cameras, bodies)
 
 
 def train_stage(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from reconstruction.images.methods.interpolated import PLANES
+from reconstruction.methods.definition import SWEEPS
 from reconstruction.run.configuration import EVEN, SWEPT, supervision_of
 from reconstruction.run.spans import Span
 
@@ -46,7 +47,7 @@ class Plan:
     The most Gaussians there may be are split into `still_gaussians` and `moving_gaussians`. `window`: planes of a short
     image, an odd number. `doublings`: shares of the training at which pictures double in width and height, in order.
     `spans`: the planes [first, last) of each span of a recording that is reconstructed in spans; empty for one in a
-    piece.
+    piece. `sweeps`: instants at which movers are swept.
     """
 
     views: tuple[str, ...]
@@ -63,6 +64,7 @@ class Plan:
     window: int = PLANES
     doublings: tuple[float, ...] = ()
     spans: tuple[Span, ...] = ()
+    sweeps: int = SWEEPS
 
     def amended(self, amendment: Amendment) -> Plan:
         """Return the plan with the amendment's decision in place of the one about the same thing, and its changes."""

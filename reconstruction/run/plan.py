@@ -12,7 +12,7 @@ from reconstruction.images.flicker import Light, estimate_light
 from reconstruction.images.methods.interpolated import PLANES
 from reconstruction.images.scarce import SCARCE, lit_spikes
 from reconstruction.methods.catalogue import METHODS
-from reconstruction.methods.definition import Method
+from reconstruction.methods.definition import SWEEPS, Method
 from reconstruction.run.configuration import EVEN, MAPS, ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.prices import FLOAT_BYTES, KEPT_COPIES, Work
@@ -74,10 +74,10 @@ def make_plan(
     ever = {view: np.logical_or.reduce(mask) for view, mask in masks.items()}
     window = _choose_window(config, images, rig, streams, ever, decisions)
     doublings = _choose_sizes(work, method, decisions)
-    chosen = tuple(decisions)
     own = {"init": init, "points": points, "refine": refine, "pixels": pixels, "window": window, "doublings": doublings}
     own |= {"spans": spans if len(spans) > 1 and method.moves else ()}
-    return Plan(views, model, images, supervision, moving, still, chosen, **own), masks, light
+    own |= {"sweeps": SWEEPS if own["spans"] else method.sweeps}
+    return Plan(views, model, images, supervision, moving, still, tuple(decisions), **own), masks, light
 
 
 def _refuse_for_rays(config: ReconstructionConfig, method: Method) -> None:

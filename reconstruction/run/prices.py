@@ -17,6 +17,7 @@ Images and sweeps grow with the pixels of a view, steps in part with the pixels 
 from dataclasses import dataclass, replace
 
 from reconstruction.images.catalogue import price_s
+from reconstruction.methods.ours import BASES
 
 MEASURED_PX = 400 * 250
 MEASURED_GAUSSIANS = 24_000
@@ -28,7 +29,6 @@ STEP_S = 0.0225
 VARIATION_STEP_S = 0.0424
 SPLATS_S = 6.7e-7
 FLOAT_BYTES = 4
-INSTANTS = 8  # instants at which movers are swept
 KEPT_COPIES = 3  # of a trained number: itself and Adam's two moments
 A_PIXEL = 2  # most Gaussians for each pixel of a view
 PIXELS_EACH = 5  # of a view, for each Gaussian of a method that gets more than its own number
@@ -81,11 +81,11 @@ class Work:
 
     def movers_s(self) -> float:
         """Return the seconds of looking for movers; steps without any cost nothing more."""
-        return self.scale * self.views * (INSTANTS * SWEEP_MOVERS_S + BACKGROUND_S)
+        return self.scale * self.views * (BASES.sweeps * SWEEP_MOVERS_S + BACKGROUND_S)
 
     def view_s(self) -> float:
         """Return the seconds of preparing one more view: background, sweep, and sweeps of movers."""
-        return self.scale * (BACKGROUND_S + SWEEP_S + INSTANTS * SWEEP_MOVERS_S)
+        return self.scale * (BACKGROUND_S + SWEEP_S + BASES.sweeps * SWEEP_MOVERS_S)
 
     def poses_s(self) -> float:
         """Return the seconds of finding the poses of nine views; matching grows little with the pictures' size."""

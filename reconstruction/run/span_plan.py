@@ -15,11 +15,11 @@ from reconstruction.images.flicker import DARK, Light
 from reconstruction.images.scarce import lit_spikes
 from reconstruction.images.standing import unlike_share
 from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.definition import SWEEPS
 from reconstruction.methods.ours import BASES
 from reconstruction.parallel import each
 from reconstruction.run.configuration import SWEPT, ReconstructionConfig
 from reconstruction.run.decisions import Decision
-from reconstruction.run.prices import INSTANTS
 from reconstruction.run.spans import PLANES, STILL_SHARE, Span, cut
 
 LEAST_SPIKES = 10.0  # spikes in a span of a pixel that sees light, below which nothing in it can be told to move
@@ -119,6 +119,6 @@ def shares_of(masks: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.float64]:
 def say_spans(spans: Sequence[Span], shares: NDArray[np.float64], share: float) -> Decision:
     """Return the decision to learn movers in spans; `share` of the pixels move where any do."""
     moving = int((shares >= STILL_SHARE).sum())
-    reason = f"bodies are followed through {INSTANTS} instants of a span; what stands still is learnt once from all"
+    reason = f"bodies are followed through {SWEEPS} instants of a span; what stands still is learnt once from all"
     facts = {"spans": len(spans), "moving_spans": moving, "moving_share": share}
     return Decision("spans", f"{len(spans)}, {moving} of them with movers", reason, "--span", facts=facts)

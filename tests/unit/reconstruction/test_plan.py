@@ -11,6 +11,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import price_s
 from reconstruction.methods.catalogue import METHODS
+from reconstruction.methods.definition import SWEEPS
 from reconstruction.run.configuration import CHOICES, ReconstructionConfig
 from reconstruction.run.decisions import Plan
 from reconstruction.run.plan import _choose_sizes, make_plan
@@ -353,6 +354,16 @@ def test_points_are_swept_but_for_baselines_with_msdi_and_where_others_are_asked
 def test_points_of_an_initialiser_that_finds_none_are_refused(init):
     with pytest.raises(BadRunError, match=r"found --points found with the poses of .*, expected one that finds points"):
         make_plan(ReconstructionConfig(init=init, points="found"), RIG, streams())
+
+
+def test_bodies_are_followed_through_fewer_sweeps_in_one_piece_alone():
+    def sweeps(**choices):
+        return make_plan(ReconstructionConfig(**choices), RIG, streams(moving=True))[0].sweeps
+
+    assert (sweeps(), sweeps(span=64), sweeps(model="stg")) == (METHODS["bases"].sweeps, SWEEPS, SWEEPS)
+    plan, *_ = make_plan(ReconstructionConfig(), RIG, streams(moving=True))
+    older = {name: value for name, value in dataclasses.asdict(plan).items() if name != "sweeps"}
+    assert Plan.from_json(older).sweeps == SWEEPS
 
 
 @pytest.mark.parametrize("points", ["found", "random"])
