@@ -110,8 +110,8 @@ def hours(documents: Mapping[str, dict]) -> float:
 LOOKS_ABOUT = """# Looks at evaluation scenes
 
 Every run on a scene for evaluation or stress that a bench has kept, from [looks.jsonl](looks.jsonl). `spike4dgs bench`
-adds to it. Those before it did are taken from the committed documents, on the day of their commit; runs by hand are not
-in it."""
+adds to it. Those before it did are taken from the committed documents, on the day of their commit. Runs by hand are
+called `profile`; those before 2026-11-28 are not in it."""
 OWN_PAGES = {
     "long": write_long_page,
     "uncertainty": write_uncertainty_page,
