@@ -267,6 +267,8 @@ def stand(service: Service, capture: Capture, done: str, drawing_chromium: Any) 
     at = Stand(service, drawing_chromium, capture.id, done)
     yield at
     for context in at.contexts:
+        for page in context.pages:
+            page.unroute_all(behavior="ignoreErrors")  # an answer that is under way would fail in the next state
         context.close()
 
 

@@ -73,22 +73,26 @@ def filled(template: str, documents: Mapping[str, dict]) -> str:
 def figures(name: str, document: dict) -> dict[str, float | str]:
     """Return every figure of a document by its name: the summary's, the revision, and those of rows.
 
-    Those are `derived` of the paper bench, and the steps of the runs of rivals by `CELL.steps`.
+    Those are `derived` of the paper bench, and `of_runs` of rivals.
     """
     found = dict(document["summary"]) | {"revision": document["revision"], "rows": len(document["rows"])}
     if name == "rivals":
-        return found | {f"{name_of(row)}.steps": row["steps"] for row in document["rows"]}
+        return found | of_runs(document["rows"])
     return found | derived(document["rows"]) if name == "paper" else found
+
+
+def of_runs(rows: list[dict]) -> dict[str, float]:
+    """Return every score of every single run, and its steps, as `CELL.SCORE`."""
+    return {f"{name_of(row)}.{score}": row[score] for row in rows for score in ("steps", *METRICS) if score in row}
 
 
 def derived(rows: list[dict]) -> dict[str, float]:
     """Return figures of the paper bench's rows, beside its summary.
 
-    `CELL.SCORE` is a score of a single run, `poses.held_out` the number of rows whose poses were found with the help of
+    Those of single runs are `of_runs`. `poses.held_out` is the number of rows whose poses were found with the help of
     the held-out camera, and `METHOD.least_gaussians` and `.most_gaussians` the range over the runs of a method.
     """
-    found = {f"{name_of(r)}.{score}": r[score] for r in rows for score in METRICS if score in r}
-    found["poses.held_out"] = len(posed_by_all(rows))
+    found = of_runs(rows) | {"poses.held_out": len(posed_by_all(rows))}
     for method in {r["method"] for r in rows}:
         counts = [r["gaussians"] for r in ordinary(rows) if r["method"] == method and "gaussians" in r]
         if counts:
