@@ -17,12 +17,14 @@ from reconstruction.errors import BadRunError
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
 
+MOST_LIGHT = 1.0  # spikes per tick: no pixel fires more, so a lamp in a mirror is known no better (decision 175)
+
 
 @dataclass(frozen=True, eq=False)
 class TruthFrame:
     """Linear intensity [H, W] in spikes per tick, depth [H, W] in m (NaN where nothing is), moving pixels [H, W].
 
-    `ids` [H, W] are those of the objects.
+    Intensity ends at MOST_LIGHT. `ids` [H, W] are those of the objects.
     """
 
     plane: int
@@ -99,11 +101,14 @@ class Truth:
             intensity, depth, ids = (read_array(folder / f"{kind}{tick:06d}.npy") for kind in ("", "depth_", "id_"))
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError(f"found no readable truth at plane {tick}", "it whole", where=folder) from error
-        intensity = intensity if self.gain == 1 else intensity * np.float32(self.gain)
+        intensity = np.minimum(intensity if self.gain == 1 else intensity * np.float32(self.gain), MOST_LIGHT)
         return TruthFrame(plane, intensity, depth * np.float32(self.metre), np.isin(ids, self.movers), ids)
 
     def blurred(self, camera_id: str, plane: int) -> NDArray[np.float32]:
-        """Return the mean light [H, W] of the exposure centred on a plane, whose length `scene.json` states."""
+        """Return the mean light [H, W] of the exposure centred on a plane, up to MOST_LIGHT.
+
+        `scene.json` states its length.
+        """
         return self._image(camera_id, "blur_", plane, "a blurred image at each plane of truth")
 
     def frame_planes(self, camera_id: str) -> list[int]:
@@ -127,7 +132,7 @@ class Truth:
     def _image(self, camera_id: str, prefix: str, plane: int, kind: str) -> NDArray[np.float32]:
         file = self.path / camera_id / f"{prefix}{plane + self._first_tick:06d}.npy"
         try:
-            return read_array(file)
+            return np.minimum(read_array(file), MOST_LIGHT)
         except (OSError, ValueError, EOFError) as error:
             raise BadRunError("found no readable image", kind, where=file) from error
 

@@ -108,6 +108,18 @@ def test_truth_is_read_with_its_movers(tmp_path):
     assert frame.moving[1, 2]
 
 
+def test_truth_ends_at_what_a_pixel_can_fire(tmp_path):
+    folder = truth_folder(tmp_path / "truth")
+    lamp = np.float16([[0.0, 0.5, 1.0, 1.5, 60000.0]])
+    for name in ("000020", "blur_000020", "frame_000020"):
+        np.save(folder / "cam11" / f"{name}.npy", lamp)
+    truth = Truth.open(folder)
+    expected = np.float32([[0.0, 0.5, 1.0, 1.0, 1.0]])
+    for found in (truth.frame("cam11", 20).intensity, truth.blurred("cam11", 20), truth.ordinary("cam11", 20)):
+        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(replace(truth, gain=2.0).frame("cam11", 20).intensity, [[0, 1, 1, 1, 1]])
+
+
 def test_truth_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(BadRunError, match=r"no usable scene\.json"):
         Truth.open(tmp_path)

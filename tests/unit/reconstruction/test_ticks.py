@@ -160,7 +160,7 @@ def truth(tmp_path):
     (tmp_path / "scene.json").write_text(json.dumps({"white": 1.0, "movers": [{"id": 1}]}))
     for tick in range(0, 100, 20):
         for kind in ("", "depth_", "id_", "blur_"):
-            np.save(tmp_path / "cam00" / f"{kind}{tick:06d}.npy", np.full((2, 2), tick, np.float32))
+            np.save(tmp_path / "cam00" / f"{kind}{tick:06d}.npy", np.full((2, 2), tick / 128, np.float32))
     return Truth.open(tmp_path)
 
 
@@ -169,7 +169,7 @@ def test_the_truth_of_a_part_is_numbered_from_its_first_plane(truth):
     own = truth.within(range(30, 70))
     assert own.planes("cam00") == [10, 30]
     for plane, tick in ((10, 40), (30, 60)):
-        assert own.frame("cam00", plane).intensity[0, 0] == tick == own.blurred("cam00", plane)[0, 0]
+        assert own.frame("cam00", plane).intensity[0, 0] == tick / 128 == own.blurred("cam00", plane)[0, 0]
         assert own.frame("cam00", plane).plane == plane
     assert own.within(range(80, 100)).planes("cam00") == [0]
     with pytest.raises(BadRunError, match=r"no truth of cam00 in ticks 41 to 60.* from 0 to 80"):
