@@ -114,17 +114,25 @@ def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
 
 
+def _unfinished(document: dict) -> set[str]:
+    """Return the scenes of tables that still lack runs, but for those of a whole one."""
+    lacking = [group for name, group in GROUPS.items() if lacks_runs(document["omissions"], name)]
+    whole = {scene for group in GROUPS.values() if group not in lacking for scene in group.scenes}
+    return {scene for group in lacking for scene in group.scenes} - whole
+
+
 def plot_rivals(path: Path, document: dict) -> None:
     """Draw error against run time: the ends of runs of each method, on the scenes that have every length of ours.
 
-    Nothing is drawn where ours was not run.
+    Scenes of tables that still lack runs are left out. Nothing is drawn where ours was not run.
     """
-    ours = [row for row in document["rows"] if row["method"] == m.AUTO.name]
+    known = [row for row in document["rows"] if row["scene"] not in _unfinished(document)]
+    ours = [row for row in known if row["method"] == m.AUTO.name]
     if not ours:
         return
     scenes = set.intersection(*({row["scene"] for row in own} for own in lengths(ours)))
     efforts = {row["effort"] for row in ours}
-    rows = [row for row in document["rows"] if row["scene"] in scenes and row["effort"] in efforts]
+    rows = [row for row in known if row["scene"] in scenes and row["effort"] in efforts]
     below = caption(document, rows, BARS, "Every mark is the end of runs of one length.")
     with chart(path, "Ours and its rivals: error against run time", (SECONDS, ERROR), below) as axes:
         for number, name in enumerate(METHODS):

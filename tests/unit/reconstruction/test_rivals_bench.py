@@ -5,7 +5,8 @@ from dataclasses import asdict
 
 import pytest
 
-from acquisition.scenes.catalog import EVALUATION, REALISTIC_EVALUATION
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC, REALISTIC_EVALUATION
+from reconstruction.bench import rivals
 from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.paper.tables import sittings
 from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, plot_rivals, rivals_protocol, write_page
@@ -56,8 +57,18 @@ def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, t
     assert "still lack runs" not in text
     plot_rivals(tmp_path / "rivals.png", json.loads(json.dumps(document)))
     assert (tmp_path / "rivals.png").stat().st_size > 0
-    plot_rivals(tmp_path / "none.png", {"rows": []})
+    plot_rivals(tmp_path / "none.png", {"rows": [], "omissions": []})
     assert not (tmp_path / "none.png").exists()
+
+
+def test_a_scene_of_a_table_that_lacks_runs_is_not_drawn(tmp_path, told_laboratory, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(rivals, "caption", lambda document, rows, *about: drawn.append({row["scene"] for row in rows}))
+    lacking = REALISTIC_EVALUATION[1], METHODS[-1]
+    for known_of in (lambda cell: True, lambda cell: (cell.scene, cell.method.name) != lacking):
+        _, document = measured(told_laboratory, lambda cell, of=known_of: of(cell) and cell.effort.budget_s <= 60)
+        plot_rivals(tmp_path / "rivals.png", json.loads(json.dumps(document)))
+    assert drawn == [{*DEVELOPMENT, *REALISTIC, *EVALUATION, *more} for more in (REALISTIC_EVALUATION, ())]
 
 
 def test_a_table_that_lacks_a_run_is_not_printed(tmp_path, told_laboratory):
