@@ -126,7 +126,8 @@ def plot_rivals(path: Path, document: dict) -> None:
 
     Scenes of tables that still lack runs are left out. Nothing is drawn where ours was not run.
     """
-    known = [row for row in document["rows"] if row["scene"] not in _unfinished(document)]
+    unfinished = _unfinished(document)
+    known = [row for row in document["rows"] if row["scene"] not in unfinished]
     ours = [row for row in known if row["method"] == m.AUTO.name]
     if not ours:
         return
