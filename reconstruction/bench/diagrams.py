@@ -19,9 +19,10 @@ from reconstruction.bench.figures import (
     write_figure,
 )
 from reconstruction.bench.long_page import plot_long
-from reconstruction.bench.paper.diagrams import BARS, ERROR, against_time
+from reconstruction.bench.paper.diagrams import BARS
 from reconstruction.bench.rivals import plot_rivals
 from reconstruction.bench.speed_diagram import plot_speed
+from reconstruction.bench.training_diagram import plot_training
 from reconstruction.bench.uncertainty_page import plot_uncertainty
 
 LEAST_S = 0.05  # the place of the rig as drawn, which takes no time
@@ -186,13 +187,6 @@ def _along(axes: Axes, rows: list[dict], scenes: list[str], score: str) -> None:
     places = sorted({row["along_m"] for row in rows})
     means = [np.mean([r[score] for r in rows if r["along_m"] == place]) for place in places]
     axes.plot(places, means, "k.-", linewidth=1.8, label="mean")
-
-
-def plot_training(path: Path, document: dict) -> None:
-    """Draw every method's error against run time; documents of older revisions name the budget, not the effort."""
-    rows = [{"effort": f"{row['budget_s']:g}", **row} for row in document["rows"]]
-    names = list(dict.fromkeys(row["method"] for row in rows))
-    against_time(path, document | {"rows": rows}, names, "psnr_db", ("Whole reconstructions", ERROR))
 
 
 def plot_stability(path: Path, document: dict) -> None:

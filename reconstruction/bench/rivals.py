@@ -17,12 +17,12 @@ from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC, REALI
 from reconstruction.bench.conventions import made_by, named
 from reconstruction.bench.figures import bars, caption, chart, errors
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.bench import NOT_RUN, lacks_runs, run_protocol
+from reconstruction.bench.paper.bench import lacks_runs, run_protocol
 from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
 from reconstruction.bench.paper.summary import gaps, lengths, name_of, summarise
-from reconstruction.bench.paper.tables import measured_table, sittings
+from reconstruction.bench.paper.tables import omitted, sittings, whole_tables
 
 SHORTEST, SHORT, LONG, HALF_HOUR = (Effort(seconds) for seconds in (15.0, 60.0, 300.0, 1800.0))
 QUICK_EFFORT = Effort(steps=40)
@@ -104,13 +104,9 @@ def bench_rivals(
 
 def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     """Write the tables of which no run is left to be made, and name the others."""
-    lacking = [table.name for table in protocol.tables if lacks_runs(document["omissions"], table.name)]
-    whole = [measured_table(t, protocol, document["rows"]) for t in protocol.tables if t.name not in lacking]
     about = " ".join((__doc__ or "").split())
-    parts = ["# Ours and its rivals", made_by(document), about, *whole]
-    parts += [f"Tables that still lack runs, and are not printed: {', '.join(lacking)}."] if lacking else []
-    omissions = [f"- {line}" for line in document["omissions"] if NOT_RUN not in line]
-    parts += ["## Omissions\n\n" + "\n".join(omissions), "## Sittings\n\n" + sittings(document["rows"])]
+    parts = ["# Ours and its rivals", made_by(document), about, *whole_tables(document, protocol)]
+    parts += [omitted(document), sittings(document["rows"])]
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
 
 

@@ -3,6 +3,8 @@
 The runs are cells of a protocol, as those of the paper bench. `auto` is scored beside the floors.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from acquisition.bench_document import BenchDocument
@@ -13,7 +15,7 @@ from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.bench import run_protocol
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.paper.summary import add_times_to, gaps
+from reconstruction.bench.paper.summary import gaps
 from reconstruction.bench.score_run import METRICS
 from reconstruction.methods.catalogue import OURS
 
@@ -61,7 +63,7 @@ def bench_training(protocol: Protocol, laboratory: Laboratory, progress: Progres
     document = run_protocol("training", protocol, laboratory, progress)
     for name, effort in dict.fromkeys((r["method"], r["effort"]) for r in document.rows):
         document.summary |= named(name, means(_rows(document, name, effort), (*METRICS, "steps_per_s")), f"@{effort}")
-    add_times_to(document, document.rows, TARGETS_DB)
+    _add_times_to(document)
     _margins(document)
     document.omissions.append("one seed a scene")
     return document
@@ -69,6 +71,26 @@ def bench_training(protocol: Protocol, laboratory: Laboratory, progress: Progres
 
 def _rows(document: BenchDocument, method: str, effort: str) -> list[dict]:
     return [r for r in document.rows if (r["method"], r["effort"]) == (method, effort)]
+
+
+def _add_times_to(document: BenchDocument) -> None:
+    """Add the mean over recordings of the first second at which ours reached each level, or name those that did not."""
+    for target in TARGETS_DB:
+        times = times_to(document.rows, m.AUTO.name, target)
+        reached = [t for t in times if t is not None]
+        if reached and len(reached) == len(times):
+            document.summary[f"{m.AUTO.name}.seconds_to_{target}"] = float(np.mean(reached))
+        elif times:
+            document.omissions.append(f"{target} dB: reached on {len(reached)} of {len(times)} recordings")
+
+
+def times_to(rows: Sequence[dict], method: str, target_db: float) -> list[float | None]:
+    """Return, for each recording of a method, the first second any run of it reached a level; None where none did."""
+    reached: dict[tuple[str, int], list[float]] = {}
+    for row in (r for r in rows if r["method"] == method):
+        seconds = [p["seconds"] for p in row["curve"] if p.get("psnr_db", -np.inf) >= target_db]
+        reached.setdefault((row["scene"], row["seed"]), []).extend(seconds)
+    return [min(seconds, default=None) for seconds in reached.values()]
 
 
 def _margins(document: BenchDocument) -> None:

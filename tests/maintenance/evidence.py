@@ -1,7 +1,7 @@
 """Writes EVIDENCE.md, the index of measurements, their tables and their diagrams anew: `make evidence`.
 
 `EVIDENCE.md.in` and `benchmarks.md.in` beside this file are the texts. Each `{{NAME FIGURE FORMAT}}` in them becomes a
-figure of `tests/benchmarks/NAME.json`: `revision`, `rows`, a name of the summary, or one of `derived`. `FIGURE minus
+figure of `tests/benchmarks/NAME.json`: `revision`, `rows`, a name of the summary, or one `of_runs`. `FIGURE minus
 FIGURE` stands for a difference. The tables of a document go into `NAME.md` beside it. The sheet of the training bench
 needs its runs and is made by the bench itself.
 """
@@ -24,8 +24,8 @@ from reconstruction.bench.long_page import write_page as write_long_page
 from reconstruction.bench.longer import write_page as write_longer_page
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
-from reconstruction.bench.paper.summary import name_of, ordinary
-from reconstruction.bench.paper.tables import held_out_used, markdown, write_tables
+from reconstruction.bench.paper.summary import name_of
+from reconstruction.bench.paper.tables import markdown, write_tables
 from reconstruction.bench.rivals import rivals_protocol
 from reconstruction.bench.rivals import write_page as write_rivals_page
 from reconstruction.bench.score_run import METRICS
@@ -71,39 +71,14 @@ def filled(template: str, documents: Mapping[str, dict]) -> str:
 
 
 def figures(name: str, document: dict) -> dict[str, float | str]:
-    """Return every figure of a document by its name: the summary's, the revision, and those of rows.
-
-    Those are `derived` of the paper bench, and `of_runs` of rivals.
-    """
+    """Return every figure of a document by its name: the summary's, the revision, and those `of_runs`."""
     found = dict(document["summary"]) | {"revision": document["revision"], "rows": len(document["rows"])}
-    if name == "rivals":
-        return found | of_runs(document["rows"])
-    return found | derived(document["rows"]) if name == "paper" else found
+    return found | of_runs(document["rows"]) if name in ("paper", "rivals") else found
 
 
 def of_runs(rows: list[dict]) -> dict[str, float]:
     """Return every score of every single run, and its steps, as `CELL.SCORE`."""
     return {f"{name_of(row)}.{score}": row[score] for row in rows for score in ("steps", *METRICS) if score in row}
-
-
-def derived(rows: list[dict]) -> dict[str, float]:
-    """Return figures of the paper bench's rows, beside its summary.
-
-    Those of single runs are `of_runs`. `poses.held_out` is the number of rows whose poses were found with the help of
-    the held-out camera, and `METHOD.least_gaussians` and `.most_gaussians` the range over the runs of a method.
-    """
-    found = of_runs(rows) | {"poses.held_out": len(posed_by_all(rows))}
-    for method in {r["method"] for r in rows}:
-        counts = [r["gaussians"] for r in ordinary(rows) if r["method"] == method and "gaussians" in r]
-        if counts:
-            found |= {f"{method}.least_gaussians": min(counts), f"{method}.most_gaussians": max(counts)}
-    return found
-
-
-def posed_by_all(rows: list[dict]) -> list[dict]:
-    """Return the rows of the protocol whose poses were found with the help of the held-out camera."""
-    methods = {cell.name: cell.method for cell in PROTOCOL.cells()}
-    return [row for row in rows if name_of(row) in methods and held_out_used(methods[name_of(row)], row)]
 
 
 def hours(documents: Mapping[str, dict]) -> float:

@@ -16,8 +16,7 @@ OVERRUN = 0.1  # share of the budget beyond which an omission names the run
 NOTES = (
     "BRISQUE and NIQE: their parameters are not shipped; where the paper has only them, ours is PSNR",
     "the paper's real recordings: not public; and its CARLA scenes: not public, so its figures are of other scenes",
-    "points: in every row those of our plane sweep, also where the paper takes those of COLMAP, DUSt3R or MSDI",
-    "rows marked † used the held-out camera to find the poses",
+    "points: those of our plane sweep where a row names no others, also where the paper has those of COLMAP or DUSt3R",
     "COLMAP is given long-window images in every row; on TFI images of one instant it is in `bench poses`",
 )
 

@@ -1,4 +1,4 @@
-"""Draws the documents of the paper and training benches: one question a picture, error against what it costs."""
+"""Draws the document of the paper bench: what each part buys, where the seconds go, and error against what is swept."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -6,34 +6,30 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.bench.figures import (
     COLOURS,
-    band,
+    MARKS,
     bars,
     caption,
     chart,
     errors,
     name_axes,
     new_figure,
-    relative_error,
     write_figure,
 )
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.summary import RIVALS, TARGETS_DB, lengths, ordinary, times_to, widest
+from reconstruction.bench.paper.method import Table
+from reconstruction.bench.paper.protocol import CHAIN, LONG, MODULES, PROTOCOL
+from reconstruction.bench.paper.summary import gaps
+from reconstruction.bench.paper.tables import unprinted
 from reconstruction.bench.score_run import STAGES
 from reconstruction.methods.ours import BASES
 
 ERROR = "RMS error of the held-out view / white  (PSNR)"
 SECONDS = "wall seconds, from recording to result"
-STOPPED = "The clock stands while a result is scored; a run that warms up came before."
-BAND = "Line: median; band: lowest to highest of recordings. Rings: ends of runs."
-SCHEDULE = "A curve is one run's snapshots on its way to the end it was planned for; compare ends with ends."
 BARS = "Mark: median; bar: lowest to highest of recordings."
-DEPTH = ("Depth of the held-out view", "Abs Rel")
-SHOWN = (m.AUTO.name, *RIVALS, m.FOUND.name, m.CLEAN.name, m.MSDI["image-variation"].name)
-DEEP = (m.AUTO.name, *RIVALS, *(method.name for method in m.SPK2IMGNET.values()))
+DOTS = "Bar: mean; mark: a recording."
 SWEEPS = {  # a number in a method's name: its axis, and its value where the name has none
     "views": ("training views", len(m.VIEWS)),
     "gaussians": ("most Gaussians", BASES.gaussians),
@@ -41,103 +37,84 @@ SWEEPS = {  # a number in a method's name: its axis, and its value where the nam
     "reintegrate": ("planes a second", m.RATE_HZ),
 }
 HOW = {"drop": "planes dropped", "reintegrate": "planes re-integrated"}
+SCORES = {"psnr_db": "whole view", "dynamic_psnr_db": "movers"}
+STAGED = {table.name: table for table in (MODULES, CHAIN)}  # the tables whose rows' stages are drawn
 
 
 def write_diagrams(out: Path, document: dict) -> list[Path]:
-    """Write each diagram that has something to show as `paper-QUESTION.png`, and return what was written."""
-    document = document | {"rows": ordinary(document["rows"])}
+    """Write each diagram whose table is complete as `paper-TABLE.png`, and return what was written."""
     drawn: dict[str, Callable[[Path], bool]] = {
-        "novel-view": lambda path: against_time(path, document, SHOWN, "psnr_db", ("Novel view", ERROR)),
-        "depth": lambda path: against_time(path, document, DEEP, "abs_rel", DEPTH),
-        "time-to": lambda path: _time_to(path, document),
+        "chain": lambda path: _parts(path, document, CHAIN),
+        "modules": lambda path: _parts(path, document, MODULES),
         "stages": lambda path: _stages(path, document),
         "gaussians": lambda path: _sweep(path, document, ("gaussians",), "Error against the number of Gaussians"),
         "views": lambda path: _sweep(path, document, ("views",), "Error against training views"),
         "rates": lambda path: _sweep(path, document, ("drop", "reintegrate"), "Error against plane rate"),
     }
-    paths = {name: out / f"paper-{name}.png" for name in drawn}
-    return [paths[name] for name, draw in drawn.items() if draw(paths[name])]
+    lacking = unprinted(document, (table.name for table in PROTOCOL.tables))
+    wanted = [name for name in drawn if not lacking.intersection(STAGED if name == "stages" else (name,))]
+    paths = {name: out / f"paper-{name}.png" for name in wanted}
+    return [path for name, path in paths.items() if drawn[name](path)]
 
 
-def curves(rows: Sequence[dict], method: str, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return seconds [P] and errors [R, P] of the snapshots of a method's `widest` runs; None where none has any."""
-    own = [r for r in rows if r["method"] == method and all(metric in p for p in r["curve"])]
-    if not own:
-        return None
-    runs = [r["curve"] for r in widest(own)]
-    count = min(len(points) for points in runs)  # a run that ended early has fewer; all have the last ones
-    seconds = np.array([[p["seconds"] for p in points[-count:]] for points in runs])
-    return np.median(seconds, axis=0), _error(metric, [[p[metric] for p in points[-count:]] for points in runs])
-
-
-def against_time(path: Path, document: dict, known: Sequence[str], metric: str, names: tuple[str, str]) -> bool:
-    """Draw error against run time: snapshots of each method's `widest` runs, and the end of each length of them.
-
-    `names` are the title and the name of the error's axis. Returns whether there was anything to draw.
-    """
-    rows = [r for r in document["rows"] if r["method"] in known and metric in r]
-    if not rows:
+def _parts(path: Path, document: dict, table: Table) -> bool:
+    """Draw how far each row of a table lies from its first one, on the recordings that both have."""
+    first, *rest = [row for row in table.rows if row.method]
+    name = first.method.name if first.method else ""
+    apart = {
+        row.label: [gaps(document["rows"], row.method.name, name, LONG.label, score) for score in SCORES]
+        for row in rest
+        if row.method
+    }
+    apart = {label: found for label, found in apart.items() if all(found)}
+    if not apart:
         return False
-    title, y = names
-    below = caption(document, rows, f"{BAND} {SCHEDULE} {STOPPED}")
-    with chart(path, f"{title}: error against run time", (SECONDS, y), below) as axes:
-        for number, name in enumerate(known):
-            found = curves(rows, name, metric)
-            if found is not None:
-                band(axes, *found, number, name)
-            _ends(axes, [r for r in rows if r["method"] == name], metric, number)
+    figure = new_figure(table.title, (8.6, 1.6 + 0.36 * len(apart)))
+    axes = figure.subplots()
+    for number, label in enumerate(SCORES.values()):
+        places, levels = np.arange(len(apart)) + 0.36 * number - 0.18, [found[number] for found in apart.values()]
+        axes.barh(places, [np.mean(some) for some in levels], 0.34, color=COLOURS[number], alpha=0.55, label=label)
+        for place, some in zip(places, levels, strict=True):
+            axes.plot(some, [place] * len(some), MARKS[number], color=COLOURS[number], markersize=3.5)
+    axes.set_yticks(range(len(apart)), list(apart), fontsize=8)
+    name_axes(axes, f"dB to: {first.label}", "")
+    axes.invert_yaxis()
+    _legend_above(axes, len(SCORES))
+    write_figure(path, figure, caption(document, _of(document, table), DOTS))
     return True
 
 
-def _error(metric: str, values: ArrayLike) -> NDArray[np.float64]:
-    return relative_error(values) if metric == "psnr_db" else np.asarray(values, dtype=np.float64)
+def _of(document: dict, table: Table) -> list[dict]:
+    """Return the rows of the methods of a table at its length."""
+    names = {row.method.name for row in table.rows if row.method}
+    return [row for row in document["rows"] if row["method"] in names and row["effort"] == LONG.label]
 
 
-def _ends(axes: Axes, rows: Sequence[dict], metric: str, number: int) -> None:
-    """Ring the end of each length of runs, at the median over recordings."""
-    ring = {"mfc": "none", "mec": COLOURS[number % len(COLOURS)], "markersize": 9}
-    for own in lengths(rows):
-        seconds = np.median([r["seconds"] for r in own])
-        axes.plot(seconds, _error(metric, np.median([r[metric] for r in own])), "o", **ring)
-
-
-def _time_to(path: Path, document: dict) -> bool:
-    """Draw the seconds to each level, of the methods and levels that every recording reached."""
-    rows = [r for r in document["rows"] if r["method"] in SHOWN]
-    places: dict[str, dict[float, list[float]]] = {}
-    for name in SHOWN:
-        for target in TARGETS_DB:
-            times = times_to(rows, name, target)
-            if times and None not in times:
-                places.setdefault(name, {})[target] = [t for t in times if t is not None]
-    if not places:
-        return False
-    below = caption(document, rows, f"{BARS} A level that a recording missed has no mark. {STOPPED}")
-    names = ("PSNR of the held-out view / dB", SECONDS)
-    with chart(path, "Run time to a level of the held-out view", names, below, log_x=False) as axes:
-        for name, reached in places.items():
-            bars(axes, reached, SHOWN.index(name), name)
-        axes.set_xticks(TARGETS_DB)
-    return True
+def _legend_above(axes: Axes, columns: int) -> None:
+    axes.legend(fontsize=8, frameon=False, ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def _stages(path: Path, document: dict) -> bool:
-    """Draw the seconds of each stage, means over recordings, at the length that most methods were run at."""
-    shown = lengths([r for r in document["rows"] if r["method"] in SHOWN])
-    if not shown:
+    """Draw the seconds of each stage of the rows of the chain and of ours, means over recordings."""
+    rows = {
+        f"{table.name}: {row.label}": [r for r in _of(document, table) if row.method and r["method"] == row.method.name]
+        for table in STAGED.values()
+        for row in table.rows
+    }
+    own = {label: found for label, found in rows.items() if found}
+    if not own:
         return False
-    rows = max(shown, key=lambda own: len({r["method"] for r in own}))
-    methods = [name for name in SHOWN if any(r["method"] == name for r in rows)]
-    figure = new_figure(f"Where the seconds go (@{rows[0]['effort']})")
-    axes, left = figure.subplots(), np.zeros(len(methods))
+    figure = new_figure("Where the seconds go", (8.6, 1.6 + 0.26 * len(own)))
+    axes, left = figure.subplots(), np.zeros(len(own))
     for number, stage in enumerate(STAGES):
-        width = np.array([np.mean([r[f"seconds.{stage}"] for r in rows if r["method"] == name]) for name in methods])
-        axes.barh(methods, width, left=left, color=COLOURS[number], label=stage, height=0.65)
+        width = np.array([np.mean([row[f"seconds.{stage}"] for row in found]) for found in own.values()])
+        axes.barh(list(own), width, left=left, color=COLOURS[number], label=stage, height=0.65)
         left += width
+    axes.tick_params(axis="y", labelsize=8)
     name_axes(axes, "wall seconds, mean over recordings", "")
     axes.invert_yaxis()
-    axes.legend(fontsize=8, frameon=False, ncols=len(STAGES), loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    write_figure(path, figure, caption(document, rows))
+    _legend_above(axes, len(STAGES))
+    write_figure(path, figure, caption(document, [row for found in own.values() for row in found]))
     return True
 
 

@@ -1,16 +1,18 @@
-"""Lists the tables, their rows, and the scenes, seeds and seconds that are spent on each.
+"""Lists the tables, their rows, and the scenes and seconds that are spent on each.
 
 Labels say what was done. "Small" stands before a network or field that is smaller than the published one; "image
-variation" is a loss on images, which the published spike loss (SPSS) is not.
+variation" is a loss on images, which the published spike loss (SPSS) is not. `bench rivals` has the novel view against
+run time.
 """
 
-from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, STRESS
+from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC_EVALUATION, STRESS
 from reconstruction.bench.conventions import RATE_HZ, SLOWER
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.published import QUICK_MODELS
 
-SHORTEST, SHORT, LONG, LONGEST, UNHURRIED = (Effort(seconds) for seconds in (15.0, 30.0, 60.0, 120.0, 180.0))
+SHORT, LONG = Effort(30.0), Effort(60.0)
+SCENES = (EVALUATION[0], REALISTIC_EVALUATION[0])
 NO_DUST3R = "no DUSt3R checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own"
 NO_PRETRAINING = "the MSDI that ships was never pretrained: without a DUSt3R checkpoint there is nothing to leave out"
 OURS = Row("Ours, true poses", m.AUTO, "Spike4DGS")
@@ -31,43 +33,30 @@ def _rows(form: str, paper: str, methods: dict[str, Method]) -> tuple[Row, ...]:
 
 
 TFI_ROWS = _rows("TFI + {}", "TFI + {}", m.TFI)
-NOVEL_VIEW = Table(
-    "novel-view",
-    "The held-out centre view",
-    "True poses, then (found poses) the rig as drawn: 2 degrees, 2 cm and 2 % of focal length off on average.",
+CHAIN = Table(
+    "chain",
+    "The paper's chain as we read it, a part changed at a time",
+    "The small field of 4DGS, small MSDI, SPSS as we read it, on the rig as drawn: 2 degrees, 2 cm and 2 % of focal "
+    "length off on average. `rivals` has the chain with the published field.",
     (
-        OURS,
-        *TFI_ROWS,
-        Row("TFI + 4DGS", m.TFI["4dgs"], "TFI + 4DGS"),
-        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
-        Row("SpikeGS (static)", m.SPIKES["spikegs"], "SpikeGS"),
-        Row("Ours, found poses", m.FOUND, "Spike4DGS"),
-        *_rows("TFI + {}, our poses", "TFI + {}", m.TFI_FOUND),
-        Row("TFI + COLMAP + small 4DGS", m.TFI_COLMAP, "TFI + COLMAP + 4DGS"),
-        Row("small MSDI image + COLMAP + small 4DGS", m.MSDI_COLMAP["pixels"], "MSDI image + COLMAP + 4DGS"),
-        Row("small MSDI images, poses + small 4DGS", m.MSDI["pixels"]),
-        Row("+ L1 spike loss", m.MSDI["l1"], "+ L1 spike loss"),
-        Row("+ L2 spike loss", m.MSDI["l2"], "+ L2 spike loss"),
-        Row(
-            "small MSDI image + COLMAP + image variation",
-            m.MSDI_COLMAP["image-variation"],
-            "MSDI image + COLMAP + SPSS",
-        ),
-        Row("the paper's chain as we read it, with our points", m.MSDI["image-variation"]),
-        Row("small MSDI images, points, poses + small 4DGS", m.MSDI_ALL["pixels"], "MSDI image, points, poses + 4DGS"),
-        Row("the paper's chain as we read it", m.MSDI_ALL["image-variation"], "Spike4DGS"),
-        Row("MSDI image + DUSt3R + 4DGS", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
-        Row("MSDI image + DUSt3R + image variation", None, "MSDI image + DUSt3R + SPSS", NO_DUST3R),
-        Row("MSDI without pretraining + image variation", None, "MSDI without pretraining + SPSS", NO_PRETRAINING),
-        Row("SpikeNeRF (static)", m.SPIKES["spikenerf"], "SpikeNeRF"),
-        Row("Dy-SpikeNeRF", m.SPIKES["dy-spikenerf"], "Dy-SpikeNeRF"),
+        Row("the chain", m.CHAIN["variation"], "Spike4DGS"),
+        Row("without SPSS", m.CHAIN["pixels"], "MSDI image, points, poses + 4DGS"),
+        Row("L1 spike loss for SPSS", m.CHAIN["l1"], "+ L1 spike loss"),
+        Row("L2 spike loss for SPSS", m.CHAIN["l2"], "+ L2 spike loss"),
+        *(Row(label, method) for label, method in m.CHAIN_PARTS.items()),
+        Row("COLMAP poses, swept points", m.CHAIN_COLMAP["variation"], "MSDI image + COLMAP + SPSS"),
+        Row("COLMAP poses, swept points, no SPSS", m.CHAIN_COLMAP["pixels"], "MSDI image + COLMAP + 4DGS"),
+        Row("COLMAP poses, swept points, TFI, no SPSS", m.CHAIN_TFI_COLMAP, "TFI + COLMAP + 4DGS"),
+        Row("DUSt3R", None, "MSDI image + DUSt3R + SPSS", NO_DUST3R),
+        Row("DUSt3R without SPSS", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
+        Row("MSDI without pretraining", None, "MSDI without pretraining + SPSS", NO_PRETRAINING),
     ),
 )
-LOSSES = Table(
-    "losses",
-    "Spike loss",
-    "Ours with true poses; the pixel loss on images stays in every row. None of these is the published SPSS.",
-    tuple(Row(LOSS_LABELS.get(name, name), method) for name, method in m.LOSSES.items()),
+MODULES = Table(
+    "modules",
+    "Ours, a part changed at a time",
+    "On the rig as drawn; the paper has no such table of a method like ours.",
+    (Row("Ours, found poses", m.FOUND), *(Row(label, method) for label, method in m.MODULES.items())),
 )
 REFERENCES = Table(
     "references",
@@ -85,41 +74,29 @@ REFERENCES = Table(
         Row("an ordinary camera's + our poses + small 4DGS", m.GIVEN["ordinary"], "blurred RGB + DUSt3R + 4DGS"),
     ),
 )
+SPIKES = Table(
+    "spikes",
+    "Methods that learn from spikes alone",
+    "True poses. SpikeGS and SpikeNeRF take the clip for one still scene.",
+    (
+        OURS,
+        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
+        Row("SpikeGS (static)", m.SPIKES["spikegs"], "SpikeGS"),
+        Row("Dy-SpikeNeRF", m.SPIKES["dy-spikenerf"], "Dy-SpikeNeRF"),
+        Row("SpikeNeRF (static)", m.SPIKES["spikenerf"], "SpikeNeRF"),
+    ),
+)
 DEPTH = Table(
     "depth",
     "Depth of the held-out view",
     "Abs Rel and the share within a factor of 1.25, on metric depth with true poses.",
     (OURS, *_rows("small Spk2ImgNet + {}", "Spike2img + {}", m.SPK2IMGNET)),
 )
-MODULES = Table(
-    "modules",
-    "One module changed at a time",
-    "Ours on the rig as drawn; the paper has no such table of a method like ours.",
-    (Row("Ours, found poses", m.FOUND), *(Row(label, method) for label, method in m.MODULES.items())),
-)
-OUTDOORS = Table(
-    "outdoors",
-    "Outdoor light",
-    "A sun, its shadows and uneven light; the paper's figures are of its real moving car.",
-    (OURS, *TFI_ROWS),
-)
-STATIC = Table(
-    "static",
-    "A scene that stands still",
-    "The methods that can represent it, a minute each; ours learns from a mean of the whole clip.",
-    (
-        OURS,
-        *TFI_ROWS,
-        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
-        Row("SpikeGS", m.SPIKES["spikegs"], "SpikeGS"),
-        Row("SpikeNeRF", m.SPIKES["spikenerf"], "SpikeNeRF"),
-    ),
-)
-STRESSES = Table(
-    "stress",
-    "One difficulty each",
-    "Ours with true poses on the stress scenes; the paper has no such table.",
-    (Row("Ours, true poses", m.AUTO),),
+LOSSES = Table(
+    "losses",
+    "Spike loss",
+    "Ours with true poses; the pixel loss on images stays in every row. The published loss has a page of its own.",
+    tuple(Row(LOSS_LABELS.get(name, name), method) for name, method in m.LOSSES.items()),
 )
 RATES = Table(
     "rates",
@@ -147,7 +124,7 @@ VIEWS = Table(
             ("Ours", "Spike4DGS", m.AUTO),
             *((f"TFI + {SMALL[n]}", f"TFI + {n}", m.TFI[QUICK_MODELS[n]]) for n in ("4DGS", "STG", "D3DGS")),
         )
-        for views in range(3, 9)
+        for views in range(8, 2, -1)
     ),
 )
 GAUSSIANS = Table(
@@ -156,60 +133,60 @@ GAUSSIANS = Table(
     "The cap; the paper has no such table.",
     (Row("Ours, 48000", m.AUTO), *(Row(f"Ours, {cap}", m.capped(m.AUTO, cap)) for cap in m.CAPS)),
 )
-LEADERS = (*(m.TFI[model].name for model in ("stg", "4dgs-small", "d3dgs")), m.SPIKES["dy-spikegs"].name)
-SLOW = (  # methods whose networks leave a minute few steps; the first two for comparison
-    *(m.FOUND.name, m.TFI_COLMAP.name),
-    *(method.name for method in (*m.MSDI_COLMAP.values(), m.MSDI["pixels"], m.MSDI["image-variation"])),
-    *(method.name for method in m.MSDI_ALL.values()),
+STRESSES = Table(
+    "stress",
+    "One difficulty each",
+    "Ours with true poses on the stress scenes; the paper has no such table.",
+    (Row("Ours, true poses", m.AUTO),),
 )
-FOUND = (m.FOUND.name, *(method.name for method in m.TFI_FOUND.values()), m.TFI_COLMAP.name)
-FIRST, THIRD = EVALUATION[:1], EVALUATION[2:3]
-PROTOCOL = Protocol(
-    (NOVEL_VIEW, LOSSES, REFERENCES, DEPTH, MODULES, OUTDOORS, STATIC, STRESSES, RATES, VIEWS, GAUSSIANS),
+OUTDOORS = Table(
+    "outdoors",
+    "Outdoor light",
+    "A sun, its shadows and uneven light; the paper's figures are of its real moving car.",
+    (OURS, *TFI_ROWS),
+)
+STATIC = Table(
+    "static",
+    "A scene that stands still",
+    "The methods that can represent it, a minute each; ours learns from a mean of the whole clip.",
     (
-        Batch("novel-view", EVALUATION, (LONG,), (m.AUTO.name, *LEADERS)),
-        Batch("novel-view", EVALUATION, (SHORTEST, SHORT), (m.AUTO.name,)),
-        Batch("references", EVALUATION, (LONG,), (m.CLEAN.name,)),
-        Batch("losses", EVALUATION, (SHORT,)),
-        Batch("depth", FIRST, (LONG,)),
-        Batch("modules", FIRST, (LONG,)),
-        Batch("novel-view", FIRST, (LONG,), (*FOUND, "spikegs", "spikenerf", "dy-spikenerf")),
-        Batch("references", FIRST, (LONG,)),
-        Batch("gaussians", FIRST, (SHORT,)),
-        Batch("rates", FIRST, (SHORT,)),
-        Batch("views", THIRD, (SHORT,), tuple(row.method.name for row in VIEWS.rows[:12:2] if row.method)),
-        Batch("outdoors", ("outdoor",), (SHORT,)),
-        Batch("stress", STRESS, (SHORT,)),
-        Batch("novel-view", EVALUATION, (SHORT,), (m.AUTO.name,), seeds=(1, 2)),
-        Batch("novel-view", FIRST, (SHORTEST, SHORT), (m.TFI["stg"].name, m.TFI["4dgs-small"].name)),
-        Batch("static", ("static",), (LONG,)),
-        Batch("novel-view", FIRST, (LONG,)),
-        Batch("novel-view", FIRST, (UNHURRIED,), SLOW),
-        Batch("novel-view", FIRST, (LONGEST,), (m.AUTO.name, *LEADERS)),
-        Batch("novel-view", EVALUATION, (SHORT,), LEADERS, seeds=(1, 2)),
-        Batch("depth", EVALUATION, (LONG,)),
-        Batch("novel-view", EVALUATION, (SHORTEST, SHORT), LEADERS),
-        Batch("views", THIRD, (SHORT,)),
-        Batch("references", EVALUATION, (LONG,)),
-        Batch("modules", EVALUATION, (LONG,)),
-        Batch("novel-view", EVALUATION, (LONG,)),
+        OURS,
+        *TFI_ROWS,
+        Row("Dy-SpikeGS", m.SPIKES["dy-spikegs"], "Dy-SpikeGS"),
+        Row("SpikeGS", m.SPIKES["spikegs"], "SpikeGS"),
+        Row("SpikeNeRF", m.SPIKES["spikenerf"], "SpikeNeRF"),
+    ),
+)
+_ON_SCENES = (  # the most wanted first
+    (SHORT, (VIEWS, RATES)),
+    (LONG, (REFERENCES, CHAIN, MODULES, SPIKES, DEPTH)),
+    (SHORT, (LOSSES, GAUSSIANS)),
+)
+PROTOCOL = Protocol(
+    (CHAIN, MODULES, REFERENCES, SPIKES, DEPTH, LOSSES, RATES, VIEWS, GAUSSIANS, STRESSES, OUTDOORS, STATIC),
+    (
+        Batch(STRESSES.name, STRESS, (SHORT,)),
+        Batch(OUTDOORS.name, ("outdoor",), (SHORT,)),
+        Batch(STATIC.name, ("static",), (LONG,)),
+        *(Batch(table.name, SCENES, (length,)) for length, tables in _ON_SCENES for table in tables),
     ),
 )
 
 _STEPS = Effort(steps=40)
+_QUICK_OURS = m.AUTO.changed("auto", gaussians=3000)
 QUICK = Protocol(
     (
         Table(
-            "novel-view",
-            NOVEL_VIEW.title,
+            "rates",
+            RATES.title,
             "A few steps of a small recording: a check of the bench, not a measurement.",
             (
-                Row(OURS.label, m.AUTO.changed("auto", gaussians=3000), OURS.paper),
+                Row(OURS.label, _QUICK_OURS, OURS.paper),
+                Row("10000 Hz, dropped", m.slower(_QUICK_OURS, 2, "drop"), "10000 Hz"),
                 Row("TFI + small 4DGS", m.TFI["4dgs-small"].changed("tfi+4dgs-small", gaussians=3000), "TFI + 4DGS"),
-                Row("10000 Hz, dropped", m.slower(m.AUTO.changed("auto", gaussians=3000), 2, "drop")),
-                Row("MSDI image + DUSt3R + 4DGS", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
+                Row("DUSt3R", None, "MSDI image + DUSt3R + 4DGS", NO_DUST3R),
             ),
         ),
     ),
-    (Batch("novel-view", DEVELOPMENT, (_STEPS,)),),
+    (Batch("rates", DEVELOPMENT, (_STEPS,)),),
 )

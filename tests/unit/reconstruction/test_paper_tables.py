@@ -8,15 +8,19 @@ from acquisition.bench_document import BenchDocument
 from reconstruction.bench import figures
 from reconstruction.bench.figures import relative_error
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.diagrams import curves, write_diagrams
+from reconstruction.bench.paper.bench import NOT_RUN
+from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
-from reconstruction.bench.paper.summary import summarise, times_to
-from reconstruction.bench.paper.tables import measured_table, write_tables
+from reconstruction.bench.paper.protocol import CHAIN
+from reconstruction.bench.paper.summary import gaps, summarise
+from reconstruction.bench.paper.tables import measured_table, whole_tables, write_tables
+from reconstruction.bench.training import times_to
+from reconstruction.bench.training_diagram import curve
 
 STAGES = {f"seconds.{stage}": 1.0 for stage in ("plan", "poses", "images", "points", "train")}
 SHORT, LONG = Effort(30.0), Effort(60.0)
 TABLE = Table(
-    "novel-view",
+    "seen",
     "The held-out centre view",
     "True poses.",
     (
@@ -28,8 +32,8 @@ TABLE = Table(
 PROTOCOL = Protocol(
     (TABLE,),
     (
-        Batch("novel-view", ("fan", "traffic"), (SHORT, LONG)),
-        Batch("novel-view", ("fan",), (SHORT,), ("auto",), seeds=(1, 2)),
+        Batch("seen", ("fan", "traffic"), (SHORT, LONG)),
+        Batch("seen", ("fan",), (SHORT,), ("auto",), seeds=(1, 2)),
     ),
 )
 
@@ -71,17 +75,12 @@ def document(rows=ROWS):
 
 def test_the_summary_is_of_means_over_recordings_and_of_pairs():
     found = document().summary
-    assert found["novel-view.auto.psnr_db@30"] == pytest.approx((29 + 30 + 31 + 33) / 4)
-    assert found["novel-view.auto.seconds@60"] == 60
-    assert found["novel-view.tfi+4dgs-small.abs_rel@30"] == pytest.approx(0.05)
-    assert found["margin.tfi+4dgs-small@30"] == pytest.approx(((29 - 25) + (33 - 27)) / 2)
-    assert found["margin.tfi+4dgs-small@60"] == pytest.approx(7)
-    assert "margin.clean@60" not in found
-
-
-def test_a_bound_is_as_far_above_as_it_is():
-    found = document([row("auto", 35.0, effort="60"), row("clean", 36.5, effort="60")]).summary
-    assert found["margin.clean@60"] == pytest.approx(1.5)
+    assert found["seen.auto.psnr_db@30"] == pytest.approx((29 + 30 + 31 + 33) / 4)
+    assert found["seen.auto.seconds@60"] == 60
+    assert found["seen.tfi+4dgs-small.abs_rel@30"] == pytest.approx(0.05)
+    assert gaps(ROWS, "auto", "tfi+4dgs-small", "30") == [29 - 25, 33 - 27]
+    assert gaps(ROWS, "auto", "tfi+4dgs-small", "60") == [7]
+    assert gaps(ROWS, "auto", "clean", "60") == []
 
 
 def test_the_first_second_at_which_any_run_reached_a_level():
@@ -115,20 +114,16 @@ def test_a_table_says_how_far_it_is():
     assert longer[11] == "1 of 2"
     assert theirs[3:5] == ["-5.00", "25.0 to 27.0"]
     assert text.endswith("Without a measurement: DUSt3R.")
-    assert "Partial: 2 runs are missing" in text
+    assert "**2 runs were refused; the omissions say which.**" in text
     nothing = measured_table(TABLE, PROTOCOL, [])
-    assert "missing" in nothing
     assert nothing.endswith("Without a measurement: Ours; TFI + small 4DGS; DUSt3R.")
 
 
-def test_rows_whose_poses_the_held_out_camera_helped_to_find_are_marked():
-    found = Table("t", "T", "", (Row("drawn", m.AUTO), Row("found", m.FOUND)))
-    protocol = Protocol((found,), (Batch("t", ("fan",), (SHORT,)),))
-    older = [row("auto", 30.0), row(m.FOUND.name, 30.0)]
-    assert "| drawn | " in measured_table(found, protocol, older)
-    assert "| found † | " in measured_table(found, protocol, older)
-    blind = [older[0], older[1] | {"held_out_used": False}]
-    assert "| found | " in measured_table(found, protocol, blind)
+def test_a_table_that_lacks_runs_is_named_and_not_printed():
+    whole = document().to_json()
+    assert "(`seen`)" in whole_tables(whole, PROTOCOL)[0]
+    lacking = whole | {"omissions": [f"seen, Ours: {NOT_RUN} (fan-101 @30)", "something: for a reason"]}
+    assert whole_tables(lacking, PROTOCOL) == ["Tables that still lack runs, and are not printed: seen."]
 
 
 def test_results_of_other_code_are_counted_as_such():
@@ -146,34 +141,42 @@ def test_figures_of_other_benches_stand_beside_the_papers():
 
 
 def test_all_tables_stand_in_one_file(tmp_path):
-    write_tables(tmp_path / "paper.md", document().to_json(), PROTOCOL)
+    found = document().to_json()
+    found["omissions"].append(f"other, Ours: {NOT_RUN}")
+    write_tables(tmp_path / "paper.md", found, PROTOCOL)
     text = (tmp_path / "paper.md").read_text()
     assert "A chip, 2 threads" in text
-    assert "| auto | 15.0 (2 of 4) | " not in text  # all four recordings come to 25 dB
-    assert "| tfi+4dgs-small | 30.0 | 30.0 (1 of 2)" not in text
-    assert "## Omissions\n\n- something: for a reason" in text
+    assert "## Omissions\n\n- something: for a reason\n\n## Sittings" in text
 
 
 def test_the_error_behind_a_psnr():
     assert relative_error([20.0, 40.0]) == pytest.approx([0.1, 0.01])
 
 
+def of(method):
+    return [row for row in ROWS if row["method"] == method]
+
+
 def test_a_curve_is_that_of_the_longest_runs_on_most_scenes():
-    seconds, errors = curves([r for r in ROWS if r["scene"] == "fan"], "tfi+4dgs-small", "psnr_db")
+    seconds, errors = curve([r for r in of("tfi+4dgs-small") if r["scene"] == "fan"])
     assert seconds.tolist() == [15, 30, 60]
     np.testing.assert_allclose(errors, relative_error([[22.0, 26.0, 28.0]]))
-    seconds, errors = curves(ROWS, "tfi+4dgs-small", "psnr_db")
+    seconds, errors = curve(of("tfi+4dgs-small"))
     assert seconds.tolist() == [7.5, 15, 30]
     np.testing.assert_allclose(errors, relative_error([[19.0, 23.0, 25.0], [21.0, 25.0, 27.0]]))
-    assert curves(ROWS, "none", "psnr_db") is None
-    assert curves([row("auto", 30.0) | {"curve": [{"seconds": 1.0, "psnr_db": 30.0}]}], "auto", "abs_rel") is None
 
 
 def test_a_picture_for_each_question_that_has_an_answer(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "DPI", 40)
     swept = [row(name, 28.0) for name in ("auto.views3", "auto.drop1000", "auto.reintegrate1000", "auto.gaussians6000")]
-    found = write_diagrams(tmp_path, document([*ROWS, *swept]).to_json())
+    methods = [line.method for line in CHAIN.rows if line.method]
+    changed = [row(method.name, 20.0 + place, effort="60") for place, method in enumerate(methods)]
+    whole = document([*ROWS, *swept, *changed]).to_json()
+    found = write_diagrams(tmp_path, whole)
     names = {path.stem.removeprefix("paper-") for path in found}
-    assert names == {"novel-view", "depth", "time-to", "stages", "gaussians", "views", "rates"}
+    assert names == {"chain", "stages", "gaussians", "views", "rates"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in found)
-    assert write_diagrams(tmp_path / "none", document([]).to_json()) == []
+    whole["omissions"] += [f"{name}, Ours: {NOT_RUN}" for name in ("chain", "views")]
+    found = write_diagrams(tmp_path, whole)
+    assert {path.stem.removeprefix("paper-") for path in found} == {"gaussians", "rates"}
+    assert write_diagrams(tmp_path, document([]).to_json()) == []
