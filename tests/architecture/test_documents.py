@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,12 @@ def test_the_index_lists_every_record_in_its_file():
     rows = re.findall(r"^\| \[[^]]+\]\(([^)]+)\) \| ([\d ]+) \|$", (ROOT / "ARCHITECTURE.md").read_text(), re.MULTILINE)
     listed = {file: [int(number) for number in numbers.split()] for file, numbers in rows}
     assert listed == {name_of(path): sorted(number for number, _ in records(path)) for path in RECORDS}
+
+
+def test_the_changelog_has_each_release_once_and_begins_with_this_one():
+    releases = re.findall(r"^## ([\d.]+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert len(set(releases)) == len(releases)
+    assert releases[0] == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 
 
 def test_code_refers_to_decisions_that_exist():
