@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import traceback
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -35,7 +36,7 @@ class Laboratory:
 
     `earlier` has rows of an earlier document by what was asked, so that a bench goes on where its folder is gone. With
     `keep` results of other code are taken as they are. The methods named by `floors` are scored beside the floors. A
-    refusal is kept as well, with its reason.
+    refusal or failure is kept as well, with its reason, so that one run does not end a bench of hours.
     """
 
     work: Path
@@ -81,7 +82,7 @@ class Laboratory:
         return self.work / "cells" / cell.name / cell_digest(cell, self.recording_of(cell.scene, cell.seed))
 
     def result(self, cell: Cell) -> dict:
-        """Run a cell and return its row, or `refused` with the reason."""
+        """Run a cell and return its row, or `refused` with the reason or the failure."""
         config = cell.method.config(cell.effort, cell.seed)  # refuses an unknown name before any work
         recording = self.recording_of(cell.scene, cell.seed)
         out = self._own(cell)
@@ -94,6 +95,9 @@ class Laboratory:
             if isinstance(refusal, StoppedError):
                 raise
             found = {"refused": " ".join(str(refusal).split())}
+        except Exception as failure:  # noqa: BLE001 - any failure of a run is its result
+            traceback.print_exc()
+            found = {"refused": f"the program failed, {type(failure).__name__}: {failure}"}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
         day = datetime.now(UTC).date().isoformat()
         row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision(), "day": day}

@@ -103,7 +103,7 @@ def measured_table(table: Table, protocol: Protocol, rows: Sequence[dict]) -> st
     missing = len(cells) - len(_of(cells, rows))
     parts = [f"## {table.title} (`{table.name}`)", f"{table.about} {ABOUT}"]
     if missing:
-        parts[-1] += f" **{missing} runs were refused; the omissions say which.**"
+        parts[-1] += f" **{missing} runs were refused or failed; the omissions say which.**"
     parts += [markdown(COLUMNS, lines)] if lines else []
     parts += [f"Without a measurement: {'; '.join(absent)}."] if absent else []
     return "\n\n".join(parts)

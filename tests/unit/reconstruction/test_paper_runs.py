@@ -66,6 +66,15 @@ def test_what_was_run_is_found_again_and_what_was_refused_has_its_reason(laborat
     assert len(laboratory.made) == 2
 
 
+def test_a_run_that_fails_is_named_and_the_bench_goes_on(laboratory, monkeypatch, capsys):
+    monkeypatch.setattr(runs, "score_run", lambda run, recording, floors: SCORED["mse"])
+    document = bench_paper(PROTOCOL, laboratory.own, silent)
+    assert "t, good: the program failed, KeyError: 'mse' (fan_and_ball-2 @10)" in document.omissions
+    assert laboratory.made == ["fan_and_ball-2-good-10", "fan_and_ball-2-bad-10"]
+    assert "Traceback" in capsys.readouterr().err
+    assert bench_paper(PROTOCOL, laboratory.own, silent).omissions == document.omissions
+
+
 def test_a_run_that_came_to_training_too_late_is_named(laboratory, monkeypatch):
     late = SCORED | {"curve": [{"seconds": 12.0, "psnr_db": 30.0}]}
     monkeypatch.setattr(runs, "score_run", lambda run, recording, floors: late)

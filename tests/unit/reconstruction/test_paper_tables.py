@@ -114,7 +114,7 @@ def test_a_table_says_how_far_it_is():
     assert longer[11] == "1 of 2"
     assert theirs[3:5] == ["-5.00", "25.0 to 27.0"]
     assert text.endswith("Without a measurement: DUSt3R.")
-    assert "**2 runs were refused; the omissions say which.**" in text
+    assert "**2 runs were refused or failed; the omissions say which.**" in text
     nothing = measured_table(TABLE, PROTOCOL, [])
     assert nothing.endswith("Without a measurement: Ours; TFI + small 4DGS; DUSt3R.")
 
