@@ -60,7 +60,6 @@ LISTS = {
 COMMAND_LINE_ONLY = {"dust3r", "interpolated", "random", "clean", "blurred", "ordinary"}
 # (file or folder, list): why these names stand there beside the list itself. This table must only shrink.
 ALLOWED = {
-    ("reconstruction/bench/paper/", "model"): "the paper's protocol: the models it compares",
     ("reconstruction/bench/paper/", "supervision"): "the paper's protocol: the losses it compares",
     ("reconstruction/stability/models.py", "model"): "a model of each motion, made without a recording",
     ("reconstruction/stability/stiff.py", "scene"): "the ticks of each stiff scene",

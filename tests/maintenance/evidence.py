@@ -77,8 +77,9 @@ def figures(name: str, document: dict) -> dict[str, float | str]:
 
 
 def of_runs(rows: list[dict]) -> dict[str, float]:
-    """Return every score of every single run, and its steps, as `CELL.SCORE`."""
-    return {f"{name_of(row)}.{score}": row[score] for row in rows for score in ("steps", *METRICS) if score in row}
+    """Return every score of every single run, its steps and its Gaussians, as `CELL.SCORE`."""
+    scores = "steps", "gaussians", *METRICS
+    return {f"{name_of(row)}.{score}": row[score] for row in rows for score in scores if score in row}
 
 
 def hours(documents: Mapping[str, dict]) -> float:

@@ -94,7 +94,7 @@ class Laboratory:
         except ReconstructionError as refusal:
             if isinstance(refusal, StoppedError):
                 raise
-            found = {"refused": " ".join(str(refusal).split())}
+            found = {"refused": " ".join(str(refusal).replace(f"{self.work}/", "").split())}
         except Exception as failure:  # noqa: BLE001 - any failure of a run is its result
             traceback.print_exc()
             found = {"refused": f"the program failed, {type(failure).__name__}: {failure}"}

@@ -35,7 +35,7 @@ def laboratory(tmp_path, monkeypatch):
         made.append(out.parent.name)
         assert not out.exists()
         if config.images == "tfi":
-            raise StereoError("found no depth")
+            raise StereoError("found no depth", where=tmp_path / "work" / "recordings" / "one")
         for name in ("points/still.npy", "snapshots/0000001.pt", "snapshots/0000002.pt", "run.json", "checkpoint.pt"):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             (out / name).touch()
@@ -58,7 +58,7 @@ def test_what_was_run_is_found_again_and_what_was_refused_has_its_reason(laborat
     )
     assert document.summary["t.good.psnr_db@10"] == 30.0
     assert document.summary["t.good.seconds@10"] == 9.5
-    assert "t, bad: found no depth (fan_and_ball-2 @10)" in document.omissions
+    assert "t, bad: recordings/one: found no depth (fan_and_ball-2 @10)" in document.omissions
     assert "t, none: no licence" in document.omissions
     assert any(line.startswith("t, unknown: found model 'nerf', expected one of") for line in document.omissions)
     again = bench_paper(PROTOCOL, laboratory.own, silent)
