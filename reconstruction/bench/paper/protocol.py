@@ -35,7 +35,7 @@ def _rows(form: str, paper: str, methods: dict[str, Method]) -> tuple[Row, ...]:
 TFI_ROWS = _rows("TFI + {}", "TFI + {}", m.TFI)
 CHAIN = Table(
     "chain",
-    "The paper's chain as we read it, a part changed at a time",
+    "The paper's chain as we read it, with what a row names in place of its own",
     "The small field of 4DGS, small MSDI, SPSS as we read it, on the rig as drawn: 2 degrees, 2 cm and 2 % of focal "
     "length off on average. `rivals` has the chain with the published field.",
     (
@@ -54,7 +54,7 @@ CHAIN = Table(
 )
 MODULES = Table(
     "modules",
-    "Ours, a part changed at a time",
+    "Ours, with what a row names in place of its own",
     "On the rig as drawn; the paper has no such table of a method like ours.",
     (Row("Ours, found poses", m.FOUND), *(Row(label, method) for label, method in m.MODULES.items())),
 )

@@ -94,10 +94,10 @@ class Laboratory:
         except ReconstructionError as refusal:
             if isinstance(refusal, StoppedError):
                 raise
-            found = {"refused": " ".join(str(refusal).replace(f"{self.work}/", "").split())}
+            found = {"refused": self._reason(refusal)}
         except Exception as failure:  # noqa: BLE001 - any failure of a run is its result
             traceback.print_exc()
-            found = {"refused": f"the program failed, {type(failure).__name__}: {failure}"}
+            found = {"refused": f"the program failed, {type(failure).__name__}: {self._reason(failure)}"}
         row = {"method": cell.method.name, "scene": cell.scene, "seed": cell.seed, "effort": cell.effort.label}
         day = datetime.now(UTC).date().isoformat()
         row |= {"budget_s": cell.effort.budget_s, **device(), "revision": code_revision(), "day": day}
@@ -107,6 +107,10 @@ class Laboratory:
         write_json(out / SCORES, found)
         _reduce(out)
         return found
+
+    def _reason(self, error: Exception) -> str:
+        """Return the words of an error on one line, without the path of this machine to the folder."""
+        return " ".join(str(error).replace(f"{self.work}/", "").split())
 
     def _quietest(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
         """Run a cell until others leave it in peace, TRIES times at most, and return the scores of the quietest run."""
