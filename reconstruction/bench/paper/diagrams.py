@@ -20,7 +20,7 @@ from reconstruction.bench.figures import (
 )
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Table
-from reconstruction.bench.paper.protocol import CHAIN, LONG, MODULES, PROTOCOL
+from reconstruction.bench.paper.protocol import CHAIN, MODULES, PROTOCOL
 from reconstruction.bench.paper.summary import gaps
 from reconstruction.bench.paper.tables import unprinted
 from reconstruction.bench.score_run import STAGES
@@ -62,7 +62,7 @@ def _parts(path: Path, document: dict, table: Table) -> bool:
     first, *rest = [row for row in table.rows if row.method]
     name = first.method.name if first.method else ""
     apart = {
-        row.label: [gaps(document["rows"], row.method.name, name, LONG.label, score) for score in SCORES]
+        row.label: [gaps(document["rows"], row.method.name, name, _length(table), score) for score in SCORES]
         for row in rest
         if row.method
     }
@@ -87,7 +87,13 @@ def _parts(path: Path, document: dict, table: Table) -> bool:
 def _of(document: dict, table: Table) -> list[dict]:
     """Return the rows of the methods of a table at its length."""
     names = {row.method.name for row in table.rows if row.method}
-    return [row for row in document["rows"] if row["method"] in names and row["effort"] == LONG.label]
+    return [row for row in document["rows"] if row["method"] in names and row["effort"] == _length(table)]
+
+
+def _length(table: Table) -> str:
+    """Return the label of the one length of a table's runs."""
+    (length,) = {effort.label for batch in PROTOCOL.batches if batch.table == table.name for effort in batch.efforts}
+    return length
 
 
 def _legend_above(axes: Axes, columns: int) -> None:

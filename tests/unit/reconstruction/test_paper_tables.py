@@ -11,7 +11,7 @@ from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.bench import NOT_RUN
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
-from reconstruction.bench.paper.protocol import CHAIN
+from reconstruction.bench.paper.protocol import CHAIN, EQUAL
 from reconstruction.bench.paper.summary import gaps, summarise
 from reconstruction.bench.paper.tables import measured_table, whole_tables, write_tables
 from reconstruction.bench.training import times_to
@@ -170,7 +170,7 @@ def test_a_picture_for_each_question_that_has_an_answer(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "DPI", 40)
     swept = [row(name, 28.0) for name in ("auto.views3", "auto.drop1000", "auto.reintegrate1000", "auto.gaussians6000")]
     methods = [line.method for line in CHAIN.rows if line.method]
-    changed = [row(method.name, 20.0 + place, effort="60") for place, method in enumerate(methods)]
+    changed = [row(method.name, 20.0 + place) | {"effort": EQUAL.label} for place, method in enumerate(methods)]
     whole = document([*ROWS, *swept, *changed]).to_json()
     found = write_diagrams(tmp_path, whole)
     names = {path.stem.removeprefix("paper-") for path in found}
