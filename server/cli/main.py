@@ -24,6 +24,7 @@ COMMANDS = {  # name: (module, its line of the help)
     "images": ("server.cli.images", "Turn spikes into images."),
     "reconstruct": ("server.cli.reconstruct", "Turn a recording into moving Gaussians."),
     "render": ("server.cli.reconstruct", "Render a run from any camera at any time."),
+    "view": ("server.cli.view", "Fly through a run in a browser."),
     "export": ("server.cli.export", "Write a run in the formats of other tools."),
     "evaluate": ("server.cli.reconstruct", "Compare a run with the truth."),
     "bench": ("server.cli.bench", "Measure speed and quality."),

@@ -51,6 +51,7 @@ PARSED = {
     "check-rig": "minutes, and pictures larger than 64x40",
     "demo": "a minute of training; `make demo` runs it",
     "serve": "runs until it is stopped; tests/integration/test_service.py starts it",
+    "view": "runs until it is stopped; tests/unit/server/test_run_viewer.py starts it",
     "worker": "runs until it is stopped; tests/integration/test_service.py starts it",
     "--weights": "weights of a training of one's own",
 }

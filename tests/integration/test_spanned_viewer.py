@@ -13,6 +13,7 @@ import pytest
 import torch
 from integration.viewer_page import (
     VIEWER,
+    app_of,
     chromium,
     drawn_pixels,
     opening,
@@ -92,7 +93,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Long:
 
 @pytest.fixture(scope="module")
 def address(long: Long) -> Iterator[str]:
-    with served(long.jobs) as found:
+    with served(app_of(long.jobs)) as found:
         yield found
 
 

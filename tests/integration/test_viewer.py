@@ -14,6 +14,7 @@ from integration.viewer_page import (
     NAME,
     PLANES,
     VIEWER,
+    app_of,
     chromium,
     grey_of,
     opening,
@@ -32,6 +33,7 @@ from reconstruction.report.display import grey
 from reconstruction.report.pictures import depth_colours
 from rigs.camera import Camera
 from rigs.transform import Transform
+from server.run_viewer import viewer_app
 
 pytestmark = VIEWER
 BROAD_PX2 = 40.0
@@ -54,7 +56,7 @@ def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(jobs: Path) -> Iterator[str]:
-    with served(jobs) as found:
+    with served(app_of(jobs)) as found:
         yield found
 
 
@@ -273,6 +275,16 @@ def test_what_is_missing_is_said_in_one_line(open_page, query: str, script: str,
     assert words in message.inner_text()
     assert view.locator("#controls").get_attribute("disabled") is not None
     open_page.faults[:] = [fault for fault in open_page.faults if "404" not in fault]
+
+
+def test_a_run_alone_is_drawn_as_the_job_of_a_service_is(jobs: Path, open_page, browser: Any) -> None:
+    wanted = pixels(open_page())
+    with served(viewer_app(jobs / "polynomial")) as address, opening(browser, address) as open_run:
+        view = open_run("?job=polynomial")
+        np.testing.assert_array_equal(pixels(view), wanted)
+        view.click("#compare")
+        until(view, "document.querySelector('#compared').textContent.includes('found no pictures beside a run')")
+        open_run.faults[:] = [fault for fault in open_run.faults if "404" not in fault]
 
 
 def test_a_missing_renderer_says_what_to_run(open_page, browser: Any, address: str) -> None:

@@ -83,10 +83,10 @@ def app_of(jobs: Path) -> FastAPI:
 
 
 @contextmanager
-def served(jobs: Path) -> Iterator[str]:
-    """Serve the page beside jobs whose artefacts lie in a folder; gives the address."""
+def served(app: FastAPI) -> Iterator[str]:
+    """Serve an application; gives the address."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        config = uvicorn.Config(app_of(jobs), log_level="error", ws="none", timeout_graceful_shutdown=1)
+        config = uvicorn.Config(app, log_level="error", ws="none", timeout_graceful_shutdown=1)
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
