@@ -71,7 +71,6 @@ GROUPS = {
     "new-seeds": Group("Those scenes by three seeds each", REALISTIC_EVALUATION, (SHORT,), NEAR, (0, 1, 2)),
     "old": Group("Scenes that have been looked at", EVALUATION, (SHORT, SHORTEST)),
     "new-long": Group("Five minutes, on two scenes that nobody had run", REALISTIC_EVALUATION[:2], (LONG,)),
-    "old-long": Group("Five minutes, on two scenes that have been looked at", EVALUATION[:2], (LONG,)),
 }
 SCORES = ("psnr_db", "dynamic_psnr_db")
 ABOUT = "True poses but in the last row."
