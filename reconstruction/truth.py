@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from acquisition.arrays import read_array
 from acquisition.scenes.own import OWN_FILE
+from acquisition.spikes.stream import MOST_LIGHT
 from reconstruction.errors import BadRunError
 from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
-
-MOST_LIGHT = 1.0  # spikes per tick: no pixel fires more, so a lamp in a mirror is known no better (decision 175)
 
 
 @dataclass(frozen=True, eq=False)
 class TruthFrame:
     """Linear intensity [H, W] in spikes per tick, depth [H, W] in m (NaN where nothing is), moving pixels [H, W].
 
-    Intensity ends at MOST_LIGHT. `ids` [H, W] are those of the objects.
+    Intensity ends at MOST_LIGHT: no camera knows a lamp in a mirror better (decision 175). `ids` [H, W] are the
+    objects'.
     """
 
     plane: int

@@ -17,6 +17,8 @@ from acquisition.spikes.compact import SUFFIX, CompactPlanes
 from acquisition.spikes.intervals import outermost
 from acquisition.spikes.layout import PlaneLayout
 
+MOST_LIGHT = 1.0  # spikes per tick: no pixel fires more than once in one
+
 
 class SpikeStream:
     """The planes of one camera, by index from 0; `tick_rate_hz` turns counts into light.

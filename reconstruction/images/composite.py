@@ -128,13 +128,14 @@ class CompositeSource:
 
 @dataclass(frozen=True, eq=False)
 class GivenSource(CompositeSource):
-    """One camera's given images by plane, in spikes per tick; masks and counts are still those of its spikes.
+    """One camera's given images by plane, in spikes per tick, in place of those that the source `spikes` makes.
 
-    Each image is the mean light of `planes` planes around its own.
+    Each is the mean light of `planes` planes around its own. Masks and counts are still those of the spikes.
     """
 
-    frames: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
-    planes: int = 1
+    spikes: CompositeSource = field(kw_only=True)
+    frames: Mapping[int, NDArray[np.float32]] = field(kw_only=True)
+    planes: int = field(kw_only=True)
 
     def at(self, plane: int) -> NDArray[np.float32]:
         """Return the given image [H, W] at `plane`; KeyError where there is none."""
@@ -143,6 +144,22 @@ class GivenSource(CompositeSource):
     def instants(self, stride: int) -> NDArray[np.int64]:
         """Return the planes that have an image, whatever the stride."""
         return np.array(sorted(self.frames), dtype=np.int64)
+
+    def counts(self, first: int, last: int, part: Part = WHOLE) -> NDArray[np.float32]:
+        """Return what the spikes' source counts."""
+        return self.spikes.counts(first, last, part)
+
+    def useless(self, last: int) -> NDArray[np.bool_]:
+        """Return which pixels [H, W] are of no use to the spikes' source."""
+        return self.spikes.useless(last)
+
+    def recorded_mask(self, moving: Mask) -> Mask:
+        """Return the recorded pixels [h, w] under a mask [H, W] of the spikes' source."""
+        return self.spikes.recorded_mask(moving)
+
+    def retargeted(self, moving: Mask, method_for: MethodFor) -> GivenSource:
+        """Return the same images with other pixels `moving`."""
+        return replace(self, moving=moving, spikes=self.spikes.retargeted(moving, method_for))
 
 
 def shrunk(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

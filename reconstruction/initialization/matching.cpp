@@ -1,4 +1,4 @@
-// Soft matches of two samples of points, summed for the rigid fit; twin of `soft_matches_reference` in matching.py.
+// Soft matches of two samples of points, summed for the rigid fit; twin of `soft_matches_reference` in the tests.
 #include <cmath>
 #include <vector>
 

@@ -26,4 +26,4 @@ def given_source(view: str, source: CompositeSource, recording: Recording, image
     instants, read, planes = kinds[GIVEN.index(images)]
     frames = {plane: source.carried(read(view, plane)) for plane in instants(view)}
     own = (getattr(source, part.name) for part in fields(CompositeSource))
-    return GivenSource(*own, frames=frames, planes=planes)
+    return GivenSource(*own, spikes=source, frames=frames, planes=planes)

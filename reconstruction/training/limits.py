@@ -5,19 +5,19 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
+from acquisition.spikes.stream import MOST_LIGHT
 from reconstruction.training.optimizer import Optimizer
 
-LIGHT = 0.0, 1.0  # spikes per tick: no pixel fires less, or more
 WIDEST = 0.3  # largest size of a Gaussian, in its distances from the cameras: a pole may be one, and no more is needed
 
 
 @torch.no_grad()
 def keep_light(optimizer: Optimizer) -> None:
-    """Put light that a step took beyond LIGHT back to its limits: what few views ask for may be no light at all."""
+    """Put light that a step took beyond 0 or MOST_LIGHT back: what few views ask for may be no light at all."""
     for group in optimizer.param_groups:
         if group.get("light"):  # not in the checkpoint of an earlier revision
             for tensor in group["params"]:
-                tensor.clamp_(*LIGHT)
+                tensor.clamp_(0.0, MOST_LIGHT)
 
 
 @torch.no_grad()

@@ -62,3 +62,9 @@ def test_exports_are_in_the_original_cameras(run, rig, tmp_path):
         )
         for camera in found:
             assert camera.lens == rig.camera(camera.id).lens
+
+
+def test_clean_images_are_learnt_from_where_lenses_bend(run, tmp_path):
+    config = replace(CONFIG, images="clean", steps=4)
+    given = reconstruct(run.recording, tmp_path / "run", config, lambda stage: silent)
+    assert json.loads((given.path / "metrics.json").read_text())["psnr_db"] > 15

@@ -1,6 +1,6 @@
 """Pictures of a lens that bends are straightened once, with counts, masks and noise, and renders are bent back."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.images.background import background
 from reconstruction.images.catalogue import method
-from reconstruction.images.composite import CompositeSource
+from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.response import NEVER, Response
 from reconstruction.images.straightened import straightened
@@ -54,6 +54,24 @@ def sources():
     recorded = CompositeSource(stream, background(stream, moving, STEADY), moving, method("tfp"), STEADY)
     way = straightening(CAMERA, view_of(CAMERA))
     return light, recorded, straightened(recorded, way), way
+
+
+def test_given_images_keep_the_counts_and_masks_of_the_view(sources):
+    _, recorded, _, way = sources
+    source = straightened(replace(recorded, response=Response.even((H, W)).times(0.5), kept={}), way)
+    own = {f.name: getattr(source, f.name) for f in fields(CompositeSource)}
+    image = np.full(source.moving.shape, 0.25, np.float32)
+    given = GivenSource(**own, spikes=source, frames={7: image}, planes=3)
+    assert given.at(7) is image
+    np.testing.assert_array_equal(given.counts(0, 20, np.s_[5:9, 3:20]), source.counts(0, 20, np.s_[5:9, 3:20]))
+    np.testing.assert_array_equal(given.useless(20), source.useless(20))
+    fewer = source.moving & (np.arange(source.moving.shape[1]) < 30)
+    assert (given.recorded_mask(fewer) == source.recorded_mask(fewer)).all()
+    assert given.recorded_mask(fewer).shape == (H, W)
+    again = given.retargeted(fewer, lambda stream, moving: method("tfp"))
+    assert (again.moving == fewer).all()
+    assert (again.spikes.moving == fewer).all()
+    assert (again.at(7) == image).all()
 
 
 def test_images_counts_and_masks_are_those_of_the_view(sources):
