@@ -23,13 +23,16 @@ MSDI_SCORES = {  # the label and the scale of each axis
 
 
 def plot_curves(trainings: Sequence[Path], out: Path) -> None:
-    """Draw `training.json` files, all of image networks or all of MSDI; raises BadRunError for one without scores."""
-    documents = [_read(path) for path in trainings]
+    """Draw `training.json` files, all of image networks or all of MSDI; raises BadRunError for one without scores.
+
+    Trainings that led to one are drawn before it, each as a line of its own: their validations may differ.
+    """
+    documents = [part for path in trainings for part in _parts(path)]
     panels = _panels(documents[0])
     figure = Figure(figsize=(7.5, 4.6) if len(panels) == 1 else (11, 3.6), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for document, colour in zip(documents, COLOURS * len(documents), strict=False):
-        seconds = [point["seconds"] for point in document["curve"]]
+        seconds = [document["begun"] + point["seconds"] for point in document["curve"]]
         for drawn, (_, _, lines) in zip(axes, panels, strict=True):
             for name, (style, label) in lines.items():
                 values = [point.get(name, float("nan")) for point in document["curve"]]
@@ -56,16 +59,23 @@ def _panels(document: dict) -> list[tuple[str, str, Mapping[str, tuple[str, str]
 
 
 def _name(document: dict) -> str:
-    config = document["config"]
+    config, begun = document["config"], document["begun"]
+    if begun:
+        return f"on from {begun:.0f} s"
     return ("joint" if config["joint"] else "separate") if "joint" in config else document["network"]
 
 
-def _read(path: Path) -> dict:
+def _parts(path: Path) -> list[dict]:
+    """Return the trainings that led to the one in `path`, and itself, each with the second at which it has `begun`."""
     try:
         document = json.loads(path.read_text())
-        needed = {next(iter(lines)) for _, _, lines in _panels(document)}
-        if not document["curve"] or not all(needed <= set(point) for point in document["curve"]):
-            raise ValueError("no scores")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        parts, begun = [*document.get("after", []), document], 0.0
+        for part in parts:
+            needed = {next(iter(lines)) for _, _, lines in _panels(part)}
+            if not part["curve"] or not all(needed <= set(point) for point in part["curve"]):
+                raise ValueError("no scores")
+            part["begun"] = begun
+            begun += part["curve"][-1]["seconds"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadRunError(f"found no curve of a training ({error})", "its training.json", where=path) from error
-    return document
+    return parts

@@ -255,10 +255,15 @@ def test_the_curve_is_drawn_from_a_training_with_scores_only(tmp_path):
     path = tmp_path / "training.json"
     path.write_text(json.dumps(document))
     plot_curves([path], tmp_path / "curve.png")
-    assert (tmp_path / "curve.png").stat().st_size > 5000
-    path.write_text(json.dumps(document | {"curve": []}))
-    with pytest.raises(BadRunError, match="no curve of a training"):
-        plot_curves([path], tmp_path / "curve.png")
+    alone = (tmp_path / "curve.png").stat().st_size
+    assert alone > 5000
+    path.write_text(json.dumps(document | {"after": [document]}))
+    plot_curves([path], tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > alone + 1000  # the training before it is drawn, too
+    for damaged in ({"curve": []}, {"after": [{}]}, {"after": [1]}):
+        path.write_text(json.dumps(document | damaged))
+        with pytest.raises(BadRunError, match="no curve of a training"):
+            plot_curves([path], tmp_path / "curve.png")
 
 
 def test_the_commands_say_what_they_take(tmp_path):
