@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import cv2
@@ -136,6 +136,12 @@ class GivenSource(CompositeSource):
     spikes: CompositeSource = field(kw_only=True)
     frames: Mapping[int, NDArray[np.float32]] = field(kw_only=True)
     planes: int = field(kw_only=True)
+
+    @classmethod
+    def of(cls, spikes: CompositeSource, frames: Mapping[int, NDArray[np.float32]], planes: int) -> GivenSource:
+        """Return a source of `frames` with everything else as `spikes` has it."""
+        own = {one.name: getattr(spikes, one.name) for one in fields(CompositeSource)}
+        return cls(**own, spikes=spikes, frames=frames, planes=planes)
 
     def at(self, plane: int) -> NDArray[np.float32]:
         """Return the given image [H, W] at `plane`; KeyError where there is none."""

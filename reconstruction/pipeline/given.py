@@ -1,7 +1,5 @@
 """Gives a view of a simulated recording other images than its spikes make."""
 
-from dataclasses import fields
-
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.images.catalogue import GIVEN
@@ -25,5 +23,4 @@ def given_source(view: str, source: CompositeSource, recording: Recording, image
     )
     instants, read, planes = kinds[GIVEN.index(images)]
     frames = {plane: source.carried(read(view, plane)) for plane in instants(view)}
-    own = (getattr(source, part.name) for part in fields(CompositeSource))
-    return GivenSource(*own, spikes=source, frames=frames, planes=planes)
+    return GivenSource.of(source, frames, planes)

@@ -18,7 +18,7 @@ HOST = "127.0.0.1"
 @click.argument("run_folder", metavar="RUN", type=PATH)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="[default: any free one]")
 def view_command(run_folder: Path, port: int) -> None:
-    """Show RUN in a browser on this machine: fly through it while it plays.
+    """Serve RUN to a browser on this machine, in which one flies through it while it plays.
 
     The first line printed is the address. Ctrl-C ends it.
     """

@@ -1,6 +1,6 @@
 """Pictures of a lens that bends are straightened once, with counts, masks and noise, and renders are bent back."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,9 +59,8 @@ def sources():
 def test_given_images_keep_the_counts_and_masks_of_the_view(sources):
     _, recorded, _, way = sources
     source = straightened(replace(recorded, response=Response.even((H, W)).times(0.5), kept={}), way)
-    own = {f.name: getattr(source, f.name) for f in fields(CompositeSource)}
     image = np.full(source.moving.shape, 0.25, np.float32)
-    given = GivenSource(**own, spikes=source, frames={7: image}, planes=3)
+    given = GivenSource.of(source, {7: image}, planes=3)
     assert given.at(7) is image
     np.testing.assert_array_equal(given.counts(0, 20, np.s_[5:9, 3:20]), source.counts(0, 20, np.s_[5:9, 3:20]))
     np.testing.assert_array_equal(given.useless(20), source.useless(20))
