@@ -8,6 +8,7 @@ of one's own, whose true light nobody knows. `msdi` takes 1 s a step on one core
 the seed is another.
 """
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ import torch
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from reconstruction.networks.image_networks import IMAGE_NETWORKS, image_network, infer, loss
+from reconstruction.networks.msdi.network import small_msdi
 from reconstruction.networks.training import msdi_validation, processes
 from reconstruction.networks.training.clips import VIEW_KINDS, CameraClips, MultiviewClips, read_clip_set, write_clips
 from reconstruction.networks.training.curve import plot_curves
@@ -31,6 +33,7 @@ from reconstruction.networks.training.image_training import (
 )
 from reconstruction.networks.training.image_validation import scores, validation_clips, validation_set
 from reconstruction.networks.training.msdi_training import TIERS, MsdiConfig, MsdiTraining
+from reconstruction.tensors import read_weights
 from rigs.errors import Spike4dgsError
 
 FOLDER = click.Path(path_type=Path)
@@ -39,6 +42,17 @@ CLIPS = click.option("--clips", "folder", type=FOLDER, required=True, help="Fold
 CROP = click.option("--crop", type=int, default=64, show_default=True, help="Pixels a side of a crop.")
 SEED = click.option("--seed", type=int, default=0, show_default=True, help="Of the first weights and the batches.")
 FIRST_SEED = click.option("--first-seed", type=int, default=0, show_default=True, help="Seed of the first clip.")
+KINDS = click.option(
+    "--kind",
+    "kinds",
+    type=click.Choice(VIEW_KINDS),
+    multiple=True,
+    default=VIEW_KINDS,
+    help="Scenes, in turns [default: all; all but clutter need the extra `realistic`].",
+)
+DEVELOPMENT = click.option(
+    "--development", type=FOLDER, multiple=True, help="Simulated recordings of development scenes to score on."
+)
 THREADS = click.option("--threads", type=int, default=0, help="Processor threads [default: as many as torch takes].")
 DEVICE = click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True)
 SELF_TAUGHT = "blindspot"
@@ -72,14 +86,7 @@ def clips_command(out: Path, count: int, first_seed: int, size: int) -> None:
 @click.option("--count", type=int, default=480, show_default=True, help="Clips; 2 MB each.")
 @FIRST_SEED
 @click.option("--views", type=int, default=4, show_default=True, help="Cameras a clip.")
-@click.option(
-    "--kind",
-    "kinds",
-    type=click.Choice(VIEW_KINDS),
-    multiple=True,
-    default=VIEW_KINDS,
-    help="Scenes, in turns [default: all; all but clutter need the extra `realistic`].",
-)
+@KINDS
 def view_clips_command(out: Path, count: int, first_seed: int, views: int, kinds: tuple[str, ...]) -> None:
     """Render clips of random scenes seen by random rigs, and expose them."""
     write_clips(out, MultiviewClips(first_seed, count, views, kinds=kinds), _report("clips"))
@@ -137,7 +144,7 @@ def own_command(recording: Path, out: Path, **settings) -> None:
 @click.option("--tier", "name", type=click.Choice(TIERS), default="small", show_default=True)
 @click.option("--backbone", type=FOLDER, help="DUSt3R checkpoint the large tier starts from.")
 @click.option("--after", type=FOLDER, help="Document of an earlier training; its weights beside it are the first.")
-@click.option("--development", type=FOLDER, multiple=True, help="Simulated recordings of fan_and_ball to score on.")
+@DEVELOPMENT
 @_steps(6000, 500)
 @click.option("--joint/--separate", default=True, show_default=True, help="Whether geometry teaches the images, too.")
 @click.option("--pretrained/--from-scratch", default=True, show_default=True, help="The image network.")
@@ -168,6 +175,21 @@ def msdi_command(
         training.run(lambda module: msdi_validation.scores(module, scored), _report(config.name))
     finally:
         processes.stop()
+
+
+@main.command("msdi-scores")
+@click.argument("weights", type=FOLDER, nargs=-1, required=True)
+@KINDS
+@click.option("--count", default=msdi_validation.CLIPS, show_default=True, help="Random clips.")
+@DEVELOPMENT
+def msdi_scores_command(weights: tuple[Path, ...], kinds: tuple[str, ...], count: int, development: tuple[Path, ...]):
+    """Score WEIGHTS of the small MSDI on random clips that no training sees, and on recordings: a JSON line each."""
+    scored = msdi_validation.scored_views(msdi_validation.random_clips(kinds, count), development)
+    for path in weights:
+        network = small_msdi().eval()
+        read_weights(path, network)
+        for scene, found in msdi_validation.scores_by_scene(network, scored).items():
+            click.echo(json.dumps({"scene": scene, "weights": str(path)} | found))
 
 
 @main.command("curve")

@@ -144,6 +144,10 @@ class MultiviewClips(ClipSet):
         if not self.kinds or set(self.kinds) - set(VIEW_KINDS):
             raise BadRunError(f"found clips of the kinds {self.kinds}", f"some of {', '.join(VIEW_KINDS)}")
 
+    def kind(self, seed: int) -> str:
+        """Return the kind of the scene of the clip with `seed`."""
+        return self.kinds[seed % len(self.kinds)]
+
     def make(self, seed: int) -> MultiviewClip:
         """Render and expose the clip with `seed`; raises MissingRendererError for a kind that needs the extra."""
         rig = random_rig(seed, self.views, self.width, self.height)
@@ -159,10 +163,9 @@ class MultiviewClips(ClipSet):
         return MultiviewClip(tuple(streams), REACH, np.stack(light), np.stack(depth), scene.white, rig)
 
     def _scene(self, seed: int, rig: Rig, middle_s: float) -> Visible:
-        kind = self.kinds[seed % len(self.kinds)]
-        if kind == "rooms":
+        if self.kind(seed) == "rooms":
             return Room(seed, rig.cameras[0], middle_s)
-        return multiview_scene(seed, rig.cameras[0].fx, middle_s, photographed=kind == "photographs")
+        return multiview_scene(seed, rig.cameras[0].fx, middle_s, photographed=self.kind(seed) == "photographs")
 
     def arrays(self, seed: int) -> Mapping[str, NDArray]:
         """Make the clip with `seed` and return what its file holds."""

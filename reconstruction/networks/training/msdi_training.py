@@ -18,6 +18,7 @@ from reconstruction.networks.image_networks import SHIPPED, light_loss
 from reconstruction.networks.msdi.features import channels, keypoints
 from reconstruction.networks.msdi.large import large_msdi
 from reconstruction.networks.msdi.network import Msdi, patch_gate, small_msdi
+from reconstruction.networks.training import processes
 from reconstruction.networks.training.loop import Loop, LoopConfig
 from reconstruction.networks.training.msdi_losses import correspondences, depth_loss, fine_loss, pose_loss, token_loss
 from reconstruction.networks.training.msdi_samples import Sample, Samples
@@ -77,11 +78,13 @@ class MsdiTraining(Loop[Msdi]):
         super().__init__(folder, config, network, self._loss_of, device, described)
 
     def _loss_of(self, module: Msdi, number: int) -> Tensor:
-        raw = (number >= self.wanted.image_from and number % IMAGE_EVERY == 1) or not self.wanted.pretrained
-        pose = number >= self.wanted.pose_from and number % POSE_EVERY == 3
+        step = processes.step_of(number)  # all processes judge the same, so that none waits for another
+        raw = (step >= self.wanted.image_from and step % IMAGE_EVERY == 1) or not self.wanted.pretrained
+        pose = step >= self.wanted.pose_from and step % POSE_EVERY == 3
         sample = self.samples.sample(number, raw=raw).to(self.device)
         with self.device:  # where what is made on the way lies
-            return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose)
+            depth = step % DEPTH_EVERY == 0
+            return sample_loss(module, sample, number, joint=self.wanted.joint, pose=pose, depth=depth)
 
 
 def _history(document: Path) -> list[dict]:
@@ -100,8 +103,8 @@ def _tier(name: str, backbone: Path | None) -> Msdi:
     return large_msdi(backbone=backbone) if name == "large" else small_msdi()
 
 
-def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose: bool) -> Tensor:
-    """Return all losses of one sample; `number` seeds what is drawn."""
+def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose: bool, depth: bool) -> Tensor:
+    """Return the losses of one sample, those of `pose` and `depth` where wanted; `number` seeds what is drawn."""
     image, seen = _seen(network, sample, joint)
     pixels = keypoints(seen.detach())
     allowed = patch_gate(sample.nominal, (seen.shape[3], seen.shape[2]))
@@ -109,8 +112,8 @@ def sample_loss(network: Msdi, sample: Sample, number: int, *, joint: bool, pose
     truth = correspondences(sample.depth, sample.true, pixels)
     total = image + token_loss(network.matcher.token_logs(encoded.tokens, allowed), truth[1], allowed)
     total = total + fine_loss(network.matcher, encoded, pixels, truth, number)
-    if number % DEPTH_EVERY == 0:
-        view = (number // DEPTH_EVERY) % len(seen)
+    if depth:
+        view = number % len(seen)  # any: a sample has its views in an order of its own
         swept = network.sweep(encoded.middle, sample.true, view)
         total = total + DEPTH_WEIGHT * depth_loss(swept, sample.depth[view], sample.true)
     if pose:

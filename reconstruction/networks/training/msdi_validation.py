@@ -1,6 +1,6 @@
 """Scores MSDI while it learns: on random rigs and scenes of other seeds, and on simulated recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -26,16 +26,17 @@ HELD_OUT = "cam11"  # no initialiser sees it
 
 @dataclass(frozen=True, eq=False)
 class ScoredViews:
-    """A clip to score on, of the kind `name`, and the nominal rig its cameras are found from."""
+    """A clip to score on, which is `random` or of `development`, its scene, and the rig its cameras are found from."""
 
     name: str
+    scene: str
     clip: MultiviewClip
     nominal: Rig
 
 
-def random_clips(kinds: tuple[str, ...]) -> MultiviewClips:
+def random_clips(kinds: tuple[str, ...], count: int = CLIPS) -> MultiviewClips:
     """Return the random clips to score on, of the kinds that are learnt from."""
-    return MultiviewClips(FIRST_SEED, CLIPS, kinds=kinds)
+    return MultiviewClips(FIRST_SEED, count, kinds=kinds)
 
 
 def validation_set(random: MultiviewClips, development: Sequence[Path]) -> dict[str, object]:
@@ -46,9 +47,12 @@ def validation_set(random: MultiviewClips, development: Sequence[Path]) -> dict[
 
 def scored_views(random_set: MultiviewClips, development: Sequence[Path]) -> list[ScoredViews]:
     """Return the random clips, with nominal rigs off by RANDOM_ERROR, then the recordings in `development`."""
-    clips = [(random_set.make(seed), seed) for seed in random_set.seeds]
-    random = [ScoredViews("random", clip, misplaced(clip.rig, RANDOM_ERROR, seed)) for clip, seed in clips]
-    return [*random, *map(recorded_views, development)]
+    return [*(_random_views(random_set, seed) for seed in random_set.seeds), *map(recorded_views, development)]
+
+
+def _random_views(random_set: MultiviewClips, seed: int) -> ScoredViews:
+    clip = random_set.make(seed)
+    return ScoredViews("random", random_set.kind(seed), clip, misplaced(clip.rig, RANDOM_ERROR, seed))
 
 
 def recorded_views(folder: Path) -> ScoredViews:
@@ -61,16 +65,30 @@ def recorded_views(folder: Path) -> ScoredViews:
     light, depth = np.stack([f.intensity for f in frames]), np.stack([f.depth for f in frames])
     true = load_cameras(truth.path / "cameras.json", recording.rig.tick_rate_hz).only(ids)
     clip = MultiviewClip(streams, chosen, light, depth, truth.white, true)
-    return ScoredViews("development", clip, recording.rig.only(ids))
+    return ScoredViews("development", folder.name, clip, recording.rig.only(ids))
 
 
 def scores(network: Msdi, scored: Sequence[ScoredViews]) -> dict[str, float]:
-    """Return means over each kind of view: see `score`; the keys begin with the kind."""
-    found: dict[str, list[float]] = {}
+    """Return means over the random clips and over development: see `score`; the keys begin with `random` or so."""
+    means = _means(network, scored, lambda one: one.name)
+    return {f"{name}_{key}": value for name, found in means.items() for key, value in found.items()}
+
+
+def scores_by_scene(network: Msdi, scored: Sequence[ScoredViews]) -> dict[str, dict[str, float]]:
+    """Return means over the random clips of each kind and over each recording, by its name: see `score`."""
+    return _means(network, scored, lambda one: one.scene)
+
+
+def _means(
+    network: Msdi, scored: Sequence[ScoredViews], name: Callable[[ScoredViews], str]
+) -> dict[str, dict[str, float]]:
+    found: dict[str, list[dict[str, float]]] = {}
     for one in scored:
-        for name, value in score(network, one.clip, one.nominal).items():
-            found.setdefault(f"{one.name}_{name}", []).append(value)
-    return {name: float(np.mean(values)) for name, values in found.items()}
+        found.setdefault(name(one), []).append(score(network, one.clip, one.nominal))
+    return {
+        of: {key: float(np.mean([each[key] for each in several])) for key in several[0]}
+        for of, several in found.items()
+    }
 
 
 def score(network: Msdi, clip: MultiviewClip, nominal: Rig) -> dict[str, float]:

@@ -38,6 +38,11 @@ def own(step: int) -> int:
     return step * distributed.get_world_size() + distributed.get_rank() if distributed.is_initialized() else step
 
 
+def step_of(number: int) -> int:
+    """Return the step at which some process has batch `number`."""
+    return number // distributed.get_world_size() if distributed.is_initialized() else number
+
+
 def wait() -> None:
     """Wait until all processes are here."""
     if distributed.is_initialized():

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from reconstruction.errors import BadRunError
 from reconstruction.networks.msdi.depth import STEPS, Swept
 from reconstruction.networks.msdi.features import keypoints
-from reconstruction.networks.msdi.network import small_msdi
+from reconstruction.networks.msdi.network import SHIPPED, small_msdi
 from reconstruction.networks.msdi.views import Views, inverse_depths
 from reconstruction.networks.train import main
 from reconstruction.networks.training.clips import MultiviewClips, read_clip_set, write_clips
@@ -25,7 +25,7 @@ from reconstruction.networks.training.msdi_losses import (
 )
 from reconstruction.networks.training.msdi_samples import Samples
 from reconstruction.networks.training.msdi_training import MsdiConfig, MsdiTraining, sample_loss
-from reconstruction.tensors import read_weights
+from reconstruction.tensors import read_weights, write_weights
 
 TINY = MultiviewClips(first_seed=5, count=2, views=3, width=56, height=40)
 
@@ -174,7 +174,7 @@ def test_apart_the_geometry_does_not_teach_the_images_and_joint_it_does(folder):
     grads = {}
     for joint in (False, True):
         network.zero_grad()
-        sample_loss(network, sample, 0, joint=joint, pose=True).backward()
+        sample_loss(network, sample, 0, joint=joint, pose=True, depth=True).backward()
         grads[joint] = [p.grad.clone() for p in network.image.parameters() if p.grad is not None]
     image_only = []
     network.zero_grad()
@@ -271,6 +271,18 @@ def test_the_commands_say_what_they_take(tmp_path):
     assert "--joint / --separate" in shown.output
     wrong = CliRunner().invoke(main, ["msdi", "--clips", str(tmp_path), "--out", str(tmp_path / "run")])
     assert isinstance(wrong.exception, BadRunError)
+
+
+def test_weights_are_scored_on_random_clips_and_the_shipped_ones_are_ahead_of_none(tmp_path):
+    torch.manual_seed(1)
+    write_weights(tmp_path / "first.npz", small_msdi().state_dict())
+    arguments = [str(SHIPPED / "small.npz"), str(tmp_path / "first.npz"), "--kind", "clutter", "--count", "1"]
+    shown = CliRunner().invoke(main, ["msdi-scores", *arguments], catch_exceptions=False)
+    shipped, first = (json.loads(line) for line in shown.output.splitlines())
+    assert [found["scene"] for found in (shipped, first)] == ["clutter", "clutter"]
+    assert [found["weights"] for found in (shipped, first)] == arguments[:2]
+    assert 0 < shipped["deg"] < first["deg"]
+    assert 0 < shipped["abs_rel"] < first["abs_rel"]
 
 
 RANKED = """
