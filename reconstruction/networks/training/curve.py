@@ -29,7 +29,7 @@ def plot_curves(trainings: Sequence[Path], out: Path) -> None:
     """
     documents = [part for path in trainings for part in _parts(path)]
     panels = _panels(documents[0])
-    figure = Figure(figsize=(7.5, 4.6) if len(panels) == 1 else (11, 3.6), layout="constrained")
+    figure = Figure(figsize=(7.5, 4.8) if len(panels) == 1 else (11, 4.0), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for document, colour in zip(documents, COLOURS * len(documents), strict=False):
         seconds = [document["begun"] + point["seconds"] for point in document["curve"]]
@@ -43,7 +43,7 @@ def plot_curves(trainings: Sequence[Path], out: Path) -> None:
     for drawn, (label, scale, _) in zip(axes, panels, strict=True):
         drawn.set(xlabel="wall seconds of training", ylabel=label, xscale=time_scale, yscale=scale)
         drawn.grid(True, which="both", alpha=0.3)
-    axes[0].legend(fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     with made_aside(out) as aside:
         figure.savefig(aside, format="png", dpi=110)
 
