@@ -1,11 +1,11 @@
 """`python -m reconstruction.networks.train`: random scenes to train on, and the networks that learn from them.
 
-Everything is resumed by giving the same command again; a killed training loses what came after its last score.
-`clips` takes 1 s a clip, `view-clips` 2 s, 10 s where a path tracer draws it. `network small` takes 1 to 2 hours on two
-cores; `network published --device cuda --batch 16` wants a GPU. `own REC` trains the blind-spot network on a recording
-of one's own, whose true light nobody knows. `msdi` takes 1 s a step on one core; on several cores or GPUs: `torchrun
---nproc-per-node N -m ... msdi`. With `--after` it goes on from weights that were trained elsewhere, by other samples if
-the seed is another.
+Everything is resumed by giving the same command again; a killed training loses what came after its last score. `clips`
+takes 1 s a clip, `view-clips` 1 to 2 s, up to a minute where a path tracer draws it. `network small` takes 1 to 2 hours
+on two cores; `network published --device cuda --batch 16` wants a GPU. `own REC` trains the blind-spot network on a
+recording of one's own, whose true light nobody knows. `msdi` takes 1 s a step on one core; on several cores or GPUs:
+`torchrun --nproc-per-node N -m ... msdi`. With `--after` it goes on from weights that were trained elsewhere, by other
+samples if the seed is another.
 """
 
 import json
@@ -171,7 +171,7 @@ def msdi_command(
         random = msdi_validation.random_clips(read_clip_set(folder, MultiviewClips).kinds)
         notes = {"validation": msdi_validation.validation_set(random, development)}
         training = MsdiTraining(out, config, folder, own, notes, backbone=backbone, after=after)
-        scored = msdi_validation.scored_views(random, development) if processes.first() else []
+        scored = msdi_validation.scored_views(random, development, _report("validation")) if processes.first() else []
         training.run(lambda module: msdi_validation.scores(module, scored), _report(config.name))
     finally:
         processes.stop()
@@ -184,7 +184,8 @@ def msdi_command(
 @DEVELOPMENT
 def msdi_scores_command(weights: tuple[Path, ...], kinds: tuple[str, ...], count: int, development: tuple[Path, ...]):
     """Score WEIGHTS of the small MSDI on random clips that no training sees, and on recordings: a JSON line each."""
-    scored = msdi_validation.scored_views(msdi_validation.random_clips(kinds, count), development)
+    random = msdi_validation.random_clips(kinds, count)
+    scored = msdi_validation.scored_views(random, development, _report("validation"))
     for path in weights:
         network = small_msdi().eval()
         read_weights(path, network)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.progress import Progress, silent
 from acquisition.recording.reader import Recording
 from acquisition.scenes.misplaced import misplaced
 from reconstruction.metrics.depth import abs_rel
@@ -26,9 +27,9 @@ HELD_OUT = "cam11"  # no initialiser sees it
 
 @dataclass(frozen=True, eq=False)
 class ScoredViews:
-    """A clip to score on, which is `random` or of `development`, its scene, and the rig its cameras are found from."""
+    """A clip to score on: its part of the validation (`random` or `development`), its scene and its nominal rig."""
 
-    name: str
+    part: str
     scene: str
     clip: MultiviewClip
     nominal: Rig
@@ -45,9 +46,15 @@ def validation_set(random: MultiviewClips, development: Sequence[Path]) -> dict[
     return {"random": asdict(random), "random_error": RANDOM_ERROR, "development": names}
 
 
-def scored_views(random_set: MultiviewClips, development: Sequence[Path]) -> list[ScoredViews]:
+def scored_views(
+    random_set: MultiviewClips, development: Sequence[Path], progress: Progress = silent
+) -> list[ScoredViews]:
     """Return the random clips, with nominal rigs off by RANDOM_ERROR, then the recordings in `development`."""
-    return [*(_random_views(random_set, seed) for seed in random_set.seeds), *map(recorded_views, development)]
+    random = []
+    for seed in random_set.seeds:
+        random.append(_random_views(random_set, seed))
+        progress(len(random) / random_set.count, f"clip {seed}")
+    return [*random, *map(recorded_views, development)]
 
 
 def _random_views(random_set: MultiviewClips, seed: int) -> ScoredViews:
@@ -70,7 +77,7 @@ def recorded_views(folder: Path) -> ScoredViews:
 
 def scores(network: Msdi, scored: Sequence[ScoredViews]) -> dict[str, float]:
     """Return means over the random clips and over development: see `score`; the keys begin with `random` or so."""
-    means = _means(network, scored, lambda one: one.name)
+    means = _means(network, scored, lambda one: one.part)
     return {f"{name}_{key}": value for name, found in means.items() for key, value in found.items()}
 
 

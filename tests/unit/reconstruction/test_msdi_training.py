@@ -278,7 +278,7 @@ def test_weights_are_scored_on_random_clips_and_the_shipped_ones_are_ahead_of_no
     write_weights(tmp_path / "first.npz", small_msdi().state_dict())
     arguments = [str(SHIPPED / "small.npz"), str(tmp_path / "first.npz"), "--kind", "clutter", "--count", "1"]
     shown = CliRunner().invoke(main, ["msdi-scores", *arguments], catch_exceptions=False)
-    shipped, first = (json.loads(line) for line in shown.output.splitlines())
+    shipped, first = (json.loads(line) for line in shown.stdout.splitlines())
     assert [found["scene"] for found in (shipped, first)] == ["clutter", "clutter"]
     assert [found["weights"] for found in (shipped, first)] == arguments[:2]
     assert 0 < shipped["deg"] < first["deg"]
