@@ -14,12 +14,14 @@ from acquisition.revision import code_revision
 class BenchDocument:
     """The result of a bench: `rows`, one a measurement, and a `summary` of named numbers.
 
-    `omissions` says what failed or was not run, and why. `scenes` is the digest of this code's evaluation scenes.
+    `omissions` says what failed or was not run, and why. `refused` has runs without a result, each with its reason.
+    `scenes` is the digest of this code's evaluation scenes.
     """
 
     bench: str
     rows: list[dict] = field(default_factory=list)
     omissions: list[str] = field(default_factory=list)
+    refused: list[dict] = field(default_factory=list)
     summary: dict[str, float] = field(default_factory=dict)
     scenes: str = ""
 
@@ -32,6 +34,7 @@ class BenchDocument:
             "scenes": self.scenes,
             "rows": self.rows,
             "omissions": self.omissions,
+            "refused": self.refused,
             "summary": {k: round(v, 6) for k, v in self.summary.items()},
         }
 

@@ -35,7 +35,11 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     help="Folder of parameters for the images' metrics: alexnet*.pth (LPIPS), brisque_model_live.yml and "
     "brisque_range_live.yml (BRISQUE), niqe_pris_params.npz (NIQE).",
 )
-@click.option("--table", "tables", help="paper, rivals: NAME,... of its tables [default: all, by priority].")
+@click.option(
+    "--table",
+    "tables",
+    help="paper, rivals: NAME,... of the tables whose runs are begun [default: all, by priority]; other rows are kept.",
+)
 @click.option(
     "--limit-s",
     type=click.FloatRange(min=0),

@@ -44,9 +44,13 @@ class Asked:
         return found[:1] if self.quick else found
 
     def earlier_rows(self) -> dict[str, dict]:
-        """Return the rows of the earlier document that are runs of cells, by what was asked of each."""
-        found = json.loads(self.earlier.read_text())["rows"] if self.earlier and self.earlier.exists() else []
-        return {row["asked"]: row for row in found if "asked" in row}
+        """Return the runs of cells of the earlier document, the refused ones as well, by the names of their cells."""
+        from reconstruction.bench.paper.summary import name_of  # late, for a capture host has no torch
+
+        found = json.loads(self.earlier.read_text()) if self.earlier and self.earlier.exists() else {}
+        rows = [row for part in ("rows", "refused") for row in found.get(part, []) if "asked" in row]
+        runs = ({key: row[key] for key in row if key != "kept"} for row in rows)
+        return {name_of(run): run for run in runs}
 
     @property
     def seeds(self) -> tuple[int, ...]:

@@ -183,10 +183,13 @@ def _protocol(asked: Asked) -> Protocol:
     """Return the part of the paper's protocol that was asked for."""
     from reconstruction.bench.paper.protocol import PROTOCOL, QUICK
 
-    found = QUICK if asked.quick else PROTOCOL
-    if asked.tables:
-        found = found.of(tuple(asked.tables.split(",")))
+    found = _beginning(QUICK if asked.quick else PROTOCOL, asked)
     return found.on(scenes_named(asked.scenes)) if asked.scenes else found
+
+
+def _beginning(protocol: Protocol, asked: Asked) -> Protocol:
+    """Return the protocol with runs begun for the tables that were asked for."""
+    return protocol.beginning(tuple(asked.tables.split(","))) if asked.tables else protocol
 
 
 def _rivals(asked: Asked) -> BenchDocument:
@@ -209,8 +212,7 @@ def _draw_rivals(asked: Asked, out: Path, found: dict) -> None:
 def _rivals_protocol(asked: Asked) -> Protocol:
     from reconstruction.bench.rivals import rivals_protocol
 
-    found = rivals_protocol(quick=asked.quick)
-    return found.beginning(tuple(asked.tables.split(","))) if asked.tables else found
+    return _beginning(rivals_protocol(quick=asked.quick), asked)
 
 
 def _viewpoints(asked: Asked) -> BenchDocument:

@@ -51,24 +51,23 @@ def run_protocol(
 ) -> BenchDocument:
     """Run the cells that have no result yet, the most wanted first, and return the document of that name.
 
-    Without `time_left` no cell is begun. Cells that were refused or left out stand in the omissions. The summary is
-    empty.
+    Without `time_left` no cell is begun. A cell that is not begun has the row of an earlier document, by whatever code.
+    Cells that were refused or left out stand in the omissions. The summary is empty.
     """
-    document, refusals = BenchDocument(name), {}
+    document, unknown = BenchDocument(name), {}
     cells, begins = protocol.cells(), protocol.begins()
     for number, cell in enumerate(cells):
         progress(number / len(cells), cell.name)
         try:
             found = laboratory.known(cell)
-            if found is None and cell.name in begins and time_left():
-                found = laboratory.result(cell)
+            if found is None:
+                begun = cell.name in begins and time_left()
+                found = laboratory.result(cell) if begun else laboratory.older(cell)
         except Spike4dgsError as refusal:
-            found = {"refused": " ".join(str(refusal).split())}
-        if found and "refused" in found:
-            refusals[cell.name] = found["refused"]
-        elif found:
-            document.rows.append(found)
-    _omissions(document, protocol, refusals)
+            found, unknown[cell.name] = None, " ".join(str(refusal).split())
+        if found:
+            (document.refused if "refused" in found else document.rows).append(found)
+    _omissions(document, protocol, unknown | {name_of(row): row["refused"] for row in document.refused})
     progress(1.0, f"{len(document.rows)} of {len(cells)} runs")
     return document
 
@@ -90,6 +89,6 @@ def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[st
         if row["budget_s"] is not None and row["seconds"] > (1 + OVERRUN) * row["budget_s"]:
             took = f"took {row['seconds']:.0f} s: the stages before training left no time for it"
             document.omissions.append(f"{name_of(row)}: {took}")
-    others = sorted({r["revision"] for r in document.rows if r.get("kept")})
+    others = sorted({r["revision"] for r in (*document.rows, *document.refused) if r.get("kept")})
     if others:
         document.omissions.append(f"kept from other code, at the revisions {', '.join(others)}")

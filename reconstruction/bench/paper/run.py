@@ -34,9 +34,9 @@ WARM_UP = Effort(steps=2)  # length of the run that loads what a process loads o
 class Laboratory:
     """Runs cells in the folder `work` on the recordings that `recording_of` returns for a scene and seed.
 
-    `earlier` has rows of an earlier document by what was asked, so that a bench goes on where its folder is gone. With
-    `keep` results of other code are taken as they are. The methods named by `floors` are scored beside the floors. A
-    refusal or failure is kept as well, with its reason, so that one run does not end a bench of hours.
+    `earlier` has rows of an earlier document by the names of their cells, so that a bench goes on where its folder is
+    gone. With `keep` results of other code are taken as they are. The methods named by `floors` are scored beside the
+    floors. A refusal or failure is kept as well, with its reason, so that one run does not end a bench of hours.
     """
 
     work: Path
@@ -61,10 +61,17 @@ class Laboratory:
     def known(self, cell: Cell) -> dict | None:
         """Return the row that was kept of a cell, in the folder or by an earlier document; None where there is none."""
         folder = self.kept(cell)
-        if folder is None:
-            return self.earlier.get(asked_digest(cell))
-        row = _row(folder)
-        return row if row.get("code") == this_code(cell.method) else row | {"kept": True}
+        if folder:
+            row = _row(folder)
+            return row if row.get("code") == this_code(cell.method) else row | {"kept": True}
+        if (known := self.earlier.get(cell.name)) and known["asked"] == asked_digest(cell):
+            return known
+        return self.older(cell) if self.keep else None
+
+    def older(self, cell: Cell) -> dict | None:
+        """Return an earlier document's row of a cell of this name, marked as kept; None where it has none."""
+        row = self.earlier.get(cell.name)
+        return row and row | {"kept": True}
 
     def runs(self, cells: Iterable[Cell]) -> list[tuple[KnownRecording, RunFolder]]:
         """Return each cell's recording and run, made where there is none; raises ReconstructionError if refused."""

@@ -162,6 +162,9 @@ class ToldLaboratory:
         row |= {"budget_s": cell.effort.budget_s, "seconds": 60.0, "revision": "abc"}
         return None if scores is None else row | scores
 
+    def older(self, cell):
+        return None
+
 
 @pytest.fixture
 def told_laboratory():

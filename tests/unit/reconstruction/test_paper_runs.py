@@ -120,14 +120,37 @@ def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, mon
 def test_a_bench_goes_on_by_its_document_where_its_folder_is_gone(laboratory, tmp_path, monkeypatch):
     before = bench_paper(PROTOCOL, laboratory.own, silent)
     document = tmp_path / "paper.json"
-    document.write_text(json.dumps({"rows": [*before.rows, {"part": "of another kind"}]}))
+    document.write_text(json.dumps(before.to_json() | {"rows": [*before.rows, {"part": "of another kind"}]}))
     shutil.rmtree(laboratory.own.work / "cells")
     laboratory.own.earlier = Asked(tmp_path, lambda name: silent, document).earlier_rows()
     laboratory.made.clear()
     again = bench_paper(PROTOCOL, laboratory.own, silent)
-    assert (again.rows, laboratory.made) == (before.rows, ["fan_and_ball-2-bad-10"])  # refusals are in no row
+    assert (again.rows, again.omissions, laboratory.made) == (before.rows, before.omissions, [])
     monkeypatch.setattr(digest, "code_digest", lambda method: "other")
-    assert laboratory.own.known(Cell(GOOD, "fan_and_ball", 2, EFFORT)) is None
+    cell = Cell(GOOD, "fan_and_ball", 2, EFFORT)
+    assert laboratory.own.known(cell) is None
+    laboratory.own.keep = True
+    assert laboratory.own.known(cell) == before.rows[0] | {"kept": True}
+
+
+def test_rows_of_other_code_outlive_a_bench_that_does_not_begin_their_cells(laboratory, tmp_path, monkeypatch):
+    before = bench_paper(PROTOCOL, laboratory.own, silent)
+    document = tmp_path / "paper.json"
+    other = Table("u", "U", "", (Row("good", GOOD),))
+    both = Protocol((TABLE, other), (*PROTOCOL.batches, Batch("u", ("fan_and_ball",), (Effort(20.0),))))
+    shutil.rmtree(laboratory.own.work / "cells")
+    monkeypatch.setattr(digest, "code_digest", lambda method: "other")
+    found = before
+    for protocol, limit_s in ((both.beginning(("u",)), None), (both, 0.0)):
+        document.write_text(json.dumps(found.to_json()))
+        laboratory.own.earlier = Asked(tmp_path, lambda name: silent, document).earlier_rows()
+        found = bench_paper(protocol, laboratory.own, silent, timer(limit_s))
+        assert [row for row in found.rows if row["effort"] == "10"] == [row | {"kept": True} for row in before.rows]
+        assert "t, bad: recordings/one: found no depth (fan_and_ball-2 @10)" in found.omissions
+        assert f"kept from other code, at the revisions {before.rows[0]['revision']}" in found.omissions
+    assert laboratory.made[2:] == ["fan_and_ball-2-good-20"]
+    again = bench_paper(both, laboratory.own, silent)
+    assert {row["code"] for row in (*again.rows, *again.refused)} == {"other"}
 
 
 def test_a_first_call_has_no_earlier_rows(tmp_path):
