@@ -21,9 +21,9 @@ class BenchDocument:
     bench: str
     rows: list[dict] = field(default_factory=list)
     omissions: list[str] = field(default_factory=list)
-    refused: list[dict] = field(default_factory=list)
     summary: dict[str, float] = field(default_factory=dict)
     scenes: str = ""
+    refused: list[dict] = field(default_factory=list)
 
     def to_json(self) -> dict:
         """Return the whole document, with the machine and the code it was measured on."""
