@@ -16,6 +16,7 @@ from reconstruction.images.pixels import read_pixels
 from reconstruction.images.response import Response
 from reconstruction.initialization.gains import DARKEST
 from reconstruction.initialization.sweep import depth_range_m, neighbours
+from reconstruction.lenses.straight import straightening, view_of
 from reconstruction.metrics.depth import abs_rel, delta_1_25
 from reconstruction.metrics.image import mean_over, psnr_db, ssim_map
 from reconstruction.native import shared_out
@@ -24,7 +25,6 @@ from reconstruction.scene_model import SceneModel, View
 from reconstruction.truth import Truth, TruthFrame, spread
 from rigs.camera import Camera
 from rigs.similarity import align
-from rigs.straight import straightening, view_of
 
 INSTANTS = 8  # truth instants that a run is scored on
 Posed = tuple[Camera, CompositeSource]

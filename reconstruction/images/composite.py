@@ -16,9 +16,9 @@ from reconstruction.images.catalogue import ImageMethod
 from reconstruction.images.flicker import Light
 from reconstruction.images.mending import mended
 from reconstruction.images.response import Response
+from reconstruction.lenses.resampling import WHOLE, Part
+from reconstruction.lenses.straight import Straightening
 from rigs.camera import Camera
-from rigs.resampling import WHOLE, Part
-from rigs.straight import Straightening
 
 Mask = NDArray[np.bool_]
 MethodFor = Callable[[SpikeStream, Mask], ImageMethod]

@@ -1,7 +1,7 @@
 """Straightens target images and counts to the pinhole view of a camera, once from the recorded pixels.
 
-Here the pipeline goes over from recorded pictures to those it works in (`rigs.straight`). Whatever looks at spikes
-pixel by pixel (image methods, movers, stuck pixels) looks at the recorded ones; its result is straightened.
+Here the pipeline goes over from recorded pictures to those it works in (`reconstruction.lenses`). Whatever looks at
+spikes pixel by pixel (image methods, movers, stuck pixels) looks at the recorded ones; its result is straightened.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.background import Background
 from reconstruction.images.composite import CompositeSource, Mask, MethodFor
 from reconstruction.images.mending import mended, nearest_good
-from rigs.resampling import WHOLE, Part
-from rigs.straight import Straightening
+from reconstruction.lenses.resampling import WHOLE, Part
+from reconstruction.lenses.straight import Straightening
 
 Image = NDArray[np.float32]
 MOSTLY = 0.5  # least share of a pixel's light from where one surface is seen most of the time

@@ -26,11 +26,12 @@ from reconstruction.images.composite import WHITE_PERCENTILE, CompositeSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.response import Response
 from reconstruction.images.straightened import straightened
+from reconstruction.lenses.straight import straightening, views_of
+from reconstruction.parallel import each
 from reconstruction.run.decisions import Plan
 from reconstruction.run.folder import RunFolder
 from rigs.camera import Camera
 from rigs.rig import Rig
-from rigs.straight import straightening, views_of
 from rigs.toml import dump_rig, load_rig
 
 LIGHT = "plan/light"  # gain [T] of each plane
@@ -80,11 +81,13 @@ def straight_views(
     recording: Recording, sources: Mapping[str, CompositeSource]
 ) -> dict[str, tuple[Camera, CompositeSource]]:
     """Return the pinhole of every source's camera, by its id, and the source straightened where a lens bends."""
-    cameras, views = views_of(recording.rig, tuple(sources)), {}
-    for view, source in sources.items():
-        own, pinhole = recording.rig.camera(view), cameras[view]
-        views[view] = pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))
-    return views
+    cameras = views_of(recording.rig, tuple(sources))
+
+    def straight(view: str) -> tuple[Camera, CompositeSource]:
+        own, pinhole, source = recording.rig.camera(view), cameras[view], sources[view]
+        return pinhole, source if pinhole is own else straightened(source, straightening(own, pinhole))
+
+    return dict(zip(sources, each(straight, sources), strict=True))
 
 
 def read_empty(run: RunFolder, view: str) -> NDArray[np.float32] | None:

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.lenses.straight import straightening, view_of
 from reconstruction.scene_model import View
 from rigs.camera import Camera
-from rigs.straight import straightening, view_of
 
 
 def seen_through(camera: Camera, look: Callable[[Camera], View]) -> View:

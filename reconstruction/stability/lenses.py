@@ -16,10 +16,10 @@ from reconstruction.images.flicker import Light
 from reconstruction.images.pixels import PixelCalibration
 from reconstruction.images.response import NEVER, Response
 from reconstruction.images.straightened import straightened
+from reconstruction.lenses.straight import Straightening, straightening, view_of
 from reconstruction.stability.case import Case, Observation, refusal
 from rigs.camera import Camera
 from rigs.lens import LensModel
-from rigs.straight import Straightening, straightening, view_of
 from rigs.transform import Transform
 
 SIZE, FOCAL_PX = (61, 43), 53.0  # width and height, as for the lab rig's field

@@ -17,9 +17,9 @@ from torch import Tensor
 
 from acquisition.spikes.stream import SpikeStream
 from reconstruction.images.flicker import Light
+from reconstruction.lenses.straight import Straightening
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
-from rigs.straight import Straightening
 
 WINDOW = 32  # planes of a count
 BOX_PX = 5  # width of the square that counts are pooled over

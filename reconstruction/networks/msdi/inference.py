@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from acquisition.progress import Progress, silent
 from acquisition.spikes.stream import SpikeStream
+from reconstruction.lenses.straight import Straightening, straightening, views_of
 from reconstruction.networks.image_networks import gathered, image_network, infer
 from reconstruction.networks.msdi.features import channels, working_factor
 from reconstruction.networks.msdi.network import Msdi, Solved
@@ -23,7 +24,6 @@ from reconstruction.networks.msdi.views import Views
 from reconstruction.networks.rates import Floats, rates
 from rigs.camera import Camera
 from rigs.rig import Rig
-from rigs.straight import Straightening, straightening, views_of
 
 
 @dataclass(frozen=True, eq=False)

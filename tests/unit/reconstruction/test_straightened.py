@@ -19,6 +19,7 @@ from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.response import NEVER, Response
 from reconstruction.images.straightened import straightened
+from reconstruction.lenses.straight import straightening, view_of
 from reconstruction.losses.counts import robust_loss
 from reconstruction.methods.definition import SpikeSampling
 from reconstruction.rendering.result import Rendering
@@ -30,7 +31,6 @@ from reconstruction.training.spike_term import SpikeTerm, part_with_mover
 from reconstruction.training.view import TrainingView
 from rigs.camera import Camera
 from rigs.clock import RigClock
-from rigs.straight import straightening, view_of
 from rigs.transform import Transform
 
 W, H, PLANES, RATE_HZ = 60, 43, 64, 20_000.0

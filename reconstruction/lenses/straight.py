@@ -6,7 +6,7 @@ Q pixels of the view.
 
 - Each pixel of the camera covers a quadrilateral of the view. By the areas that these have in a pixel of the view, it
   holds J pixels of the camera. (Sides are straight: at 400 pixels and a bend of 10% that errs by 1e-4 px.)
-- L [Q, P] reads the camera's picture at the middles of the view's pixels (`rigs.resampling`); its rows sum to one.
+- L [Q, P] reads the camera's picture at the middles of the view's pixels (`resampling`); its rows sum to one.
 - S = J L / c with c = J L summed over Q: the share of each pixel's charge that goes to each pixel of the view. Its
   columns sum to one, so charge S d is that of d. c is one to 1.5%, and to 10% at the edge.
 - Light is (S d) / (S 1): even light stays even. S 1 (`exposure`) times it is the charge again.
@@ -26,10 +26,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.lenses.resampling import WHOLE, Part, Reading, readings
 from rigs.camera import Camera
 from rigs.errors import RigError
 from rigs.lens import Lens
-from rigs.resampling import WHOLE, Part, Reading, readings
 from rigs.rig import Rig
 from rigs.transform import Floats, Transform
 
@@ -66,7 +66,7 @@ class Straightening:
     def _even(self) -> tuple[Image, Image]:
         """1 / c [h, w], and what the view reads of it [H, W]."""
         weights = self._density / np.float64(len(self.forth))
-        given = np.sum([reading.spread(weights, self.size) for reading in self.forth], axis=0)
+        given = np.sum([reading.spread(weights) for reading in self.forth], axis=0)
         inverse = (1 / given).astype(np.float32)
         return inverse, self._read(inverse, WHOLE)
 
@@ -82,7 +82,7 @@ class Straightening:
         Off by up to a third within `resampling.REACH` pixels of the edge, which stands in for what lies beyond.
         """
         inverse, even = self._even
-        variance = np.mean([reading(inverse * inverse, squared=True) for reading in self.forth], axis=0)
+        variance = np.mean([reading.squared(inverse * inverse) for reading in self.forth], axis=0)
         found = np.sqrt(np.maximum(variance, 0)) / even
         return np.where(self.covered, found, 1).astype(np.float32)
 
@@ -112,10 +112,9 @@ class Straightening:
 
     def nearest(self, image: NDArray) -> NDArray:
         """Return what the middles of the camera's pixels [h, w] see of a picture [H, W] of the view: for depths."""
-        return image[self.back[len(self.back) // 2].nearest(image.shape)]
+        return image[self.back[len(self.back) // 2].nearest]
 
     def _read(self, image: NDArray, part: Part) -> Image:
-        image = image.astype(np.float32, copy=False)
         return np.asarray(np.mean([reading(image, part) for reading in self.forth], axis=0), np.float32)
 
 

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from acquisition.native import code_path, code_paths
+from reconstruction.lenses.resampling import REACH, Reading, readings
+from reconstruction.lenses.straight import overlaps, straightening, view_of, views_of
 from rigs.camera import Camera
 from rigs.errors import RigError
-from rigs.resampling import REACH, Reading, readings
 from rigs.rig import Rig
-from rigs.straight import overlaps, straightening, view_of, views_of
 from rigs.transform import Transform
 
 LENSES = {
@@ -164,8 +165,40 @@ def test_readings_are_lanczos_sums():
         wanted[spot] = (wy / wy.sum()) @ window @ (wx / wx.sum())
     np.testing.assert_allclose(reading(picture), wanted, atol=1e-5)
     values = rng.random((5, 7))
-    given = reading.spread(values, (9, 12))
+    given = reading.spread(values)
     assert given.ravel() @ picture.ravel() == pytest.approx(float((values * wanted).sum()), rel=1e-5)  # the adjoint
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (17, 23)])
+def test_a_part_is_read_as_the_whole_is(size):
+    rng = np.random.default_rng(4)
+    picture = rng.random(size).astype(np.float32)
+    reading = Reading.at(rng.uniform(-1, max(size) + 1, (6, 11, 2)), size)
+    whole, one = reading(picture), np.zeros((6, 11), bool)
+    one[3, 7] = True
+    with pytest.raises(ValueError, match="found a picture of"):
+        reading(np.zeros((size[0] + 1, size[1]), np.float32))
+    for part in (np.zeros((6, 11), bool), one, rng.random((6, 11)) < 0.5, np.s_[2:5, 1:9], np.s_[1:1, :], np.s_[4:]):
+        np.testing.assert_array_equal(reading(picture, part), whole[part])
+
+
+def sums(reading: Reading, picture: np.ndarray) -> np.ndarray:
+    """Return what `reading` makes of a picture [h, w], in float64 and from its weights."""
+    padded, reach = np.pad(picture, REACH, mode="edge"), np.arange(2 * REACH)
+    windows = padded[reading.row[..., None, None] + reach[:, None], reading.column[..., None, None] + reach]
+    return np.einsum("hwi,hwij,hwj->hw", reading.down.astype(np.float64), windows, reading.across.astype(np.float64))
+
+
+@pytest.mark.parametrize("path", code_paths())
+@pytest.mark.parametrize("scale", [0.0, 1e-30, 1.0, 1e30])
+def test_every_build_reads_sums_at_any_scale_and_spreads_no_further_what_is_no_number(path, scale):
+    rng = np.random.default_rng(5)
+    picture = (rng.random((20, 31)) * scale).astype(np.float32)
+    reading = Reading.at(rng.uniform(0, 31, (13, 9, 2)), picture.shape)
+    with code_path(path):
+        np.testing.assert_allclose(reading(picture), sums(reading, picture), rtol=1e-5, atol=1e-6 * scale)
+        picture[3, 5] = np.nan
+        np.testing.assert_array_equal(np.isnan(reading(picture)), np.isnan(sums(reading, picture)))
 
 
 def test_sparse_places_stand_for_means():

@@ -1,0 +1,1 @@
+"""Goes between what a bent lens records and the pinhole view that the pipeline works in."""
