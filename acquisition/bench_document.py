@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -37,6 +37,19 @@ class BenchDocument:
             "refused": self.refused,
             "summary": {k: round(v, 6) for k, v in self.summary.items()},
         }
+
+
+def machines_of(document: dict, rows: Sequence[dict]) -> str:
+    """Name the machines that made `rows`: their own where they tell, else the document's."""
+    known = {(row["processor"], row["threads"]) for row in rows if "processor" in row}
+    known = known or {(document["device"]["processor"], document["device"]["threads"])}
+    return "; ".join(f"{processor}, {threads} threads" for processor, threads in sorted(known))
+
+
+def revisions_of(document: dict, rows: Sequence[dict]) -> str:
+    """Name the revisions that made `rows`: their own where they are runs of cells, else the document's."""
+    known = sorted({row["revision"] for row in rows if "asked" in row} or {document["revision"]})
+    return f"revision{'s' if len(known) > 1 else ''} {', '.join(known)}"
 
 
 def device() -> dict[str, str | int]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bench_document import BenchDocument
+from acquisition.bench_document import BenchDocument, machines_of, revisions_of
 from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
@@ -83,10 +83,10 @@ class KnownRecording:
 
 
 def made_by(document: dict, against: str = "") -> str:
-    """Return the line of a page that says which command, revision and machine made its document."""
-    name, device = document["bench"], document["device"]
-    made = f"`spike4dgs bench {name}`, revision {document['revision']}{against}"
-    return f"{made}, {device['processor']}, {device['threads']} threads; drawn from [{name}.json]({name}.json)."
+    """Return the line of a page that says which command, revisions and machines made its document."""
+    name, rows = document["bench"], document["rows"]
+    made = f"`spike4dgs bench {name}`, {revisions_of(document, rows)}{against}"
+    return f"{made}, {machines_of(document, rows)}; drawn from [{name}.json]({name}.json)."
 
 
 def truth_of(recording: Recording) -> Truth:

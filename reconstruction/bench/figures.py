@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.bench_document import machines_of, revisions_of
 from acquisition.durable import write_durably
 
 SIZE = (8.6, 5.2)  # inches
@@ -124,14 +125,12 @@ def chart(path: Path, title: str, names: tuple[str, str], below: str, *, log_x: 
 
 
 def caption(document: dict, rows: Sequence[dict], *more: str) -> str:
-    """Return the lines below a figure: machine, threads, revision and recordings of `rows`, then `more`."""
-    machines = {(r["processor"], r["threads"]) for r in rows if "processor" in r}
-    machines = machines or {(document["device"]["processor"], document["device"]["threads"])}
-    on = "; ".join(f"{processor}, {threads} threads" for processor, threads in sorted(machines))
+    """Return the lines below a figure: machines, revisions and recordings of `rows`, then `more`."""
     scenes = {r["scene"] for r in rows if "seed" in r}
     seeds = {scene: sorted({str(r["seed"]) for r in rows if r.get("scene") == scene}) for scene in scenes}
     clips = ", ".join(f"{scene} {' '.join(numbers)}" for scene, numbers in sorted(seeds.items()))
-    lines = (f"{on}; revision {document['revision']}{clips and '; '}{clips}.", *more)
+    made = f"{machines_of(document, rows)}; {revisions_of(document, rows)}"
+    lines = (f"{made}{clips and '; '}{clips}.", *more)
     return "\n".join(part for text in lines for part in textwrap.wrap(text, CAPTION_CHARACTERS))
 
 

@@ -1,4 +1,4 @@
-// Reads a picture between its pixels, 8 rows and columns a place.
+// Reads a picture between its pixels, 8 rows and columns a place; twin of `read_between_reference` in the tests.
 #include <cstdint>
 
 #include "native.h"
@@ -7,17 +7,17 @@
 // `down` and `across`. Of the arrays start [all], down and across [all, 8] those places count that are `chosen` [places].
 S4_API void read_between(const float *picture, int64_t stride, const int64_t *start, const float *down,
                          const float *across, const int64_t *chosen, int64_t places, float *values) {
-    constexpr int kReach = 8;
+    constexpr int kTaps = 8;
     for (int64_t place = 0; place < places; ++place) {
-        const float *rows = down + chosen[place] * kReach, *columns = across + chosen[place] * kReach;
+        const float *rows = down + chosen[place] * kTaps, *columns = across + chosen[place] * kTaps;
         const float *at = picture + start[chosen[place]];
-        float lines[kReach] = {};
-        for (int row = 0; row < kReach; ++row, at += stride) {
+        float lines[kTaps] = {};
+        for (int row = 0; row < kTaps; ++row, at += stride) {
 #pragma omp simd
-            for (int column = 0; column < kReach; ++column) lines[column] += at[column] * rows[row];
+            for (int column = 0; column < kTaps; ++column) lines[column] += at[column] * rows[row];
         }
         float value = 0;
-        for (int column = 0; column < kReach; ++column) value += lines[column] * columns[column];
+        for (int column = 0; column < kTaps; ++column) value += lines[column] * columns[column];
         values[place] = value;
     }
 }

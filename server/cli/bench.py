@@ -45,7 +45,7 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     type=click.FloatRange(min=0),
     help="Benches of many runs: begin nothing after so many seconds.",
 )
-@click.option("--keep", is_flag=True, help="paper: keep results of other code revisions; their rows say so.")
+@click.option("--keep", is_flag=True, help="Benches of many runs: keep results of other code; their rows say so.")
 @click.option(
     "--against",
     metavar="COMMAND",

@@ -54,7 +54,7 @@ def run_protocol(
     Without `time_left` no cell is begun. A cell that is not begun has the row of an earlier document, by whatever code.
     Cells that were refused or left out stand in the omissions. The summary is empty.
     """
-    document, unknown = BenchDocument(name), {}
+    document, unmade = BenchDocument(name), {}
     cells, begins = protocol.cells(), protocol.begins()
     for number, cell in enumerate(cells):
         progress(number / len(cells), cell.name)
@@ -64,10 +64,10 @@ def run_protocol(
                 begun = cell.name in begins and time_left()
                 found = laboratory.result(cell) if begun else laboratory.older(cell)
         except Spike4dgsError as refusal:
-            found, unknown[cell.name] = None, " ".join(str(refusal).split())
+            found, unmade[cell.name] = None, " ".join(str(refusal).split())
         if found:
             (document.refused if "refused" in found else document.rows).append(found)
-    _omissions(document, protocol, unknown | {name_of(row): row["refused"] for row in document.refused})
+    _omissions(document, protocol, unmade | {name_of(row): row["refused"] for row in document.refused})
     progress(1.0, f"{len(document.rows)} of {len(cells)} runs")
     return document
 

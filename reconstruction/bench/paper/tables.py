@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.bench_document import machines_of, revisions_of
 from acquisition.durable import write_durably
 from reconstruction.bench.conventions import means
 from reconstruction.bench.paper.bench import NOT_RUN, lacks_runs
@@ -176,12 +177,12 @@ def figures_of(figures: Figures) -> str:
 
 
 def _head(document: dict) -> str:
-    machines = sorted({(r["processor"], r["threads"]) for r in document["rows"]})
-    on = "; ".join(f"{processor}, {threads} threads" for processor, threads in machines) or "nothing has been run"
+    rows = document["rows"]
+    made = f"{machines_of(document, rows)}; {revisions_of(document, rows)}" if rows else "nothing has been run"
     return (
-        f"# The paper's tables, as ours\n\nOurs: simulated scenes, the centre view held out, linear light; {on}; "
-        f"revision {document['revision']}. Seconds are of the wall, from recording to last step; the clock stands "
-        f"while a result is scored, and a run that warms up comes before.{_disturbed(document['rows'])} "
+        f"# The paper's tables, as ours\n\nOurs: simulated scenes, the centre view held out, linear light; {made}. "
+        f"Seconds are of the wall, from recording to last step; the clock stands "
+        f"while a result is scored, and a run that warms up comes before.{_disturbed(rows)} "
         "The paper's figures were measured by its "
         "authors on other scenes and one RTX 4090: what may be compared is the order of the rows, not the numbers."
     )
