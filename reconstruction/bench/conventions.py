@@ -83,10 +83,12 @@ class KnownRecording:
 
 
 def made_by(document: dict, against: str = "") -> str:
-    """Return the line of a page that says which command, revisions and machines made its document."""
+    """Return the line of a page that says which command, revision and machine made its document, and which its rows."""
     name, rows = document["bench"], document["rows"]
-    made = f"`spike4dgs bench {name}`, {revisions_of(document, rows)}{against}"
-    return f"{made}, {machines_of(document, rows)}; drawn from [{name}.json]({name}.json)."
+    made = f"`spike4dgs bench {name}`, {revisions_of(document, [])}{against}, {machines_of(document, [])}"
+    older = any(of(document, rows) != of(document, []) for of in (revisions_of, machines_of))
+    from_rows = f"; rows of {revisions_of(document, rows)}, {machines_of(document, rows)}" if older else ""
+    return f"{made}{from_rows}; drawn from [{name}.json]({name}.json)."
 
 
 def truth_of(recording: Recording) -> Truth:
