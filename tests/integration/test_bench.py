@@ -34,7 +34,7 @@ def test_a_bench_prints_one_document(name, tmp_path):
     command = [sys.executable, "-m", "server.cli", "bench", name, "--quick", "--json", "--out", str(tmp_path)]
     result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
     document = json.loads(result.stdout)
-    assert set(document) == {"bench", "device", "revision", "scenes", "rows", "omissions", "summary"}
+    assert set(document) == {"bench", "device", "revision", "scenes", "rows", "omissions", "refused", "summary"}
     assert set(document["summary"]) >= NAMES[name]
     assert all(value > 0 for value in document["summary"].values())
     assert all("seconds" in row for row in document["rows"])
