@@ -20,7 +20,7 @@ from reconstruction.bench.figures import (
 )
 from reconstruction.bench.long_page import plot_long
 from reconstruction.bench.paper.diagrams import BARS
-from reconstruction.bench.rivals import plot_rivals
+from reconstruction.bench.rivals_diagram import plot_rivals
 from reconstruction.bench.speed_diagram import plot_speed
 from reconstruction.bench.training_diagram import plot_training
 from reconstruction.bench.uncertainty_page import plot_uncertainty

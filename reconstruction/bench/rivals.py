@@ -15,13 +15,11 @@ from acquisition.durable import write_durably
 from acquisition.progress import Progress
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC, REALISTIC_EVALUATION
 from reconstruction.bench.conventions import made_by, named
-from reconstruction.bench.figures import bars, caption, chart, errors
 from reconstruction.bench.paper import methods as m
-from reconstruction.bench.paper.bench import lacks_runs, run_protocol
-from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
+from reconstruction.bench.paper.bench import run_protocol
 from reconstruction.bench.paper.method import Batch, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.paper.summary import gaps, lengths, name_of, summarise
+from reconstruction.bench.paper.summary import gaps, name_of, summarise
 from reconstruction.bench.paper.tables import omitted, sittings, whole_tables
 
 SHORTEST, SHORT, LONG, HALF_HOUR = (Effort(seconds) for seconds in (15.0, 60.0, 300.0, 1800.0))
@@ -44,7 +42,6 @@ ROWS = (
 )
 LABELS = {row.method.name: row.label for row in ROWS if row.method}
 METHODS = tuple(LABELS)
-TIME_RATIO = 4.0  # of the ends of the axis of time, at least
 
 
 class Group(NamedTuple):
@@ -114,38 +111,3 @@ def write_page(path: Path, document: dict, protocol: Protocol) -> None:
     parts = ["# Ours and its rivals", made_by(document), about, *whole_tables(document, protocol)]
     parts += [omitted(document), sittings(document["rows"])]
     write_durably(path, "\n\n".join(parts).encode() + b"\n")
-
-
-def _unfinished(document: dict) -> set[str]:
-    """Return the scenes of tables that still lack runs, but for those of a whole one with all methods."""
-    lacking = [group for name, group in GROUPS.items() if lacks_runs(document["omissions"], name)]
-    whole = {s for group in GROUPS.values() if group not in lacking and not group.methods for s in group.scenes}
-    return {scene for group in lacking for scene in group.scenes} - whole
-
-
-def _recording(row: dict) -> tuple[str, int]:
-    return row["scene"], row["seed"]
-
-
-def plot_rivals(path: Path, document: dict) -> None:
-    """Draw error against run time: the ends of runs of each method, on the recordings that have every length of ours.
-
-    Scenes of tables that still lack runs are left out. Nothing is drawn where ours was not run.
-    """
-    unfinished = _unfinished(document)
-    known = [row for row in document["rows"] if row["scene"] not in unfinished]
-    ours = [row for row in known if row["method"] == m.AUTO.name]
-    if not ours:
-        return
-    recordings = set.intersection(*({_recording(row) for row in own} for own in lengths(ours)))
-    efforts = {row["effort"] for row in ours}
-    rows = [row for row in known if _recording(row) in recordings and row["effort"] in efforts]
-    below = caption(document, rows, BARS, "Every mark is the end of runs of one length.")
-    with chart(path, "Ours and its rivals: error against run time", (SECONDS, ERROR), below) as axes:
-        for number, name in enumerate(METHODS):
-            own = lengths([row for row in rows if row["method"] == name])
-            ends = {float(np.median([row["seconds"] for row in some])): errors(some) for some in own}
-            bars(axes, dict(sorted(ends.items())), number, LABELS[name])
-        least, most = axes.get_xlim()
-        reach = max(1.0, TIME_RATIO * least / most) ** 0.5
-        axes.set_xlim(least / reach, most * reach)

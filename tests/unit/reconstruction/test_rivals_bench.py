@@ -6,11 +6,12 @@ from dataclasses import asdict
 import pytest
 
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC, REALISTIC_EVALUATION
-from reconstruction.bench import rivals
+from reconstruction.bench import rivals_diagram
 from reconstruction.bench.conventions import seed_of
 from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.paper.tables import sittings
-from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, plot_rivals, rivals_protocol, write_page
+from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, rivals_protocol, write_page
+from reconstruction.bench.rivals_diagram import plot_rivals
 
 ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
 
@@ -19,7 +20,7 @@ def measured(laboratory, known_of=lambda cell: True):
     def scores_of(cell):
         level = 40.0 - METHODS.index(cell.method.name) - (1 if cell.scene == EVALUATION[0] else 0)
         row = {"psnr_db": level, "ssim": 0.9, "abs_rel": 0.01, "delta_1_25": 1.0, "steps_per_s": 20.0, "gaussians": 9}
-        row |= {"curve": [], "processor": "p", "threads": 2}
+        row |= {"curve": [], "processor": "p", "threads": 2, "seconds": cell.effort.budget_s}
         return row if known_of(cell) else None
 
     protocol = rivals_protocol()
@@ -65,13 +66,29 @@ def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, t
 def test_a_scene_of_a_table_that_lacks_runs_and_more_seeds_are_not_drawn(tmp_path, told_laboratory, monkeypatch):
     drawn = []
     recordings = lambda document, rows, *about: drawn.append({(row["scene"], row["seed"]) for row in rows})  # noqa: E731
-    monkeypatch.setattr(rivals, "caption", recordings)
+    monkeypatch.setattr(rivals_diagram, "caption", recordings)
     lacking = REALISTIC_EVALUATION[1], METHODS[-1]
     for known_of in (lambda cell: True, lambda cell: (cell.scene, cell.method.name) != lacking):
         _, document = measured(told_laboratory, lambda cell, of=known_of: of(cell) and cell.effort.budget_s <= 60)
         plot_rivals(tmp_path / "rivals.png", json.loads(json.dumps(document)))
     known = *DEVELOPMENT, *REALISTIC, *EVALUATION
     assert drawn == [{(s, seed_of(s)) for s in (*known, *more)} for more in (REALISTIC_EVALUATION, ())]
+
+
+@pytest.mark.parametrize(
+    ("lacking", "panels"), [(None, ["15, 60 s: 14", "15, 60, 300 s: 2"]), (300.0, ["15, 60 s: 14"])]
+)
+def test_a_panel_has_the_recordings_of_its_lengths(tmp_path, told_laboratory, monkeypatch, lacking, panels):
+    figures = []
+    monkeypatch.setattr(rivals_diagram, "write_figure", lambda path, figure, below: figures.append(figure))
+    _, document = measured(told_laboratory, lambda cell: cell.effort.budget_s != lacking)
+    plot_rivals(tmp_path / "rivals.png", document)
+    (figure,) = figures
+    assert [axes.get_title() for axes in figure.axes] == [f"recordings run for {panel}" for panel in panels]
+    for axes, panel in zip(figure.axes, panels, strict=True):
+        ends = [line for line in axes.lines if not line.get_label().startswith("_")]
+        assert [line.get_label() for line in ends] == [row.label for row in ROWS]
+        assert {len(line.get_xdata()) for line in ends} == {panel.count(",") + 1}
 
 
 def test_a_table_that_lacks_a_run_is_not_printed(tmp_path, told_laboratory):
