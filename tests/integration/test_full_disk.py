@@ -125,7 +125,7 @@ def test_a_full_disk_is_emptied_from_the_service(deployment: Deployment, disk: P
         upload = client.begin_upload(UploadRequest(name="a", bytes=1000)).id
         fill(disk, 0)
         with pytest.raises(RefusedError) as refused:
-            client.begin_upload(UploadRequest(name="b", bytes=1000))
+            client.begin_upload(UploadRequest(name="b", bytes=8 << 20))  # more than a job that ends lets go of
         assert refused.value.status == 507
         for one in (waiting, job):
             assert ended(client, one) in ("cancelled", "failed")
