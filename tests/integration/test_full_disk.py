@@ -27,7 +27,7 @@ DATABASES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
 def disk(tmp_path: Path) -> Iterator[Path]:
     folder = tmp_path / "disk"
     folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=128m", "tmpfs", folder]  # its reserve holds a journal of SQLite
+    command = ["mount", "-t", "tmpfs", "-o", "size=128m", "tmpfs", folder]  # its reserve holds SQLite's journal
     mounted = subprocess.run(command, capture_output=True, text=True, check=False)
     if mounted.returncode != 0:
         pytest.skip(f"needs to mount a small disk: {mounted.stderr.strip()}")
@@ -145,7 +145,7 @@ def ended(client: ServiceClient, job_id: str) -> str:
 
 
 def deleted(client: ServiceClient, job_id: str) -> bool:
-    """Return whether the job could be deleted: its process may take a moment to end, and the room until then."""
+    """Return whether the job could be deleted: until its process has ended it may hold the job, or the last room."""
     try:
         client.delete_job(job_id)
     except RefusedError as error:
