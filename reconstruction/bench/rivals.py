@@ -67,7 +67,9 @@ GROUPS = {
     "new": Group("Scenes that nobody had run", REALISTIC_EVALUATION, (SHORT, SHORTEST)),
     "new-seeds": Group("Those scenes by three seeds each", REALISTIC_EVALUATION, (SHORT,), NEAR, (0, 1, 2)),
     "old": Group("Scenes that have been looked at", EVALUATION, (SHORT, SHORTEST)),
-    "new-long": Group("Five minutes, on two scenes that nobody had run", REALISTIC_EVALUATION[:2], (LONG,)),
+    "new-long": Group(
+        "Up to five minutes, on two scenes that nobody had run", REALISTIC_EVALUATION[:2], (LONG, SHORT, SHORTEST)
+    ),
 }
 SCORES = ("psnr_db", "dynamic_psnr_db")
 ABOUT = "True poses but in the last row."
