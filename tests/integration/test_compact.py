@@ -157,7 +157,7 @@ def killed(folder: Path, work, step: int) -> bool:
     return code == 9
 
 
-@pytest.mark.parametrize("way", [compact, restore])
+@pytest.mark.parametrize("way", [compact, pytest.param(restore, marks=pytest.mark.slow)])
 def test_killed_at_any_step_the_recording_is_whole_and_a_second_call_finishes(recorded, tmp_path, way):
     start = Path(shutil.copytree(recorded, tmp_path / "start"))
     if way is restore:

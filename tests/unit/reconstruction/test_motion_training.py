@@ -152,7 +152,7 @@ def test_the_canonical_stage_leaves_the_field_alone(kind, view):
         assert torch.equal(before[name], tensor) == name.startswith("motion."), name
 
 
-@pytest.mark.parametrize("kind", ["bases", "4dgs", "4dgs-small"])
+@pytest.mark.parametrize("kind", ["bases", pytest.param("4dgs", marks=pytest.mark.slow), "4dgs-small"])
 def test_a_motion_is_learnt_from_standing_still(kind, view, monkeypatch):
     monkeypatch.setitem(RigidMotion.rates, "knot_centers", Rate(6e-3, "scene"))  # fast, for sixty steps
     for planes in ("coarse_space", "coarse_time", "fine_space", "fine_time"):

@@ -273,6 +273,7 @@ def test_the_commands_say_what_they_take(tmp_path):
     assert isinstance(wrong.exception, BadRunError)
 
 
+@pytest.mark.slow
 def test_weights_are_scored_on_random_clips_and_the_shipped_ones_are_ahead_of_none(tmp_path):
     torch.manual_seed(1)
     write_weights(tmp_path / "first.npz", small_msdi().state_dict())
