@@ -212,7 +212,8 @@ def _draw_rivals(asked: Asked, out: Path, found: dict) -> None:
 def _rivals_protocol(asked: Asked) -> Protocol:
     from reconstruction.bench.rivals import rivals_protocol
 
-    return _beginning(rivals_protocol(quick=asked.quick), asked)
+    found = _beginning(rivals_protocol(quick=asked.quick), asked)
+    return found.beginning_on(scenes_named(asked.scenes)) if asked.scenes else found
 
 
 def _viewpoints(asked: Asked) -> BenchDocument:

@@ -136,12 +136,14 @@ class Batch:
 class Protocol:
     """Tables, and the batches that fill them, the most wanted first.
 
-    Runs are begun for the tables `begun` (None: for all); the others have the runs that were made before.
+    Runs are begun for the tables `begun` and on the scenes `begun_on` (None: for all, on all); the others have the runs
+    that were made before.
     """
 
     tables: tuple[Table, ...]
     batches: tuple[Batch, ...]
     begun: tuple[str, ...] | None = None
+    begun_on: tuple[str, ...] | None = None
 
     def of(self, names: tuple[str, ...]) -> Protocol:
         """Return the protocol of these tables alone; raises BadRunError for a name that is none."""
@@ -153,6 +155,13 @@ class Protocol:
         """Return the protocol with runs begun for these tables alone; raises BadRunError for a name that is none."""
         self._check(names)
         return replace(self, begun=names)
+
+    def beginning_on(self, scenes: tuple[str, ...]) -> Protocol:
+        """Return the protocol with runs begun on these scenes alone; raises BadRunError for one that it has not."""
+        known = dict.fromkeys(scene for batch in self.batches for scene in batch.scenes)
+        if not set(scenes) <= set(known):
+            raise BadRunError(f"found the scenes {', '.join(scenes)}", f"some of {', '.join(known)}")
+        return replace(self, begun_on=scenes)
 
     def _check(self, names: tuple[str, ...]) -> None:
         known = [table.name for table in self.tables]
@@ -179,4 +188,4 @@ class Protocol:
     def begins(self) -> set[str]:
         """Return the names of the cells that are begun where they have no run."""
         asked = self if self.begun is None else self.of(self.begun)
-        return {cell.name for cell in asked.cells()}
+        return {cell.name for cell in asked.cells() if self.begun_on is None or cell.scene in self.begun_on}

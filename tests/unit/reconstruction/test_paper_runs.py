@@ -177,6 +177,16 @@ def test_runs_are_begun_for_the_tables_asked_for_and_kept_of_the_others(laborato
         both.beginning(("v",))
 
 
+def test_runs_are_begun_on_the_scenes_asked_for(laboratory):
+    both = Protocol((TABLE,), (*PROTOCOL.batches, Batch("t", ("traffic",), (EFFORT,))))
+    document = bench_paper(both.beginning_on(("fan_and_ball",)), laboratory.own, silent)
+    assert {name.split("-")[0] for name in laboratory.made} == {"fan_and_ball"}
+    assert "t, good: not run yet (traffic-101 @10)" in document.omissions
+    assert both.beginning_on(("traffic",)).begins() == both.begins() - PROTOCOL.begins()
+    with pytest.raises(BadRunError, match="some of fan_and_ball, traffic"):
+        both.beginning_on(("fan",))
+
+
 def test_no_recording_is_made_of_what_will_not_be_run(laboratory):
     laboratory.own.recording_of = lambda scene, seed: pytest.fail("simulated for nothing")
     document = bench_paper(PROTOCOL, laboratory.own, silent, timer(0.0))
