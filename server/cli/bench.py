@@ -26,7 +26,7 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     "--scenes",
     "scenes",
     help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene; speed, "
-    "compact: all development scenes; rivals: all that its tables have, and others keep their runs].",
+    "compact: all development scenes; rivals: all of its tables; runs of scenes not named are kept].",
 )
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(

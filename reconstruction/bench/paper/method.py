@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -147,31 +148,23 @@ class Protocol:
 
     def of(self, names: tuple[str, ...]) -> Protocol:
         """Return the protocol of these tables alone; raises BadRunError for a name that is none."""
-        self._check(names)
+        _check("tables", names, [table.name for table in self.tables])
         tables = tuple(t for t in self.tables if t.name in names)
         return Protocol(tables, tuple(b for b in self.batches if b.table in names))
 
     def beginning(self, names: tuple[str, ...]) -> Protocol:
         """Return the protocol with runs begun for these tables alone; raises BadRunError for a name that is none."""
-        self._check(names)
+        _check("tables", names, [table.name for table in self.tables])
         return replace(self, begun=names)
 
     def beginning_on(self, scenes: tuple[str, ...]) -> Protocol:
         """Return the protocol with runs begun on these scenes alone; raises BadRunError for one that it has not."""
-        known = dict.fromkeys(scene for batch in self.batches for scene in batch.scenes)
-        if not set(scenes) <= set(known):
-            raise BadRunError(f"found the scenes {', '.join(scenes)}", f"some of {', '.join(known)}")
+        _check("scenes", scenes, dict.fromkeys(scene for batch in self.batches for scene in batch.scenes))
         return replace(self, begun_on=scenes)
-
-    def _check(self, names: tuple[str, ...]) -> None:
-        known = [table.name for table in self.tables]
-        if not set(names) <= set(known):
-            raise BadRunError(f"found the tables {', '.join(names)}", f"some of {', '.join(known)}")
 
     def on(self, scenes: tuple[str, ...]) -> Protocol:
         """Return the protocol on other scenes; raises BadRunError for one that is not there."""
-        if not set(scenes) <= set(SCENES):
-            raise BadRunError(f"found the scenes {', '.join(scenes)}", f"some of {', '.join(SCENES)}")
+        _check("scenes", scenes, SCENES)
         return replace(self, batches=tuple(replace(b, scenes=scenes) for b in self.batches))
 
     def wanted(self, table: Table, row: Row) -> list[Cell]:
@@ -189,3 +182,9 @@ class Protocol:
         """Return the names of the cells that are begun where they have no run."""
         asked = self if self.begun is None else self.of(self.begun)
         return {cell.name for cell in asked.cells() if self.begun_on is None or cell.scene in self.begun_on}
+
+
+def _check(what: str, names: Collection[str], known: Collection[str]) -> None:
+    """Refuse names that are not known; `what` they name stands in the message."""
+    if not set(names) <= set(known):
+        raise BadRunError(f"found the {what} {', '.join(names)}", f"some of {', '.join(known)}")

@@ -40,7 +40,7 @@ def test_all_rows_are_run_in_turns_at_every_length_a_scene_at_a_time():
     for group in GROUPS.values():
         rows = [row.method.name for row in group.rows]
         for scene in group.scenes:
-            wanted = set(itertools.product([scene], group.lengths, rows, group.seeds)) - planned  # met once
+            wanted = set(itertools.product([scene], group.lengths, rows, group.seeds)) - planned  # shared ones: once
             planned |= wanted
             own, cells = cells[: len(wanted)], cells[len(wanted) :]
             seen = {(cell.scene, cell.effort, cell.method.name) for cell in own}
