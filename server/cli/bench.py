@@ -25,8 +25,8 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     "--scene",
     "--scenes",
     "scenes",
-    help="NAME,... or `realistic` [default: the evaluation scenes; pixels: the development scene; speed, "
-    "compact: all development scenes; rivals: all of its tables; runs of scenes not named are kept].",
+    help="NAME,... or `realistic` [default: those of the bench; pixels takes one, rivals keeps runs of scenes that are "
+    "not named, rasterizer, recorder and leave-out have none of them].",
 )
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(
