@@ -13,6 +13,7 @@ from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter,
 from acquisition.scenes.glass import PERFECT, write_glass
 from acquisition.scenes.own import write_own
 from acquisition.scenes.truth import exposures_of, stride_of, write_truth
+from acquisition.scenes.view import Scenery
 from acquisition.session.rig_lock import rig_lock
 from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
@@ -20,6 +21,7 @@ from rigs.rig import Rig
 
 _TRUTH_BYTES, _FRAME_BYTES = 16, 4  # a pixel: light, depth, object and blur; an ordinary camera's frame
 _RECORDING_SHARE, _WRITTEN = 0.8, 0.99  # shares of the work: after the planes where truth follows, before the name
+_DRAWING_SHARE, _DRAWN_PLANES = 0.5, 0.05  # where a scene is drawn: its light, and the planes that follow
 _RING_S, _MIN_RING_BYTES = 0.5, 4 << 20  # the pause of a disk, in seconds, that a ring bridges, and its least size
 _ENDLESS = 1 << 62
 
@@ -73,9 +75,10 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     drawn = devices.drawn(rig) if isinstance(devices, Simulation) else rig
     with RecordingWriter(out, drawn, _disk_use(rig, devices, take)) as recording:
         with open_cameras(rig, devices, take.planes if pre_planes is None and take.planes else _ENDLESS) as opened:
+            begun = 0.0
             if isinstance(devices, Simulation) and opened.scene and take.planes:
-                cameras, last_s = devices.built(rig).cameras, rig.clock.instant_s(take.planes)
-                opened.scene.prepare(cameras, last_s, part(progress, 0.0, 0.0))
+                begun = _draw_light(opened.scene, devices.built(rig), take.planes, progress)
+                share = begun + _DRAWN_PLANES if begun else share
             for camera in opened.cameras if take.sensitivity else ():
                 camera.registers.set_sensitivity(take.sensitivity or Sensitivity())
             streams = record_session(
@@ -83,7 +86,7 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
                 opened.trigger,
                 take.planes,
                 recording,
-                part(progress, 0.0, share),
+                part(progress, begun, share),
                 pre_planes=pre_planes,
                 control=take.control,
                 waits=devices is not None,
@@ -106,6 +109,19 @@ def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progres
     if manifest.reason:
         raise IncompleteError(manifest.reason, do=f"{out} keeps what was recorded, marked incomplete")
     return manifest
+
+
+def _draw_light(scene: Scenery, rig: Rig, planes: int, progress: Progress) -> float:
+    """Draw what `scene` lacks, and return the share of the work that is done: 0 where it lacks nothing."""
+    done = 0.0
+
+    def told(fraction: float, message: str) -> None:
+        nonlocal done
+        done = _DRAWING_SHARE * fraction
+        progress(done, message)
+
+    scene.prepare(rig.cameras, rig.clock.instant_s(planes), told)
+    return done
 
 
 def _check_memory(rig: Rig, pre_planes: int) -> None:

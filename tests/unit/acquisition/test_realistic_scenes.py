@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.devices.open import Simulation
 from acquisition.errors import AcquisitionError, BadRecordingError
 from acquisition.scenes import passing
 from acquisition.scenes.catalog import (
@@ -28,6 +29,7 @@ from acquisition.scenes.realistic.scene import DrawnScene
 from acquisition.scenes.realistic.setting import FIRST_S, KEYFRAME_S, KEYFRAMES, LASTS_S, Finish, Setting, Thing
 from acquisition.scenes.realistic.settled import noise_of, sums_around
 from acquisition.scenes.realistic.studio import CHUNK, REACH_PX, _grown, chunks_of
+from acquisition.session import record
 from reconstruction.bench.conventions import seed_of
 from rigs.toml import catalog_rig
 
@@ -99,6 +101,21 @@ def test_progress_says_when_drawing_ends(drawn):
     assert words[0] == "light of plain_room, part 1 of 4"
     assert words[-1].startswith("light of plain_room, part 4 of 4, ")
     assert words[-1].endswith(" s left")
+
+
+def test_a_simulation_goes_on_while_light_is_drawn_and_never_back(drawn, tmp_path, monkeypatch):
+    monkeypatch.setattr(record, "write_truth", lambda *_, **__: None)
+
+    def shares_of_light(out):
+        said = []
+        record.simulate(Simulation("plain_room", seed=3), RIG, 40, tmp_path / out, lambda *told: said.append(told))
+        shares = [share for share, _ in said]
+        assert shares == sorted(shares)
+        assert shares[-1] == 1
+        return [share for share, words in said if words.startswith("light of plain_room, part")]
+
+    np.testing.assert_allclose(shares_of_light("new"), [0, 1 / 6, 2 / 6])  # thirds of the half
+    assert shares_of_light("drawn_before") == []
 
 
 @pytest.mark.parametrize("instant_s", [FIRST_S - KEYFRAME_S, LASTS_S + KEYFRAME_S])
