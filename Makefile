@@ -2,6 +2,8 @@
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
+# Images of Python often set this. The tests start hundreds of processes, and each would compile what it imports.
+export PYTHONDONTWRITEBYTECODE =
 EXTRAS ?= reconstruction,server,otel,dev
 # Nothing in its place copies the packages, so that the virtual environment needs no sources: make install EDITABLE=
 EDITABLE ?= --editable
