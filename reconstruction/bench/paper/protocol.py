@@ -14,7 +14,7 @@ from reconstruction.bench.paper.published import QUICK_MODELS
 SHORT, LONG, EQUAL = Effort(30.0), Effort(60.0), Effort(steps=500)
 SCENES = (EVALUATION[0], REALISTIC_EVALUATION[0])
 NO_DUST3R = "no DUSt3R checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own"
-NO_PRETRAINING = "the MSDI that ships was never pretrained: without a DUSt3R checkpoint there is nothing to leave out"
+NO_PRETRAINING = "MSDI's geometry was never pretrained: without a DUSt3R checkpoint there is nothing to leave out"
 OURS = Row("Ours, true poses", m.AUTO, "Spike4DGS")
 SMALL = {"D3DGS": "D3DGS", "STG": "STG", "4DGS": "small 4DGS"}  # our names for the published models
 LOSS_LABELS = {
