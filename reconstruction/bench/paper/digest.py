@@ -1,8 +1,10 @@
 """Digests the code that a run depends on: what every run goes through, and of methods and networks those it uses.
 
-A change of benches, reports, pages or trainings of networks alone leaves every digest as it is.
+A change of benches, reports, pages or trainings of networks alone leaves every digest as it is. So does one of
+comments, docstrings or what a refusal says: of Python the syntax tree counts.
 """
 
+import ast
 import functools
 import hashlib
 import importlib
@@ -20,6 +22,7 @@ from reconstruction.images import catalogue as images
 from reconstruction.methods.catalogue import METHODS, OURS
 
 SHOWN = ("bench", "stability", "report", "export", "uncertainty")  # folders of `reconstruction` that look at results
+PAGES = ("pipeline/report_page.py",)  # show what others have scored
 TRAINING = ("networks/training/", "networks/train.py", "scenes/random/")  # makes networks, and is in no run
 OF_ALL_METHODS = ("__init__", "catalogue", "definition")
 NETWORK_INITIALISERS = ("msdi", "dust3r")
@@ -56,8 +59,26 @@ def code_digest(method: Method) -> str:
 def _digest_of(model: str, networks: bool) -> str:
     digest = hashlib.sha256()
     for name, path in sorted(_sources(model, networks)):
-        digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
+        digest.update(f"{name}\0".encode() + hashlib.sha256(_meaning(path)).digest())
     return digest.hexdigest()
+
+
+def _meaning(path: Path) -> bytes:
+    """Return the bytes of a source, or of Python its syntax tree without docstrings and what is raised with."""
+    if path.suffix != ".py":
+        return path.read_bytes()
+    return ast.dump(_Wordless().visit(ast.parse(path.read_bytes()))).encode()
+
+
+class _Wordless(ast.NodeTransformer):
+    """Takes from a syntax tree what only people read."""
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = node.body[1:] if ast.get_docstring(node, clean=False) is not None else node.body
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            node.exc = node.exc.func
+        return super().generic_visit(node)
 
 
 def _of(about: list) -> str:
@@ -74,7 +95,7 @@ def _sources(model: str, networks: bool) -> Iterator[tuple[str, Path]]:
         root = packages[package]
         for path in (root / folder).rglob("*"):
             name = path.relative_to(root).as_posix()
-            if path.suffix in SUFFIXES and not name.startswith(TRAINING):
+            if path.suffix in SUFFIXES and not name.startswith((*TRAINING, *PAGES)):
                 yield f"{package}/{name}", path
     yield from _method_sources(model)
 

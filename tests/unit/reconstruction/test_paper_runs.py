@@ -229,6 +229,33 @@ def test_code_is_what_makes_results_not_what_shows_them(tmp_path, monkeypatch):
     assert code() != before
 
 
+SOURCE = """
+def halved(x):
+    if x < 0:
+        raise ValueError(f"found {x}") from None
+    return x / 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "by", "counts"),
+    [
+        ("def halved(x):", 'def halved(x):\n    """Return half of x."""  # and no more', False),
+        ("\n    if", "\n\n    # negative ones\n    if", False),
+        ('f"found {x}"', 'f"found {x}, expected 0 or more"', False),
+        ("ValueError", "TypeError", True),
+        ("x < 0", "x <= 0", True),
+        ("x / 2", "x // 2", True),
+        ("x / 2", "x / 2.5", True),
+    ],
+)
+def test_of_python_that_counts_which_a_run_can_notice(change, by, counts, tmp_path):
+    (tmp_path / "before.py").write_text(SOURCE)
+    (tmp_path / "after.py").write_text(SOURCE.replace(change, by))
+    assert SOURCE.replace(change, by) != SOURCE
+    assert (digest._meaning(tmp_path / "before.py") != digest._meaning(tmp_path / "after.py")) == counts
+
+
 @pytest.mark.parametrize(
     ("choices", "own", "networks"),
     [
